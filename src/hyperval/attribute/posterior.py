@@ -589,14 +589,31 @@ def posteriors(
     wide: Array,
     each: Sequence[str],
 ) -> list[Posterior]:
-    """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``."""
+    """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``.
+
+    A gain that all subjects share is no reason for what differs between them:
+
+    >>> from hyperval.attribute import ResidualBlock
+    >>> level, noise = np.array([1.0, 2.0, 3.0, 1.5, 1.0, 0.5]), 0.01 * np.random.default_rng(1).normal(size=6)
+    >>> seen, half = level + level * noise, (("lawn", slice(0, 3)), ("lot", slice(3, 6)))
+    >>> blocks = [
+    ...     ResidualBlock("radiance", n, "", seen[i], np.diag(1e-4 * level[i] ** 2), len, np.arange(3))
+    ...     for n, i in half
+    ... ]
+    >>> stack, gain = Stack(tuple(blocks)), Candidate("gain", "sensor", "1 %", False, sizes=(-20.0, 25.0))
+    >>> columns = {gain: np.outer(0.01 * level, gain.sizes)}
+    >>> found = posteriors(stack, level * noise, stack.covariance, columns, 0.1 * np.diag(level), [])
+    >>> [(posterior.group, [fit.name for fit in posterior.fits]) for posterior in found]
+    [('all', ['gain']), ('what all subjects share', ['gain']), ('what differs between subjects', [])]
+    """
 
     def part(of: npt.NDArray[np.intp]) -> tuple[Array, Array, dict[Candidate, Array], Array]:
         moved = {c: g[of] for c, g in columns.items() if _moves(g[of], g)}
         return residual[of], covariance[np.ix_(of, of)], moved, wide[of]
 
     parts: list[Posterior] = []
-    spectra, common = stack.common_bands()
+    # Of the prediction: of what was measured, any factor below 1 on the prediction would leave less of what differs.
+    spectra, common = stack.common_bands(stack.observed - residual)
     if common.size and len(spectra) > common.shape[1]:
         parts = [posterior(name, *data) for name, data in common_and_own(common, *part(spectra)).items()]
     out = [replace(posterior(ALL, residual, covariance, columns, wide), parts=tuple(parts)), *parts]

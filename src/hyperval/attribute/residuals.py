@@ -230,12 +230,12 @@ class Stack:
         rows = np.flatnonzero((self.named("subject") == subject) & (self.bands >= 0))
         return np.asarray(0.1 * level[:, None] * (np.arange(level.size)[:, None] == rows))
 
-    def common_bands(self) -> tuple[Indices, Array]:
+    def common_bands(self, level: Array) -> tuple[Indices, Array]:
         """Entries (m,) of spectra in bands that two and more subjects show, and columns (m, K) of those bands.
 
-        Column k holds what the subjects show in one band, 0 elsewhere: an error that is common to all of them.
+        Column k holds what the subjects show of ``level`` (n,) in one band, 0 elsewhere: an error that all share.
         """
-        columns = self.single_bands(self.observed)
+        columns = self.single_bands(level)
         shared = np.count_nonzero(columns, axis=0) > 1
         rows = np.flatnonzero(np.any(columns[:, shared] != 0.0, axis=1))
         return rows, columns[np.ix_(rows, np.flatnonzero(shared))]
