@@ -478,10 +478,8 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
         if placed is not None:
             parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}
-        one, under = (
-            host + sum(part[:, None, None] * (full[name][k] - host) for name, part in parts.items() if part.any())
-            for k in (0, 1)
-        )
+        within = [(part[:, None, None], full[name]) for name, part in parts.items() if part.any()]
+        one, under = tuple(host + sum(f * (target[k] - host) for f, target in within) for k in (0, 1))  # (3.10)
         out[population.name] = one, under
     return out
 
