@@ -1,4 +1,4 @@
-"""What is known of spectra: statistics of classes, of samples, and names of detectors; kinds of arrays."""
+"""Kinds of arrays; errors and samples of spectra, components of a mixture; names of detectors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.errors import UsageError
-from hyperval.spectra.axis import SpectralAxis
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -50,7 +49,7 @@ class Errors(NamedTuple):
         return np.asarray(np.sqrt((self.rows**2).sum(axis=0)))
 
 
-def _check_covariances(matrices: Array, what: str) -> None:
+def check_covariances(matrices: Array, what: str) -> None:
     """Refuse matrices (..., B, B) that are not symmetric or have eigenvalues below nought."""
     scale, bands = float(np.abs(matrices).max()) or 1.0, matrices.shape[-1]
     if float(np.abs(matrices - np.swapaxes(matrices, -1, -2)).max()) > 1e-9 * scale:
@@ -99,7 +98,7 @@ class Components:
                 f"the weights {np.array2string(weights, precision=4)} are not those of a mixture",
                 expected="positive numbers that sum to 1",
             )
-        _check_covariances(covariances, "the covariance of a component")
+        check_covariances(covariances, "the covariance of a component")
         if not self.dof > 2:
             raise UsageError(f"degrees of freedom of components must exceed 2, got {self.dof:g}")
         vars(self).update(weights=weights, offsets=offsets, covariances=covariances)
@@ -137,51 +136,6 @@ class Components:
         mean = self.weights @ self.offsets
         away = self.offsets - mean
         return np.asarray(np.tensordot(self.weights, self.covariances, 1) + (away * self.weights[:, None]).T @ away)
-
-
-@dataclass(frozen=True)
-class ClassStatistics:
-    """Mean and covariance of one surface class, in reflectance or in radiance.
-
-    Attributes
-    ----------
-    name : class name
-    axis : the bands
-    mean : (B,) mean
-    covariance : (B, B) pixel-to-pixel covariance, symmetric, positive semi-definite
-    n : number of samples behind it, None when it is a definition rather than an estimate
-    source : where the numbers come from, in words
-    tail_dof : degrees of freedom of a multivariate t (nu > 2), None for Gaussian
-    tail_scale : factor on the covariance of that t, which was fitted together with them
-    components : the clusters that the pixels fall into, None where they are one
-    """
-
-    name: str
-    axis: SpectralAxis
-    mean: Array
-    covariance: Array
-    n: int | None = None
-    source: str = ""
-    tail_dof: float | None = None
-    components: Components | None = None
-    tail_scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        mean = np.asarray(self.mean, dtype=float)
-        cov = np.asarray(self.covariance, dtype=float)
-        bands = len(self.axis)
-        if mean.shape != (bands,) or cov.shape != (bands, bands):
-            raise UsageError(
-                f"class {self.name!r}: mean {mean.shape} and covariance {cov.shape} do not fit {bands} bands"
-            )
-        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(cov))):
-            raise UsageError(f"class {self.name!r}: mean and covariance must be finite")
-        _check_covariances(cov, f"class {self.name!r}: the covariance")
-        if self.tail_dof is not None and not self.tail_dof > 2:
-            raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
-        if self.components is not None and self.components.offsets.shape[1] != bands:
-            raise UsageError(f"class {self.name!r}: its components do not fit {bands} bands")
-        vars(self).update(mean=mean, covariance=cov)
 
 
 @dataclass(frozen=True)

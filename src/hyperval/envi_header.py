@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.storage import decoded, number_of
 
@@ -97,7 +97,7 @@ class EnviHeader:
         names = self.strings("band names") or ()
         return names if len(names) == self.bands else ()
 
-    def numbers(self, key: str, count: int | None = None) -> npt.NDArray[np.float64] | None:
+    def numbers(self, key: str, count: int | None = None) -> Array | None:
         """A comma-separated entry as finite numbers, None when it is absent or empty.
 
         Raises

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.data import MOST_COMPONENTS, Array, ClassStatistics, Components, statistics_of
-from hyperval.errors import reader, refuse, told_of
+from hyperval.data import MOST_COMPONENTS, Array, Components, check_covariances, statistics_of
+from hyperval.errors import UsageError, reader, refuse, told_of
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
@@ -44,6 +44,51 @@ _AXES = {
 }  # fmt: skip
 _PARTS = {"component_weight": "weights", "component_offset": "offsets", "component_covariance": "covariances"}
 _MAY_LACK = ("good_band", "tail_dof", "component_dof", *_PARTS)
+
+
+@dataclass(frozen=True)
+class ClassStatistics:
+    """Mean and covariance of one surface class, in reflectance or in radiance.
+
+    Attributes
+    ----------
+    name : class name
+    axis : the bands
+    mean : (B,) mean
+    covariance : (B, B) pixel-to-pixel covariance, symmetric, positive semi-definite
+    n : number of samples behind it, None when it is a definition rather than an estimate
+    source : where the numbers come from, in words
+    tail_dof : degrees of freedom of a multivariate t (nu > 2), None for Gaussian
+    tail_scale : factor on the covariance of that t, which was fitted together with them
+    components : the clusters that the pixels fall into, None where they are one
+    """
+
+    name: str
+    axis: SpectralAxis
+    mean: Array
+    covariance: Array
+    n: int | None = None
+    source: str = ""
+    tail_dof: float | None = None
+    components: Components | None = None
+    tail_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        mean = np.asarray(self.mean, dtype=float)
+        cov = np.asarray(self.covariance, dtype=float)
+        bands = len(self.axis)
+        if mean.shape != (bands,) or cov.shape != (bands, bands):
+            raise UsageError(
+                f"class {self.name!r}: mean {mean.shape} and covariance {cov.shape} do not fit {bands} bands"
+            )
+        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(cov))):
+            raise UsageError(f"class {self.name!r}: mean and covariance must be finite")
+        check_covariances(cov, f"class {self.name!r}: the covariance")
+        if self.tail_dof is not None and not self.tail_dof > 2:
+            raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
+        if self.components is not None and self.components.offsets.shape[1] != bands:
+            raise UsageError(f"class {self.name!r}: its components do not fit {bands} bands")
+        vars(self).update(mean=mean, covariance=cov)
 
 
 def statistics_of_samples(

@@ -11,9 +11,8 @@ import re
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.errors import UsageError
-
-Array = npt.NDArray[np.float64]
 
 RADIANCE_UNIT = "uW cm-2 sr-1 nm-1"
 IRRADIANCE_UNIT = "uW cm-2 nm-1"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from uncertain_scene import AXIS, scenario
 
-from hyperval.data import ClassStatistics, Components
+from hyperval.data import Components
 from hyperval.errors import UsageError
 from hyperval.model import Evaluation, Origins, predict, read
-from hyperval.statistics_library import builtin_class
+from hyperval.statistics_library import ClassStatistics, builtin_class
 
 BANDS = len(AXIS)
 

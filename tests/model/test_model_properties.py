@@ -15,13 +15,13 @@ import yaml
 
 from hyperval import api
 from hyperval.atmosphere import AtmosphericTable, write_table
-from hyperval.data import ClassStatistics, Components
+from hyperval.data import Components
 from hyperval.errors import UsageError
 from hyperval.model import PATHS, Origins, every_path, find, predict, predictions, read, reads_again, value_at
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.settings import setting, with_settings
 from hyperval.spectra import SpectralAxis
-from hyperval.statistics_library import builtin_class, write_statistics_library
+from hyperval.statistics_library import ClassStatistics, builtin_class, write_statistics_library
 
 EQUAL = 1e-9  # relative
 # A probability follows from a logarithm, and what differs by a rounding of the score differs far out by more; a

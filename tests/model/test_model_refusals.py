@@ -10,11 +10,11 @@ from score_classes import classes, thresholds
 from uncertain_scene import ATMOSPHERE, ORIGINS, SCENE, scenario
 
 from hyperval import model
-from hyperval.data import ClassStatistics, Components
+from hyperval.data import Components
 from hyperval.errors import InputError, UsageError
 from hyperval.scenario import Geometry, SpectrumUncertainty, load_scenario
 from hyperval.spectra import SpectralAxis
-from hyperval.statistics_library import builtin_class
+from hyperval.statistics_library import ClassStatistics, builtin_class
 
 CASES = yaml.safe_load(Path(__file__).with_name("refused.yaml").read_text())
 

@@ -13,11 +13,11 @@ from scipy.stats import norm
 from score_classes import classes, roc_of
 
 from hyperval import model
-from hyperval.data import ClassStatistics
 from hyperval.pixels import moments_without_each
 from hyperval.products import ExceedanceCurve, RocCurve
 from hyperval.scenario import load_scenario
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import ClassStatistics
 
 
 def test_a_target_like_its_background_is_on_the_diagonal():

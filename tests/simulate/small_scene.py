@@ -7,10 +7,10 @@ import numpy as np
 import yaml
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.data import ClassStatistics
 from hyperval.sensor import NoiseModel
 from hyperval.simulate import SceneFile, SimulationInputs
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import ClassStatistics
 
 BANDS = 12
 AXIS = SpectralAxis(np.linspace(450.0, 2200.0, BANDS), np.full(BANDS, 10.0))

@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import chi2, kurtosis
 from small_scene import CLASSES, SCENE, area, planks, small_scene
 
-from hyperval.data import ClassStatistics
 from hyperval.simulate import Sampler, SurfaceRenderer, admixture_share, correlated_field, lay_out, pixel_weights
+from hyperval.statistics_library import ClassStatistics
 
 # Each statistical test of whitened values fails by chance with this probability per assertion.
 ALPHA = 1e-5

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.data import ClassStatistics
 from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_values
 from hyperval.model.detection import class_scores, surroundings_variance, target_scores
 from hyperval.model.filters import noise_of
@@ -24,6 +23,7 @@ from hyperval.model.stated import SurfaceStatistics
 from hyperval.scenario import Scenario
 from hyperval.sensor import NoiseModel, Sensor
 from hyperval.spectra import SpectralAxis
+from hyperval.statistics_library import ClassStatistics
 
 B = 4
 RNG = np.random.default_rng(3280)

@@ -40,9 +40,8 @@ import numpy.typing as npt
 
 from hyperval.atmosphere.state import fraction_below
 from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.data import Array
 from hyperval.errors import refuse
-
-Array = npt.NDArray[np.float64]
 
 Columns = Mapping[str, npt.NDArray[Any]]
 # Terms that are no transmittances.

@@ -46,13 +46,12 @@ import numpy.typing as npt
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState, range_from_aot550
 from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, run_program
+from hyperval.data import Array, Mask
 from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.progress import track
 from hyperval.storage import last_line, number_of, scratch_folder, sha256_of
 from hyperval.units import radiance_per_wavelength, radiance_to_internal
-
-Array = npt.NDArray[np.float64]
 
 MAX_BYTES = 256 << 20
 _RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
@@ -77,7 +76,7 @@ class _Table:
     head: list[str]
     columns: dict[str, Array]
 
-    def at(self, wrong: npt.NDArray[np.bool_]) -> str:
+    def at(self, wrong: Mask) -> str:
         """Where the first row that is wrong stands."""
         return f"{self.path}:{self.line + int(np.argmax(wrong)) + 1}"
 
@@ -289,7 +288,7 @@ def solve_coefficients(
     return Coefficients(seen[high] * from_bright, (scattered[high] - scattered[black]) * from_bright, s)
 
 
-def _of_neighbours(values: Array, known: npt.NDArray[np.bool_]) -> Array:
+def _of_neighbours(values: Array, known: Mask) -> Array:
     """The values, where they are not known straight between those that are; 0 where none is."""
     index = np.arange(values.size)
     return np.interp(index, index[known], values[known]) if known.any() else np.zeros(values.size)

@@ -28,13 +28,11 @@ from functools import cache
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import expn
 
 from hyperval.atmosphere import state as visibility
 from hyperval.atmosphere.state import AtmosphericState, Profile, column_g_cm2, pressure_at, scaled_profile
-
-Array = npt.NDArray[np.float64]
+from hyperval.data import Array
 
 FILE: Final = "engine_ratio.csv"
 # Slanted amounts up to which the states of MODTRAN reach.  Beyond them absorption grows with the root of the

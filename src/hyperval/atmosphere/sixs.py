@@ -50,7 +50,6 @@ from typing import Final, Literal, NamedTuple
 from uuid import uuid4
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from hyperval.atmosphere import solar
@@ -68,11 +67,10 @@ from hyperval.atmosphere.state import (
     standard_profile,
 )
 from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, content_digest, lit_by, run_program
+from hyperval.data import Array
 from hyperval.errors import EngineError, refusal, refuse
 from hyperval.progress import track
 from hyperval.storage import last_line, number_of, sha256_of
-
-Array = npt.NDArray[np.float64]
 
 GAS_FREE = "0\n"  # card idatm = 0: scattering only (US standard 1962 air)
 _TOP_LEVEL = (99999.0, 0.0, 210.0, 0.0, 0.0)  # 6S wants a 34th level at infinity

@@ -10,16 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.datasets import resolve
 from hyperval.errors import MissingDataError, UsageError, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.spectra.text import number_table
 from hyperval.storage import installed_file
 from hyperval.units import irradiance_to_internal
-
-Array = npt.NDArray[np.float64]
 
 TSIS_1 = "solar_tsis_1.csv"  # made by validation/atmosphere/solar_table.py
 _KURUCZ = "data:sensors/kurudz_0.1nm.dat.gz"

@@ -32,9 +32,8 @@ from pydantic import Field, field_validator, model_validator
 
 from hyperval.atmosphere import solar
 from hyperval.config import Model
+from hyperval.data import Array
 from hyperval.errors import UsageError, refuse
-
-Array = npt.NDArray[np.float64]
 
 _GRAVITY = 9.81  # m s-2
 _AIR_DENSITY_STP = 1.2928  # kg m-3 at 273.15 K and 1013.25 hPa

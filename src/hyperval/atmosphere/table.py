@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperval.atmosphere import modtran, solar
 from hyperval.atmosphere.between import AS_THEY_ARE, Rule, along, between_aerosols, inside, path_error
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState, aot550_from_range, coordinates
 from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder, lit_by
+from hyperval.data import Array
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.progress import track
@@ -37,7 +37,6 @@ from hyperval.units import PLAUSIBLE_NM
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = npt.NDArray[np.float64]
 
 _LONG_NAMES = {
     "path": "path radiance over black ground, L_a / F",

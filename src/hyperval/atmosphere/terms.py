@@ -22,14 +22,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import platformdirs
 
+from hyperval.data import Array
 from hyperval.errors import EngineError, refuse
 from hyperval.spectra.axis import SpectralAxis, band_average
 from hyperval.storage import ending_with_this_process, is_no_program, last_line, whole_file
-
-Array = npt.NDArray[np.float64]
 
 _NARROW = 0.5  # channels this much narrower than the bands, or more, can be averaged as samples
 # What goes in proportion to the sunlight; the rest are parts of light, which it leaves as they are.

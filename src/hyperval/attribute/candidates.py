@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperval.atmosphere.solar import SPECTRA as SOLAR_SPECTRA
 from hyperval.atmosphere.solar import parse_utc
 from hyperval.config import load_yaml
+from hyperval.data import Array
 from hyperval.errors import UsageError, refuse
 from hyperval.model import (
     Origins,
@@ -41,7 +41,6 @@ from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
-Array = npt.NDArray[np.float64]
 Family = Callable[[World], Truth]  # what stands where with an error, for what a scenario says
 
 # Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a

@@ -20,7 +20,7 @@ from scipy import linalg, special
 
 from hyperval.attribute.candidates import LIGHT, MOST_STEPS, Candidate
 from hyperval.attribute.residuals import ENOUGH, Stack
-from hyperval.compare.rows import Array
+from hyperval.data import Array, Index
 from hyperval.errors import refusal, refuse
 from hyperval.products import background_of
 
@@ -607,7 +607,7 @@ def posteriors(
     [('all', ['gain']), ('what all subjects share', ['gain']), ('what differs between subjects', [])]
     """
 
-    def part(of: npt.NDArray[np.intp]) -> tuple[Array, Array, dict[Candidate, Array], Array]:
+    def part(of: Index) -> tuple[Array, Array, dict[Candidate, Array], Array]:
         moved = {c: g[of] for c, g in columns.items() if _moves(g[of], g)}
         return residual[of], covariance[np.ix_(of, of)], moved, wide[of]
 

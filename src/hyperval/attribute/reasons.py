@@ -37,7 +37,6 @@ from hyperval.attribute.residuals import (
     POINTS,
     SPECTRUM_FLOOR,
     ComparedQuantity,
-    Indices,
     ResidualBlock,
     Stack,
     quantities,
@@ -45,7 +44,8 @@ from hyperval.attribute.residuals import (
 )  # fmt: skip
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
-from hyperval.compare.rows import Array, named, row, scientific
+from hyperval.compare.rows import named, row, scientific
+from hyperval.data import Array, Index
 from hyperval.errors import EngineError, MissingDataError, UsageError, refuse
 from hyperval.model import Truth, World, inputs_of
 from hyperval.products import Products, background_of
@@ -181,7 +181,7 @@ class Causes:
         return Posterior(ALL, 0.0, of.size, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
 
     def _change(
-        self, moved: Array, of_model: Array, of: Indices, observed: Array, predicted: Array, simulated: bool
+        self, moved: Array, of_model: Array, of: Index, observed: Array, predicted: Array, simulated: bool
     ) -> Posterior:
         """What explains that entries ``of`` moved from what was ``observed`` and ``predicted``."""
         spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.columns
@@ -213,7 +213,7 @@ class Causes:
         """What may have moved a prediction: no pixel has moved."""
         return {c: g for c, g in self.columns.items() if c.kind != "region"}
 
-    def or_rarer(self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
+    def or_rarer(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
         """What explains a change; where no single cause is enough, what is rarer too."""
         found = self.explained_change(moved, of, level, columns)
         if found.enough and len(found.best.causes) == 1:
@@ -221,7 +221,7 @@ class Causes:
         return self.explained_change(moved, of, level, {**columns, **self.rarer()})
 
     def or_displaced(
-        self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array], *, regions: bool
+        self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array], *, regions: bool
     ) -> Posterior:
         """What explains a change; where nothing does, regions and targets that lie pixels away, measured again."""
         found = self.explained_change(moved, of, level, columns)
@@ -242,9 +242,7 @@ class Causes:
             nearest = list(effects)[int(best.amplitudes[0])]
         return found
 
-    def explained_change(
-        self, moved: Array, of: Indices, level: Array, columns: Mapping[Candidate, Array]
-    ) -> Posterior:
+    def explained_change(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
         """What explains a change (k,) of the entries ``of``, beside ``level`` (m,).
 
         Its variance is that of rounding, and of what an effect is off by that was found at another level.
@@ -259,7 +257,7 @@ class Causes:
         return self.explained(moved, np.diag(variance[of]), own, of, noisy=False)[1]
 
     def explained(
-        self, residual: Array, covariance: Array, columns: dict[Candidate, Array], of: Indices, *, noisy: bool = True
+        self, residual: Array, covariance: Array, columns: dict[Candidate, Array], of: Index, *, noisy: bool = True
     ) -> tuple[dict[Candidate, Array], Posterior]:
         """What explains residuals (k,) of the entries ``of``: between sizes the model is interpolated, and asked at
         those that are found; columns with those.

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from scipy import linalg, special
 
 from hyperval.attribute.candidates import Candidate
-from hyperval.compare.rows import Array, Mask, scientific
+from hyperval.compare.rows import scientific
+from hyperval.data import Array, Index, Mask
 from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
 from hyperval.products import (
@@ -29,8 +30,6 @@ from hyperval.products import (
     background_of,
 )
 from hyperval.spectra import SpectralAxis, in_window
-
-Indices = npt.NDArray[np.intp]
 
 PIECES = 17  # smooth pieces of a spectrum
 LIT = ("radiance", "toa_reflectance")
@@ -110,7 +109,7 @@ class ResidualBlock:
     observed: Array
     covariance: Array
     read: Callable[[Products], Array]
-    bands: Indices | None = None
+    bands: Index | None = None
     calibration: Array | None = None
 
 
@@ -121,7 +120,7 @@ class Stack:
     blocks: tuple[ResidualBlock, ...]
 
     @cached_property
-    def bands(self) -> Indices:
+    def bands(self) -> Index:
         """(n,) band of each entry; of what is no spectrum -1, -2, ..."""
         return np.concatenate([~np.arange(b.observed.size) if b.bands is None else b.bands for b in self.blocks])
 
@@ -230,7 +229,7 @@ class Stack:
         rows = np.flatnonzero((self.named("subject") == subject) & (self.bands >= 0))
         return np.asarray(0.1 * level[:, None] * (np.arange(level.size)[:, None] == rows))
 
-    def common_bands(self, level: Array) -> tuple[Indices, Array]:
+    def common_bands(self, level: Array) -> tuple[Index, Array]:
         """Entries (m,) of spectra in bands that two and more subjects show, and columns (m, K) of those bands.
 
         Column k holds what the subjects show of ``level`` (n,) in one band, 0 elsewhere: an error that all share.

@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from hyperval.campaign.products import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml
+from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, refusal, refuse
 from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
@@ -47,7 +47,6 @@ _NAMED = {
     "radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])",
     "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])",
 }
-Mask = npt.NDArray[np.bool_]
 Entry = dict[str, Any]
 
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from hyperval import pixels
-from hyperval.compare.rows import Array, Mask, row, skipped
+from hyperval.compare.rows import row, skipped
+from hyperval.data import Array, Mask
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
 from hyperval.products import PixelDistribution, Products, SpectralEstimate

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Array, Interval, difference_row, named, row, scientific, skipped
+from hyperval.compare.rows import Interval, difference_row, named, row, scientific, skipped
 from hyperval.compare.spectra import noncentrality
+from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
 from hyperval.model.intervals import (
     Z95,
@@ -345,7 +346,7 @@ def drawn_range(sizes: Array, below: float, above: float, level: float) -> Inter
     return (float(low) if below else math.nan), (float(high) if above else math.nan)
 
 
-def central(values: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+def central(values: npt.ArrayLike) -> Mask:
     """True for transform values in the central 95 %."""
     return np.asarray((np.asarray(values) >= 0.025) & (np.asarray(values) <= 0.975))
 

@@ -28,9 +28,9 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from hyperval.compare.rows import Array, Mask, row
+from hyperval.compare.rows import row
 from hyperval.compare.spectra import comparable_bands, regions, shares
-from hyperval.data import Index
+from hyperval.data import Array, Index, Mask
 from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95
 from hyperval.products import Products, SpectralEstimate

@@ -10,14 +10,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
 from hyperval.metrics import metric_of
 from hyperval.results import Cause, Outcome, Result
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Interval = tuple[float, float]
 # The metric of a row that stands for a whole comparison which could not be made.
 COMPARISON = "comparison"

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Array, Interval, Mask, row, skipped
+from hyperval.compare.rows import Interval, row, skipped
+from hyperval.data import Array, Mask
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
 from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty, common_shifts
@@ -432,7 +433,7 @@ def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
     return float(np.degrees(2.0 * np.arctan2(np.linalg.norm(u - v), np.linalg.norm(u + v))))
 
 
-def _unit_directions(covariance: npt.ArrayLike) -> tuple[npt.NDArray[np.bool_], Array]:
+def _unit_directions(covariance: npt.ArrayLike) -> tuple[Mask, Array]:
     """Bands with a variance, and (bands, K) directions of unit variance and no covariance, the least first."""
     cov = np.asarray(covariance, dtype=float)
     sd = np.sqrt(np.diag(cov))

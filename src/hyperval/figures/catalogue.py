@@ -11,6 +11,7 @@ from scipy.special import betaincinv
 
 from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
 from hyperval.compare.products import SPREAD
+from hyperval.data import Array
 from hyperval.figures.rows import reason_figures
 from hyperval.figures.spec import (
     CURVES,
@@ -22,7 +23,6 @@ from hyperval.figures.spec import (
     SIDES,
     SOURCES,
     WAVELENGTH,
-    Array,
     Axis,
     ColourScale,
     Figure,

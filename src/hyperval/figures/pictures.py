@@ -16,6 +16,7 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 from skimage.measure import block_reduce
 
+from hyperval.data import Array, Mask
 from hyperval.figures.spec import VIRIDIS, Drawing, Quicklook, ScoreMap, shortened, tones
 from hyperval.units import PLAUSIBLE_NM
 
@@ -32,7 +33,7 @@ _OUTLINES = (_OWN + 3, _OWN + 4, _OWN + 5, _OWN + 6, _OWN + 7, _WHITE)
 _LETTER, _SMALL, _TITLE = 25, 21, 28  # heights
 _LEFT, _TOP, _FOOT, _RIGHT, _BAR, _BAR_ROOM = 96, 80, 76, 40, 32, 190  # room about the picture
 Indices = npt.NDArray[np.uint8]
-Segments = list[tuple[int, npt.NDArray[np.float64]]]
+Segments = list[tuple[int, Array]]
 Window = tuple[slice, slice]  # the lines and the samples of an image that are drawn
 
 
@@ -106,7 +107,7 @@ def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[
     return drawings
 
 
-def _toned(values: npt.NDArray[np.float64], limits: tuple[float, float]) -> Indices:
+def _toned(values: Array, limits: tuple[float, float]) -> Indices:
     """Scores as the number of their colour; white where there is none."""
     low, high = limits
     finite = np.isfinite(values)
@@ -257,7 +258,7 @@ def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
     return low, max(high, low + 1e-9)
 
 
-def block_maximum(values: npt.NDArray[np.float64], most: int) -> tuple[npt.NDArray[np.float64], int]:
+def block_maximum(values: Array, most: int) -> tuple[Array, int]:
     """``values`` (lines, samples) reduced to at most ``most`` a side by the maximum of each square block,
     so that a target of one pixel is still seen; and the side of the block [pixels].
     """
@@ -267,7 +268,7 @@ def block_maximum(values: npt.NDArray[np.float64], most: int) -> tuple[npt.NDArr
     return np.where(np.isfinite(reduced), reduced, np.nan), block
 
 
-def outline_segments(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
+def outline_segments(mask: Mask) -> Array:
     """(S, 2, 2) pixel edges, as (sample, line) pairs, that part the mask from what is not in it."""
     mask = np.asarray(mask, bool)
     lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))

@@ -14,11 +14,10 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Array, Mask
 from hyperval.products import Products
 from hyperval.spectra.axis import ABSORPTION_BANDS_NM, SpectralAxis, in_window
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Sides = tuple[Products | None, Products | None]
 # Predicted and measured differ in colour (Okabe and Ito's palette, distinct under the common colour deficiencies), in
 # line style and in marker, so that a grey print still tells them apart.
@@ -521,7 +520,7 @@ def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[
     return both, pairs or both_first(*both), bool(pairs)
 
 
-def in_windows(axis: SpectralAxis) -> npt.NDArray[np.bool_]:
+def in_windows(axis: SpectralAxis) -> Mask:
     """Bands in the windows of the atmosphere; all, where none is."""
     keep = in_window(axis.centre_nm)
     return keep if keep.any() else np.ones(keep.shape, bool)

@@ -25,6 +25,7 @@ import scipy
 from affine import Affine
 from rasterio.crs import CRS
 
+from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery.description import Description, ListedBands, Raster, crs_of_wkt, gdal_transform
@@ -518,7 +519,7 @@ def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tupl
     return "reflectance" if named else None, known if named or known == "percent" else None, ()
 
 
-def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> npt.NDArray[np.float64] | None:
+def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
     """Another array along the axis of the wavelengths, by its name."""
     fits = [v for n, v in data.variables.items() if v.dims == wave.dims and name.search(str(n))]
     fits = [v for v in fits if v.dtype.kind in "iufb"]
@@ -624,7 +625,7 @@ def open_matrix(
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
     piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
 
-    def listed_beside(pattern: re.Pattern[str]) -> npt.NDArray[np.float64] | None:
+    def listed_beside(pattern: re.Pattern[str]) -> Array | None:
         named = [n for n in shapes if pattern.search(n) and not _GOOD.search(n)]
         named = [n for n in named if max(shapes[n]) == piece.size("b") == int(np.prod(shapes[n])) > 1]
         whole = (slice(None),) * len(shapes[named[0]]) if len(named) == 1 else None

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
+from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import data_beside, header_beside
 from hyperval.errors import HypervalError, InputError, reader, refusal, refuse
 from hyperval.imagery import arrays
@@ -43,8 +44,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from spectral.io.spyfile import SpyFile
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Quantity = Literal["radiance", "reflectance", "counts", "other"]
 Where = Mask | tuple[npt.ArrayLike, npt.ArrayLike]
 
@@ -101,7 +100,7 @@ class Cube:
     quantity: Quantity
     unit: str
     scaling: Scale
-    stored_band: npt.NDArray[np.intp]
+    stored_band: Index
     ignore_value: float | None = None
     description: str = ""
     notes: tuple[str, ...] = ()
@@ -263,7 +262,7 @@ class Cube:
         order = self.stored_band
         return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
 
-    def _index(self, where: Where) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    def _index(self, where: Where) -> tuple[Index, Index]:
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
             if rows.shape != cols.shape or rows.ndim != 1 or rows.dtype.kind + cols.dtype.kind not in _WHOLE:

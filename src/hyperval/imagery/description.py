@@ -21,6 +21,7 @@ from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
+from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import HypervalError, package_table, reader, refusal, refuse
 from hyperval.paths import checked_file
@@ -30,9 +31,6 @@ from hyperval.spectra.text import number_table
 from hyperval.storage import number_of
 from hyperval.units import RADIANCE_UNIT, radiance_to_internal, wavelength_to_nm
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp]
-Mask = npt.NDArray[np.bool_]
 Bands = SpectralAxis | Literal["numbers"] | None
 
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once

@@ -20,10 +20,11 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
+from hyperval.data import Index
 from hyperval.envi_header import EnviHeader, parse_header, read_header
 from hyperval.errors import refusal, refuse
 from hyperval.imagery.arrays import Store
-from hyperval.imagery.description import Description, Index, Raster, crs_of_wkt
+from hyperval.imagery.description import Description, Raster, crs_of_wkt
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file, write_text

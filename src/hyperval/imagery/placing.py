@@ -18,22 +18,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 import shapely
 from affine import Affine
 from rasterio.crs import CRS
 from shapely.geometry.base import BaseGeometry
 
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
 from hyperval.imagery.description import Raster, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, SUN_ZENITH, median_angle, sun_of_observation, table_in
-
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.int64]
-Mask = npt.NDArray[np.bool_]
 
 # Cells around a place whose raw pixels are fitted: 7 x 7 average out the rounding to whole pixels.
 RADIUS = 3
@@ -222,7 +218,7 @@ class LocationTable(LookupTable):
         return float(x[0, sample]), float(y[0, sample])
 
     @cached_property
-    def _coarse(self) -> tuple[Any, npt.NDArray[np.intp], Array]:
+    def _coarse(self) -> tuple[Any, Index, Array]:
         """Every n-th pixel with a place: their tree, their (line, sample), and the scale of x and y in it."""
         step = max(1, math.ceil(math.sqrt(self.shape[0] * self.shape[1] / MOST_NODES)))
         nodes, places = [], []

@@ -16,11 +16,11 @@ from xml.etree import ElementTree
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
+from hyperval.data import Array
 from hyperval.envi_header import parse_header
 from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.imagery import arrays
@@ -30,7 +30,6 @@ from hyperval.paths import checked_file, read_xml
 from hyperval.storage import number_of
 from hyperval.units import is_radiance, radiance_to_internal
 
-Array = npt.NDArray[np.float64]
 MAX_BANDS = 20_000
 SAMPLED_LINES = 16
 SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)

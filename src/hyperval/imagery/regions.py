@@ -34,6 +34,7 @@ from shapely.geometry import shape as shape_of
 from shapely.geometry.base import BaseGeometry
 from skimage.measure import label
 
+from hyperval.data import Array, Counts, Mask
 from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.imagery.cube import MATRICES, kind_of, raster_of_size
@@ -43,8 +44,6 @@ from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 Placing = Callable[[BaseGeometry, str], BaseGeometry]
 MAX_VERTICES = 1_000_000
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
@@ -226,7 +225,7 @@ class RegionDrawing:
     shape: tuple[int, int]
     polygons: list[BaseGeometry] = field(default_factory=list)
     points: list[BaseGeometry] = field(default_factory=list)
-    pixels: list[npt.NDArray[np.int64]] = field(default_factory=list)
+    pixels: list[Counts] = field(default_factory=list)
     stated_pixels: int | None = None
 
     def add(self, part: Part, where: str) -> None:

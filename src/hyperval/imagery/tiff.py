@@ -19,6 +19,7 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
+from hyperval.data import Array
 from hyperval.envi_header import header_beside, read_header
 from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.description import MAX_READ_BYTES, Description, ListedBands, Raster, Scale, wavelengths_in_names
@@ -153,7 +154,7 @@ def _lower(tags: Mapping[str, str]) -> dict[str, str]:
     return {key.lower().replace("wavelength_units", "wavelength units"): value for key, value in tags.items()}
 
 
-def _numbers(texts: Mapping[str, Sequence[str]], key: str, path: Path) -> npt.NDArray[np.float64] | None:
+def _numbers(texts: Mapping[str, Sequence[str]], key: str, path: Path) -> Array | None:
     if key not in texts:
         return None
     values = np.array([number_of(text) for text in texts[key]])

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from affine import Affine
 
+from hyperval.data import Array, Mask
 from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery import regions as roi
 from hyperval.imagery.placing import LookupTable
@@ -19,8 +20,6 @@ from hyperval.imagery.regions import Position
 from hyperval.paths import checked_file, read_table
 from hyperval.storage import number_of
 
-Array = npt.NDArray[np.float64]
-Mask = npt.NDArray[np.bool_]
 # First line and sample of a window, and a mask within it.
 Placed = tuple[tuple[int, int], Mask]
 _PLACES = {("row0", "col0"): 0.5, ("row1", "col1"): -0.5, ("line", "sample"): 0.0, ("easting", "northing"): None}

@@ -26,7 +26,7 @@ from hyperval.atmosphere.physics import GREATEST_AIR_ATM, GREATEST_WATER_G_CM2, 
 from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
-from hyperval.data import Array, ClassStatistics, Components, Index, statistics_of
+from hyperval.data import Array, Components, Index, statistics_of
 from hyperval.errors import UsageError, told_of
 from hyperval.model.intervals import Z95
 from hyperval.paths import MAX_MATCHES, Resolve, matching
@@ -47,7 +47,7 @@ from hyperval.sensor.specification import Sensor, binned_axis, library_names, li
 from hyperval.settings import with_settings
 from hyperval.spectra import FieldSpectrum, read_records, read_spectrum
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
-from hyperval.statistics_library import builtin_class, on_bands, read_statistics_library
+from hyperval.statistics_library import ClassStatistics, builtin_class, on_bands, read_statistics_library
 
 Values = npt.NDArray[Any]
 Truth = Mapping[str, Any]  # dotted path -> what stands there, of one truth; what is not named is as stated

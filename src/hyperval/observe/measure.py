@@ -16,11 +16,10 @@ from itertools import combinations
 from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperval import pixels as px
 from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
-from hyperval.data import Array, ClassStatistics, Components, Index, Mask, SampleStatistics, statistics_of
+from hyperval.data import Array, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, all_pixels
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
@@ -32,6 +31,7 @@ from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.products import ClassificationError, EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
 from hyperval.progress import track, watch_lines
 from hyperval.scenario import BackgroundClass, Scenario
+from hyperval.statistics_library import ClassStatistics
 
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
 MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold
@@ -380,7 +380,7 @@ def _exceedance_curve(values: Array) -> tuple[Array, Array]:
 def _projected_windows(
     place: Place,
     region: Mask,
-    bands: npt.NDArray[Any],
+    bands: Index | Mask,
     rng: np.random.Generator,
     project: Callable[[Array], Array],
     of_window: Callable[[Array], Array] = lambda values: values,

@@ -22,13 +22,13 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import spectral
 from scipy import special, stats
 
 from hyperval.campaign import Campaign, Job, collected, command_without_output, jobs_of, record_of
 from hyperval.collection import Detection
 from hyperval.compare import named, product_rows, row, skipped
+from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
 from hyperval.executors import in_order, worker_count, workers
@@ -58,9 +58,6 @@ from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import sha256_of, whole_folder
 
-Array = npt.NDArray[np.float64]
-Counts = npt.NDArray[np.int64]
-
 
 @dataclass(frozen=True)
 class BlockCounts:
@@ -82,7 +79,7 @@ class BlockCounts:
     over: Counts
     tie: Counts
     pixels: Counts
-    item: npt.NDArray[np.intp]
+    item: Index
     group: Mapping[str, Sequence[int]]
     density_km2: float = float("nan")
 
@@ -225,9 +222,9 @@ class RankedDetectors:
     value: Array
     lower: Array
     upper: Array
-    rank: npt.NDArray[np.int64]
-    rank_lower: npt.NDArray[np.int64]
-    rank_upper: npt.NDArray[np.int64]
+    rank: Counts
+    rank_lower: Counts
+    rank_upper: Counts
     first: Array
     objects: int
     distinct: int
@@ -243,7 +240,7 @@ def fewest_objects(detectors: int) -> int:
     return int(np.ceil(1.0 - np.log2((1.0 - LEVEL) / max(detectors - 1, 1))))
 
 
-def rank_sets(values: Array, draws: Array, objects: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def rank_sets(values: Array, draws: Array, objects: int) -> tuple[Counts, Counts]:
     """Least and greatest rank (D,) of each detector that the draws do not refute, at 95 % for each.
 
     A detector has as many above it as are better than it by more than c standard deviations of the paired
@@ -341,7 +338,7 @@ def _drawn(
     return both, still
 
 
-def _limits(item: npt.NDArray[np.intp], parts: Array, still: Array, n: int) -> tuple[Array, Array]:
+def _limits(item: Index, parts: Array, still: Array, n: int) -> tuple[Array, Array]:
     """95 % interval of each detector's mean of parts (P, D) between 0 and 1, of objects ``item`` (P,).
 
     The logit interval with both variances, no narrower than what is known of a bounded mean.

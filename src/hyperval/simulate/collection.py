@@ -27,20 +27,19 @@ from rasterio.crs import CRS
 from hyperval import datasets
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
-from hyperval.data import Array, ClassStatistics, Mask
+from hyperval.data import Array, Mask
 from hyperval.errors import UsageError, refusal
 from hyperval.executors import in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
 from hyperval.sensor import NoiseModel, load_sensor
 from hyperval.simulate import schema
-from hyperval.simulate.ground import GroundLayout, SurfaceRenderer, lay_out, regions
+from hyperval.simulate.ground import Field, GroundLayout, SurfaceRenderer, lay_out, regions
 from hyperval.simulate.schema import SceneFile, load_scene
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.statistics_library import builtin_class, builtin_mean
+from hyperval.statistics_library import ClassStatistics, builtin_class, builtin_mean
 from hyperval.storage import COLLECTION, whole_folder, write_text
 
-Float32Array = npt.NDArray[np.float32]
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
 
 
@@ -102,8 +101,8 @@ class Detector:
     """
 
     noise: NoiseModel
-    offset: Float32Array
-    slope: Float32Array
+    offset: Field
+    slope: Field
     counts_per_radiance: float
 
     @cached_property
@@ -111,18 +110,18 @@ class Detector:
         """(B,) radiance of one digital number; 0 without quantisation."""
         return np.asarray(self.noise.lsb_electrons / self.noise.electrons_per_radiance)
 
-    def radiance(self, reflectance: Float32Array) -> Float32Array:
+    def radiance(self, reflectance: Field) -> Field:
         """(samples, B) at-sensor radiance without noise [uW cm-2 sr-1 nm-1]."""
-        out: Float32Array = reflectance * self.slope
+        out: Field = reflectance * self.slope
         out += self.offset
         return out
 
-    def saturated(self, radiance: Float32Array) -> int:
+    def saturated(self, radiance: Field) -> int:
         """How many of the radiances lie beyond the full scale of the digital numbers."""
         full = np.where(self.lsb > 0.0, self.lsb * (2 ** int(self.noise.bits) - 1), np.inf)
         return int(np.count_nonzero(radiance > full.astype(np.float32)))
 
-    def measured(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
+    def measured(self, radiance: Field, rng: np.random.Generator) -> Field:
         """(samples, B) radiance as the sensor delivers it [uW cm-2 sr-1 nm-1].
 
         Photon noise is drawn on the electrons (3.13), fixed noise added (3.15), both taken through the noise
@@ -141,7 +140,7 @@ class Detector:
             out += error  # (3.17)
         return out
 
-    def _detected(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
+    def _detected(self, radiance: Field, rng: np.random.Generator) -> Field:
         """One draw of the detector's noise [radiance], before the noise factor."""
         n = self.noise
         noise = rng.standard_normal(radiance.shape, dtype=np.float32)
@@ -160,7 +159,7 @@ class Detector:
         noise /= gain  # back in radiance
         return noise
 
-    def _digitised(self, radiance: Float32Array, rng: np.random.Generator) -> Float32Array:
+    def _digitised(self, radiance: Field, rng: np.random.Generator) -> Field:
         n, bits = self.noise, int(self.noise.bits)
         lsb = np.where(self.lsb > 0.0, self.lsb, 1.0).astype(np.float32)
         number = np.rint(radiance / lsb)  # (3.18)
@@ -178,7 +177,7 @@ class Detector:
             number += delta.reshape(number.shape).astype(np.float32)  # (3.19)
         return np.where(self.lsb > 0.0, number * lsb, radiance).astype(np.float32)
 
-    def stored(self, measured: Float32Array) -> tuple[npt.NDArray[np.int16], int]:
+    def stored(self, measured: Field) -> tuple[npt.NDArray[np.int16], int]:
         """(samples, B) integers of the file and how many of them had to be clipped."""
         counts = np.rint(measured * np.float32(self.counts_per_radiance))
         low, high = INT16_LIMITS

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, optimize, special
 
-from hyperval.data import Array, ClassStatistics, Index, Mask
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError, refusal
 from hyperval.simulate import schema
 from hyperval.simulate.schema import Admixture, SceneFile, TargetGroup
+from hyperval.statistics_library import ClassStatistics
 
 _CELLS = 32  # fine cells per pixel side
 _CUT_SIGMA = 5.0  # the Gaussian beyond holds 6e-7 of its area

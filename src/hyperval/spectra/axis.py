@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from hyperval.data import Array, Mask
 from hyperval.errors import refusal, refuse
 from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, wavelength_to_nm, wavelength_unit_note
 
@@ -46,7 +47,7 @@ SPECTRAL_REGIONS_NM: dict[str, tuple[float, float]] = {
 }
 
 
-def in_window(wavelength_nm: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+def in_window(wavelength_nm: npt.ArrayLike) -> Mask:
     """True for wavelengths between 400 and 2500 nm that lie in no absorption band."""
     w = np.asarray(wavelength_nm, dtype=float)
     clear = (w >= 400.0) & (w <= 2500.0)
@@ -66,9 +67,9 @@ class SpectralAxis:
     good : (B,) True where the band is usable (bad-band list applied)
     """
 
-    centre_nm: npt.NDArray[np.float64]
-    fwhm_nm: npt.NDArray[np.float64]
-    good: npt.NDArray[np.bool_] = field(default_factory=lambda: np.ones(0, bool))
+    centre_nm: Array
+    fwhm_nm: Array
+    good: Mask = field(default_factory=lambda: np.ones(0, bool))
 
     def __post_init__(self) -> None:
         centre = np.asarray(self.centre_nm, dtype=float)
@@ -104,8 +105,8 @@ class SpectralAxis:
 
 
 def wavelengths_in_nm(
-    values: npt.NDArray[np.float64], stated: str | None, given: str | None, where: str
-) -> tuple[npt.NDArray[np.float64], str, tuple[str, ...]]:
+    values: Array, stated: str | None, given: str | None, where: str
+) -> tuple[Array, str, tuple[str, ...]]:
     """Wavelengths [nm], their unit, and a note where nobody states it and only one is possible.
 
     Parameters
@@ -131,7 +132,7 @@ def wavelengths_in_nm(
     return nm, unit, () if text or given else (wavelength_unit_note(values, unit),)
 
 
-def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> Array:
     """Band widths assumed equal to the local band spacing [nm]: for files that list no FWHM."""
     centre = np.asarray(centre_nm, dtype=float)
     refuse(centre.size < 2, "axis.single")
@@ -145,7 +146,7 @@ CUT_SIGMA = 3.0
 
 def band_average(
     wavelength_nm: npt.ArrayLike, values: npt.ArrayLike, axis: SpectralAxis, *, outside: str = "raise"
-) -> npt.NDArray[np.float64]:
+) -> Array:
     """Average of a sampled spectrum over Gaussian band responses.
 
     The response of a band is exp(-(l - c)^2 / 2 sigma^2) cut at +-3 sigma and normalised to unit
@@ -180,9 +181,7 @@ def band_average(
     return result
 
 
-def band_weights(
-    grid: npt.NDArray[np.float64], axis: SpectralAxis
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+def band_weights(grid: Array, axis: SpectralAxis) -> tuple[Array, Mask]:
     """(B, n) weights of samples at ``grid`` (n,) [nm] in :func:`band_average`, and (B,) bands that reach beyond.
 
     In units of sigma from the centre, a step of the grid from x0 to x1 has of the response, where it is not cut,

@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.envi_header import EnviHeader, data_beside, read_header
 from hyperval.errors import refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum
-
-Array = npt.NDArray[np.float64]
 
 _VERSIONS = (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
 HEADER_BYTES = 484

@@ -23,14 +23,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectrumErrors
-
-Array = npt.NDArray[np.float64]
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _MOST = {"wavelength": 5000, "series": 2000}

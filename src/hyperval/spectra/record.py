@@ -6,15 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperval.data import Array, Index
 from hyperval.errors import refusal, refuse
 from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.storage import number_of
 from hyperval.units import irradiance_to_internal, radiance_to_internal
 
-Array = npt.NDArray[np.float64]
-Index = npt.NDArray[np.intp] | slice
+Rows = Index | slice
 
 MAX_BYTES = 10_000_000
 MAX_ROWS = 100_000
@@ -43,7 +42,7 @@ class SpectrumErrors:
         """(n, n) D_r^2 + D_s R D_s."""
         return np.diag(self.random**2) + np.outer(self.systematic, self.systematic) * self.correlation
 
-    def at(self, index: Index, factor: float = 1.0) -> SpectrumErrors:
+    def at(self, index: Rows, factor: float = 1.0) -> SpectrumErrors:
         """Of some channels, in another unit; of all of them the spectra of a file go on sharing their matrix."""
         correlation = self.correlation if isinstance(index, slice) else self.correlation[np.ix_(index, index)]
         return SpectrumErrors(self.random[index] * factor, self.systematic[index] * factor, correlation)
@@ -205,7 +204,7 @@ def mean_of(records: list[FieldSpectrum]) -> FieldSpectrum:
     return replace(mean, n=len(records), errors=None)
 
 
-def _kept(record: FieldSpectrum, index: Index, factor: float = 1.0, note: str = "") -> FieldSpectrum:
+def _kept(record: FieldSpectrum, index: Rows, factor: float = 1.0, note: str = "") -> FieldSpectrum:
     """Some channels of a record, its values multiplied."""
     spread, errors = record.standard_deviation, record.errors
     return replace(

@@ -15,14 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from hyperval.data import Array
 from hyperval.errors import refusal, refuse
 from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum
 from hyperval.storage import decoded
 from hyperval.units import only_wavelength_unit, power_unit
 
-Array = npt.NDArray[np.float64]
 MAX_TITLE = 1000
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 

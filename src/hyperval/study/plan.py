@@ -21,7 +21,7 @@ from scipy.optimize.elementwise import find_root
 from scipy.stats import qmc
 
 from hyperval.atmosphere.between import spaced
-from hyperval.data import NUMERICAL_DETECTORS, Array
+from hyperval.data import NUMERICAL_DETECTORS, Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.model import (
@@ -167,7 +167,7 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
             bands_of(o, axis)
 
 
-def bands_of(output: Output, axis: SpectralAxis) -> npt.NDArray[np.intp]:
+def bands_of(output: Output, axis: SpectralAxis) -> Index:
     """Numbers of the bands that a spectral output reads.
 
     Raises

@@ -17,11 +17,10 @@ from itertools import product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from hyperval.config import Model
-from hyperval.data import LINEAR_DETECTORS
+from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import UsageError, package_table
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
@@ -37,7 +36,6 @@ from hyperval.study.page import cell_edges, heat_mark
 from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, of_truths, output_values
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
 
-Array = npt.NDArray[np.float64]
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
 _STRIDES = (8, 4, 2, 1)
 _MOST_LINES = 12
@@ -363,7 +361,7 @@ def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
     return columns or {"line.offset": np.zeros(1)}, labels
 
 
-def values_at(p: Prepared, trade: Trade, study: StudyFile, rows: npt.NDArray[np.intp]) -> Array:
+def values_at(p: Prepared, trade: Trade, study: StudyFile, rows: Index) -> Array:
     """Outputs (n, O) at some points of the study of a trade."""
     columns = moved(study.inputs, input_values(study))
     some = {path: column[rows] for path, column in columns.items()}
@@ -371,7 +369,7 @@ def values_at(p: Prepared, trade: Trade, study: StudyFile, rows: npt.NDArray[np.
     return output_values(p.world, some, study.outputs)[0]
 
 
-def _known(trade: Trade, stride: int) -> npt.NDArray[np.bool_]:
+def _known(trade: Trade, stride: int) -> Mask:
     """(points of an input or (y, x)) which are known once every ``stride``-th is evaluated."""
     at = np.arange(MAP_POINTS if trade.y else POINTS) % stride == 0
     return np.outer(at, at).ravel() if trade.y else at
