@@ -50,6 +50,7 @@ MOST_DIRECTIONS = 8
 # or offset (half of the radiance).
 MOST_UNITS, MOST_STEPS, MOST_SMOOTH = 10.0, 200.0, 16.0
 SHIFT_NM = 0.2
+SINGLE_BANDS = "single bands"
 SPREAD = 0.10
 FRACTION = 0.10
 # A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
@@ -206,7 +207,7 @@ class Candidate:
     @property
     def makes_anything(self) -> bool:
         """Whether it can make nearly any change of a spectrum, band by band."""
-        return self.name == "single bands" or (self.kind == "surface" and not self.sizes)
+        return self.name == SINGLE_BANDS or (self.kind == "surface" and not self.sizes)
 
     @property
     def of_engine(self) -> bool:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 import scipy
 from scipy import linalg, special
 
-from hyperval.attribute.candidates import LIGHT, MOST_STEPS, Candidate
+from hyperval.attribute.candidates import LIGHT, MOST_STEPS, SINGLE_BANDS, Candidate
 from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.data import Array, Index
 from hyperval.errors import refusal, refuse
@@ -37,7 +37,8 @@ ALIKE, CORRELATED = 10.0, 0.95  # odds within which causes are not told apart; c
 MOST_FIRST, MOST_CAUSES = 4, 3
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
-REMAINDER = 0.05  # of a chi-square without noise that causes may leave
+REMAINDER = 0.05  # of a chi-square without noise that causes may leave, and of single bands the many
+FEW_BANDS, FEW_PART = 3, 0.1  # single bands that are off: so many at least, or such a part of all
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
 
@@ -125,6 +126,13 @@ class Fit:
     def units(self) -> float:
         """Most likely change, with a sign where it has one direction."""
         return float(self.amplitudes[0] if self.amplitudes.size == 1 else np.linalg.norm(self.amplitudes))
+
+    @property
+    def has_no_name(self) -> bool:
+        """Whether it is single bands that are off, and these are many: a pattern over bands that no candidate has."""
+        energy = np.sort(self.amplitudes**2)[::-1]
+        few = max(FEW_BANDS, int(FEW_PART * energy.size))
+        return self.name == SINGLE_BANDS and float(energy[few:].sum()) > REMAINDER * float(energy.sum())
 
     @property
     def in_words(self) -> str:
@@ -443,6 +451,13 @@ class Reasoner:
     >>> changes = 10.0 * one[1], 30.0 * one[1], 30.0 * (one[0] + one[1])
     >>> [[cause.name for cause in known.posterior("all", change).best.causes] for change in changes]
     [['smooth gain'], ['none of these'], ['offset', 'none of these']]
+
+    Of a change, bands that are off by themselves are few; many are a pattern that no candidate has.
+
+    >>> bands = Candidate("single bands", "sensor", "1 % in each band", False)
+    >>> known = Reasoner({bands: one}, one, noisy=False)
+    >>> [known.posterior("all", change).first for change in (30.0 * one[1], np.full(40, 30.0))]
+    ['single bands', 'none of these']
     """
 
     def __init__(self, columns: Mapping[Candidate, Array], wide: Array, *, noisy: bool = True):
@@ -508,7 +523,7 @@ class Reasoner:
     def _with(self, before: Hypothesis | None, fit: Fit, e: Array, whole: float) -> Hypothesis:
         """One cause more, of residuals e that those before have been taken from; ``whole`` is the chi-square of all."""
         prior = np.log(NONE_PRIOR) if fit.candidate is None else self.prior[fit.candidate]
-        if fit.limited:  # at its bound it is no reason
+        if fit.limited or (not self.noisy and fit.has_no_name):  # at its bound it is no reason
             prior = prior - float(e @ e)
         rest, _ = _after(fit, e, {})
         causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())

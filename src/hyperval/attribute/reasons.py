@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperval.attribute.candidates import (
+    SINGLE_BANDS,
     Candidate,
     assumed_inputs,
     candidates,
@@ -61,9 +62,10 @@ MOST_ROUNDS, MOST_REFINED, MOST_PIXELS = 3, 4, 2
 # A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
 SMOOTH_PART = 0.03
 KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 1200, 1400, 1650, 2000, 2250, 2500], float)
-SINGLE_BANDS = 0.01
+BAND_PART = 0.01
 UNITS = np.array([0.001, 0.01, 0.1, 10.0, 100.0, 1000.0])  # of spectra in another unit than is stated
 FACTOR = 2.0  # a ratio of false alarms within it is good
+ROUNDING = 1e-12  # part of a number whose change is none
 AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted one and of another machine agree
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
@@ -484,7 +486,7 @@ def _of_spectra(
     flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
     smooth, mean, area = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
     parts: list[tuple[str, str, str, tuple[float, ...], Array]] = [
-        ("single bands", "sensor", f"{100 * SINGLE_BANDS:g} % in each band", (), SINGLE_BANDS * bands),
+        (SINGLE_BANDS, "sensor", f"{100 * BAND_PART:g} % in each band", (), BAND_PART * bands),
         ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
         ("smooth offset of the sensor", "sensor", smooth, (), SMOOTH_PART * offset),
         ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (shared - own)),
@@ -545,7 +547,7 @@ def _sensitivity_rows(
 ) -> Iterator[Result]:
     for candidate, (up, down) in ends.items():
         change = 0.5 * float(up[place] - down[place])
-        closes = round(gap / change, 12) if change else math.inf
+        closes = round(gap / change, 12) if abs(change) > ROUNDING * abs(up[place]) else math.inf
         reason = f"gap {gap:.4g}"
         reason += f", closed by {closes:+.3g} units" if math.isfinite(closes) else ", which this input cannot close"
         if candidate in shares and math.isfinite(share := shares[candidate][place]):  # no stated input moves some
