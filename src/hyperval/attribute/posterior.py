@@ -366,6 +366,11 @@ class Posterior:
         ...     return len(found.best.causes), found.enough
         >>> said([30.0], "gain"), said([30.0], "single bands")
         ((1, True), (1, False))
+        >>> one, named = np.eye(8)[:, :1], [Candidate(name, "sensor", "1 %", False) for name in "abc"]
+        >>> three = [effect_of(candidate, one).fit(30.0 * one[:, 0]) for candidate in named]
+        >>> told = [Hypothesis(tuple(three[:k]), 0.0, k * (0.1,)) for k in (1, 2, 3)]
+        >>> [Posterior("all", 900.0, 8, 0.0, tuple(three), (h,), {"a": 1.0, NOTHING: 0.0}).enough for h in told]
+        [True, True, False]
         """
         causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
         inside = 0 < len(causes) < MOST_CAUSES and not any(
