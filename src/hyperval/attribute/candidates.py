@@ -265,13 +265,12 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     states = [world.stated.scenario.atmosphere for world in worlds]
     if any(s is not None and s.engine == "table" for s in states):
         states = [None for _ in states]
-    out = []
 
     def shifted(units: float) -> list[Truth]:
         return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
 
-    out.append(Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted,
-                         sizes=(1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)))  # fmt: skip
+    sizes = (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
+    out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
     if any(s is not None and s.time_utc for s in states):
 
         def later(hours: float) -> list[Truth]:
@@ -282,9 +281,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
         out.append(_of_state(worlds, "solar_zenith_deg", "solar zenith angle", "1 deg", (1.0, -1.0, -5.0, 5.0)))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
-        kinds: dict[str, list[Truth]] = {h: [] for h in HAZES if h not in hazes}
-        for haze, truths in kinds.items():
-            truths += [{"atmosphere.aerosol": haze} if s is not None else {} for s in states]
+        kinds = {h: [{"atmosphere.aerosol": h} if s else {} for s in states] for h in HAZES if h not in hazes}
         out.append(_one_of("aerosol type", "atmosphere", kinds))
     pairs, scaled = dict[str, list[Truth]](), dict[str, list[Truth]]()
     for number, world in enumerate(worlds):
@@ -420,8 +417,8 @@ def _alone(number: int, of: int, truth: Truth) -> list[Truth]:
     return [truth if i == number else {} for i in range(of)]
 
 
-def _one_of(name: str, kind: str, truths: Mapping[str, list[Truth]]) -> Candidate:
-    each = list(truths.values())
+def _one_of(name: str, kind: str, truths: Mapping[str, Sequence[Truth]]) -> Candidate:
+    each = [list(truth) for truth in truths.values()]
     return Candidate(name, kind, "", False, labels=tuple(truths), moved=lambda i: each[int(i)])
 
 

@@ -37,8 +37,7 @@ ALIKE, CORRELATED = 10.0, 0.95  # odds within which causes are not told apart; c
 MOST_FIRST, MOST_CAUSES = 4, 3
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
-REMAINDER = 0.05  # of a chi-square without noise that causes may leave, and of single bands the many
-FEW_BANDS, FEW_PART = 3, 0.1  # single bands that are off: so many at least, or such a part of all
+REMAINDER = 0.05  # of a chi-square without noise that causes may leave
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
 
@@ -128,11 +127,9 @@ class Fit:
         return float(self.amplitudes[0] if self.amplitudes.size == 1 else np.linalg.norm(self.amplitudes))
 
     @property
-    def has_no_name(self) -> bool:
-        """Whether it is single bands that are off, and these are many: a pattern over bands that no candidate has."""
-        energy = np.sort(self.amplitudes**2)[::-1]
-        few = max(FEW_BANDS, int(FEW_PART * energy.size))
-        return self.name == SINGLE_BANDS and float(energy[few:].sum()) > REMAINDER * float(energy.sum())
+    def bands_off(self) -> float:
+        """How many directions it takes, as many as there would be were all of those as large: (sum z^2)^2 / sum z^4."""
+        return float(np.sum(self.amplitudes**2) ** 2 / max(np.sum(self.amplitudes**4), 1e-300))
 
     @property
     def in_words(self) -> str:
@@ -178,9 +175,8 @@ class Directions:
         if self.candidate is not None and np.max(np.abs(z), initial=0.0) > self.most:
             made = self.columns @ np.clip(z, -self.most, self.most)
             return Fit(self.candidate, evidence, z, made, made, np.zeros((e.size, 0)), True)
-        return Fit(
-            self.candidate, evidence, z, self.columns @ z, np.zeros_like(e), np.sqrt(t2) * self.columns, False, s2
-        )
+        freed = np.sqrt(t2) * self.columns
+        return Fit(self.candidate, evidence, z, self.columns @ z, np.zeros_like(e), freed, False, s2)
 
     def drawn(self, rng: np.random.Generator, length: float) -> Array:
         """What it makes, so long or nearly; short of its bounds."""
@@ -528,7 +524,9 @@ class Reasoner:
     def _with(self, before: Hypothesis | None, fit: Fit, e: Array, whole: float) -> Hypothesis:
         """One cause more, of residuals e that those before have been taken from; ``whole`` is the chi-square of all."""
         prior = np.log(NONE_PRIOR) if fit.candidate is None else self.prior[fit.candidate]
-        if fit.limited or (not self.noisy and fit.has_no_name):  # at its bound it is no reason
+        # Bands that are off by themselves are few: many are a pattern that no candidate has, and no single bands.
+        many = not self.noisy and fit.name == SINGLE_BANDS and fit.bands_off > max(3.0, 0.1 * fit.amplitudes.size)
+        if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
         rest, _ = _after(fit, e, {})
         causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())

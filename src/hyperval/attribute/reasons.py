@@ -65,7 +65,6 @@ KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 120
 BAND_PART = 0.01
 UNITS = np.array([0.001, 0.01, 0.1, 10.0, 100.0, 1000.0])  # of spectra in another unit than is stated
 FACTOR = 2.0  # a ratio of false alarms within it is good
-ROUNDING = 1e-12  # part of a number whose change is none
 AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted one and of another machine agree
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
@@ -234,9 +233,8 @@ class Causes:
                 if by not in effects and any(by):
                     effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
-            place = Candidate(
-                f"position of the {'' if regions else 'target '}regions", "scene", "", False, labels=labels
-            )
+            what = "regions" if regions else "target regions"
+            place = Candidate(f"position of the {what}", "scene", "", False, labels=labels)
             found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
             if best is None or found.enough:
@@ -547,7 +545,7 @@ def _sensitivity_rows(
 ) -> Iterator[Result]:
     for candidate, (up, down) in ends.items():
         change = 0.5 * float(up[place] - down[place])
-        closes = round(gap / change, 12) if abs(change) > ROUNDING * abs(up[place]) else math.inf
+        closes = round(gap / change, 12) if abs(change) > 1e-12 * abs(up[place]) else math.inf
         reason = f"gap {gap:.4g}"
         reason += f", closed by {closes:+.3g} units" if math.isfinite(closes) else ", which this input cannot close"
         if candidate in shares and math.isfinite(share := shares[candidate][place]):  # no stated input moves some
@@ -576,10 +574,9 @@ class WhatIfOutcome(NamedTuple):
 
         The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
         """
-        n = before.residuals.dof
+        n, p = before.residuals.dof, self.residuals.p_value
         yield row("reduced_chi_square", self.reduced, n=n, reason=f"{before.reduced:.4g} before; {self.item.question}")
-        why = f"p = {self.residuals.p_value:.2g} after"
-        yield row("likelihood_gain", (before.reduced - self.reduced) * n, n=n, reason=why)
+        yield row("likelihood_gain", (before.reduced - self.reduced) * n, n=n, reason=f"p = {p:.2g} after")
         for name, gap in before.gaps.items():
             words = name.replace("|", "").replace("@", " at ").split()
             yield row("_".join(words), self.gaps[name], n=n, reason=f"{gap:.4g} before")
