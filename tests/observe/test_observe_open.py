@@ -47,7 +47,7 @@ def test_a_mistake_moves_values_bands_targets_and_regions(world):
     world.regions(corner=[35, 5, 10, 20])
     seen = world.observe().place
     away = {"lines": 1, "samples": -2}
-    wrong, elsewhere = seen.mistaken({"gain": 1.1, "offset": 0.05, "nm": 2.0}), seen.mistaken(away | {"regions": 1})
+    wrong, elsewhere = seen.mistaken({"gain": 0.1, "offset": 0.05, "nm": 2.0}), seen.mistaken(away | {"regions": 1})
     level = 0.05 * seen.statistics["scene"].mean.mean()
     assert wrong.cube.read(0, 3).values == pytest.approx(1.1 * seen.cube.read(0, 3).values + level)
     assert wrong.cube.axis.centre_nm == pytest.approx(seen.cube.axis.centre_nm + 2.0)

@@ -70,12 +70,11 @@ AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted 
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-3, 0.01, 1e-4
 # What befalls an image whose spectra are not compared: it is measured again.
-_OF_DATA: tuple[tuple[str, str, Callable[[float], Mapping[str, float]]], ...] = (
-    ("gain of the data", "1 %", lambda z: {"gain": 1.0 + 0.01 * z}),
-    ("offset of the data", "0.01 of the mean", lambda z: {"offset": 0.01 * z}),
-    ("wavelength shift", "0.5 nm", lambda z: {"nm": 0.5 * z}),
+_OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
+    ("gain of the data", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
+    ("offset of the data", "0.01 of the mean", "offset", 0.01, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
+    ("wavelength shift", "0.5 nm", "nm", 0.5, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
 )
-_AT = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
@@ -196,14 +195,15 @@ class Causes:
             if simulated and (by_setting := self.or_rarer(moved, of, level, columns)).enough:
                 return by_setting
             return self.or_displaced(moved, of, level, columns, regions=True)
-        if np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]):
-            # Of an entry that is wrong, filters and all that is made of it moved on both sides.
-            by_entry = self.explained_change(of_model, of, level, self.of_files())
-            if by_entry.enough:
-                return by_entry
+        of_scores = bool(np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]))
+        # Of an entry that is wrong, filters and all that is made of it moved on both sides.
+        if of_scores and (by_entry := self.explained_change(of_model, of, level, self.of_files())).enough:
+            return by_entry
         if np.any(np.abs(moved) > CHANGE_FLOOR):
-            columns_of = {name: np.column_stack([self.mistaken(told(z)) for z in _AT]) for name, _, told in _OF_DATA}
-            steps = {Candidate(name, "sensor", step, False, sizes=_AT): columns_of[name] for name, step, _ in _OF_DATA}
+            steps = dict[Candidate, Array]()
+            for name, step, key, unit, at in _OF_DATA:
+                effects = np.column_stack([self.mistaken({key: unit * z}) for z in at])
+                steps[Candidate(name, "sensor", step, False, sizes=at)] = effects
             by_data = self.or_displaced(moved, of, level, steps, regions=False)
             if by_data.first not in (NONE, NOTHING):
                 return by_data

@@ -109,14 +109,14 @@ class Place:
     def mistaken(self, mistake: Mapping[str, float]) -> Place:
         """The same with a mistake in it; statistics and line are still to be measured.
 
-        ``mistake`` : lines, samples that all targets are away, and regions (1) too; gain of the values; offset, a part
-        of the mean of all; nm that band centres are away
+        ``mistake`` : lines, samples that all targets are away, and regions (1) too; gain, a part that is added to
+        each value; offset, a part of the mean of all; nm that band centres are away
         """
-        cube, labels, of = self.cube, self.labels, {"gain": 1.0, **mistake}
-        by = int(of.get("lines", 0)), int(of.get("samples", 0))
+        cube, labels, of = self.cube, self.labels, mistake
+        by, factor = (int(of.get("lines", 0)), int(of.get("samples", 0))), 1.0 + of.get("gain", 0.0)
         if of.get("regions"):
             labels = replace(labels, number=np.roll(labels.number, by, (0, 1)))
-        gain, offset = (of["gain"] * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
+        gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
         offset = offset + of.get("offset", 0.0) * float(np.nanmean(self.statistics[SCENE].mean))
         axis = replace(cube.axis, centre_nm=cube.axis.centre_nm + of.get("nm", 0.0))
         cube = replace(cube, scaling=cube.scaling._replace(gain=gain, offset=offset), axis=axis)
