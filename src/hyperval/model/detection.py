@@ -7,13 +7,13 @@ through them together.  ACE has no closed form: conditional Monte Carlo, one tru
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import UsageError
@@ -32,11 +32,21 @@ from hyperval.model.radiance import (
     target_pixels,
     usable_bands,
 )
-from hyperval.model.roc import ClassScores, Host, RocScores, false_alarm_grid, score_distributions
+from hyperval.model.roc import (
+    WHOLE,
+    ClassScores,
+    Host,
+    RocArea,
+    RocScores,
+    curve_area,
+    false_alarm_grid,
+    log10_false_alarm_at,
+    probit,
+)
 from hyperval.model.stated import Keeps, distinct
 from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
-from hyperval.scenario import Scenario, Target, TargetSubject
+from hyperval.scenario import Scenario, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 if TYPE_CHECKING:
@@ -279,25 +289,37 @@ class Evaluation(Keeps):
             return self.world.pixel_fills[number]
         return self.once(("fills", number), lambda: self.world.fills(number, True))
 
-    def scores(self, population: str, detector: str, objects: bool = False) -> RocScores:
+    def scores(self, population: str, detector: str, objects: bool = False) -> RocScores | AceScores:
         """What the ROC of a target population needs in each truth (3.26-3.29), pixel by pixel; ``objects``: where an
         object is detected when one of its pixels is.
-        """
-        return self.once(("scores", population, detector, objects), lambda: self._scores(population, detector, objects))
 
-    def _scores(self, population: str, detector: str, objects: bool) -> RocScores:
+        Raises
+        ------
+        UsageError : no filter, as the background can not be inverted.
+        """
         number, target, _ = self.population(population)
         fills = self.fills(number, objects)
+        if objects and fills.shape is None:  # each is one pixel
+            return self.scores(population, detector)
+        make = self._scores if detector in LINEAR_DETECTORS else self._ace_scores
+        return self.once(("scores", population, detector, objects), lambda: make(target, detector, fills))
+
+    def _ace_scores(self, target: int, detector: str, fills: FillDistribution) -> AceScores:
+        each = self.once(("ace", target), lambda: [_ace_pixels(self, u, target) for u in range(len(self))])
+        values, weights = fills.at_places
+        scored = [one.any_of(of_truth(values, u), of_truth(weights, u)) for u, one in enumerate(each)]
+        return AceScores(self.pfa, each, scored)
+
+    def _scores(self, target: int, detector: str, fills: FillDistribution) -> RocScores:
         rows, response = self.responses(target, detector, target)
         gain = np.broadcast_to(self.world.column("target_gain")[:, target], len(self))
         means, sds = response.at(fills.values, gain, rows, self.shift)
         bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
         host = self.host(target, detector, np.arange(len(self)), 1.0 - fills.values, *bare)
-        weights = np.broadcast_to(fills.weights, means.shape)
+        _, weights = fills.at_places
         if fills.shape is not None:
-            means, sds = (x.reshape(len(self), *fills.shape) for x in (means, sds))
-            weights = np.full(means.shape[:2], 1.0 / fills.shape[0])
-        return RocScores(*self.classes(target, detector), means, sds, weights, host)
+            means, sds = (x.reshape(-1, *fills.shape) for x in (means, sds))
+        return RocScores(*self.classes(target, detector), means, sds, wide(weights, len(self)), host)
 
     def host(
         self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
@@ -401,63 +423,82 @@ _NODES = 7
 _DECADES = (0.0, 0.0, 0.0, 0.0, 3.0, 6.0)
 
 
-class Curves(NamedTuple):
-    """ROC of one population by one detector in n truths, and scores at some points of them.
+class AcePixels(NamedTuple):
+    """ACE of one target in one truth: exceedance of the background, and of target pixels at some fills."""
+
+    background: Exceedance
+    nodes: Array
+    at_nodes: list[Exceedance]
+
+    def any_of(self, fills: Array, weights: Array) -> Exceedance:
+        """Probability that any of the pixels with ``fills`` (K, n) passes, averaged with ``weights`` (K,)."""
+        error = np.max([e.standard_error for e in self.at_nodes], axis=0)
+        z = probit([e.probability for e in self.at_nodes])  # (nodes, S)
+        distinct, inverse = np.unique(fills.round(6), return_inverse=True)
+        table = ndtr(np.stack([np.interp(distinct, self.nodes, row) for row in z.T], axis=1))  # (fills, S)
+        log_missed = np.log(np.clip(1.0 - table, 1e-300, 1.0))
+        missed = np.exp(log_missed[inverse.reshape(fills.shape)].sum(axis=1))
+        return Exceedance(self.background.scores, 1.0 - weights @ missed, error)
+
+
+class AceScores(NamedTuple):
+    """What the ROC of one population by ACE needs in n truths, as :class:`RocScores` has it of linear detectors.
 
     Attributes
     ----------
-    thresholds : (n, K)
-    pd : unit -> (n, K) P_D
-    target, background : score distributions at the points
-    preset : (K,) preset P_FA of (3.30) at each point; None where it is not known
-    errors : at each point, greatest standard error of drawn P_D, and that of the least P_FA as a part of it
+    pfa : (K,) false-alarm probabilities of its curves
+    pixels : of each truth;  scored : of the pixels of the population, or of its objects
     """
 
-    thresholds: Array
-    pd: Mapping[str, Array]
-    target: Sequence[ScoreDistribution]
-    background: Sequence[ScoreDistribution]
-    preset: Sequence[Array | None]
-    errors: Sequence[tuple[float, float]] = ()
+    pfa: Array
+    pixels: Sequence[AcePixels]
+    scored: Sequence[Exceedance]
+
+    def thresholds(self, pfa: Array) -> Array:
+        """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
+        each = zip(wide(pfa, len(self.pixels)), self.pixels, strict=True)
+        return np.array([ace_threshold(p, [1.0], [one.background]) for p, one in each])
+
+    def detection_above(self, thresholds: Array) -> Array:
+        """P_D (n, K) above ``thresholds`` (n, K)."""
+        return np.array([exceedance_at(x, one) for x, one in zip(thresholds, self.scored, strict=True)])
+
+    def detection(self, pfa: Array) -> Array:
+        """P_D (n, K) at ``pfa`` (n, K) or (1, K)."""
+        return self.detection_above(self.thresholds(pfa))
+
+    @property
+    def curves(self) -> list[RocCurve]:
+        """Of each truth, which are read between their points as all curves are."""
+        return [RocCurve(self.pfa, *(pd,) * 4) for pd in self.detection(self.pfa[None])]
+
+    def log10_false_alarm(self, pd: Array) -> Array:
+        """log10 P_FA (n,) at which P_D is ``pd`` (n,)."""
+        return np.array([log10_false_alarm_at(c, float(at), c.pd) for c, at in zip(self.curves, pd, strict=True)])
+
+    def auc(self, area: RocArea = WHOLE) -> Array:
+        """Area under the ROC (n,), or another."""
+        return np.array([curve_area(curve, area) for curve in self.curves])
+
+    def background(self, at: Index, thresholds: Array) -> list[tuple[ScoreDistribution, None]]:
+        """How the background scores in some truths; the preset P_FA of (3.30) is not known."""
+        return [(_distribution(self.pixels[u].background), None) for u in at]
+
+    def target(self, at: Index) -> list[ScoreDistribution]:
+        """How the population scores in some truths."""
+        return [_distribution(self.scored[u]) for u in at]
+
+    def note(self, u: int) -> str:
+        """Standard errors of what is drawn in one truth, in words."""
+        behind, drawn = self.pixels[u].background, max(float(x.standard_error.max()) for x in self.pixels[u].at_nodes)
+        lowest = ace_threshold(self.pfa[0], [1.0], [behind])
+        first = int(np.searchsorted(behind.scores, lowest).clip(0, behind.scores.size - 1))
+        error = behind.standard_error[first] / max(behind.probability[first], 1e-300)
+        return f"standard error of P_D at most {drawn:.2g}, of P_FA at {self.pfa[0]:.1g} {100 * error:.2g} %"
 
 
-def ace_curves(e: Evaluation, target: int, pfa: Array, units: Sequence[str]) -> dict[str, Curves]:
-    """Population of a target -> ACE of it in all truths, each a point; the host of a pixel keeps its laws."""
-    of = {i: p.name for i, (t, _, p) in enumerate(e.stated.populations) if t == target}
-    thresholds, behind, errors = np.empty((len(e), pfa.size)), [], []
-    pd = {i: {unit: np.empty(thresholds.shape) for unit in units} for i in of}
-    own: dict[int, list[ScoreDistribution]] = {i: [] for i in of}
-    for u in range(len(e)):
-        background, thresholds[u], alarm_error, at_fill = _ace_truth(e, u, target, pfa)
-        behind.append(_distribution(background))
-        # Those of whole objects too, even where their curve is not asked for.
-        places = {(i, unit): _places(e, u, i, unit) for i in of for unit in ("pixel", "object")}
-        every = np.concatenate([fills.ravel() for fills, _ in places.values()])
-        middle, reach = 0.5 * (every.max() + every.min()), 0.5 * (every.max() - every.min())
-        nodes = np.unique(middle - reach * np.cos(np.pi * np.arange(_NODES) / (_NODES - 1)))
-        at_nodes = [at_fill(float(f)) for f in nodes]
-        errors.append((max(float(x.standard_error.max()) for x in at_nodes), alarm_error))
-        for i in of:
-            above = {unit: _averaged(at_nodes, nodes, *places[i, unit]) for unit in units}
-            own[i].append(_distribution(above["pixel"]))
-            for unit in units:
-                pd[i][unit][u] = exceedance_at(thresholds[u], above[unit])
-    return {name: Curves(thresholds, pd[i], own[i], behind, len(e) * [None], errors) for i, name in of.items()}
-
-
-def _places(e: Evaluation, u: int, number: int, unit: str) -> tuple[Array, Array]:
-    """Fills of the pixels of each object (places, pixels) in one truth, or of single pixels, and their weights."""
-    fills = e.fills(number, unit == "object")
-    values, weights = of_truth(fills.values, u), of_truth(fills.weights, u)
-    if fills.shape is None:
-        return values[:, None], weights
-    return values.reshape(fills.shape), np.full(fills.shape[0], 1.0 / fills.shape[0])
-
-
-def _ace_truth(
-    e: Evaluation, u: int, target: int, pfa: Array
-) -> tuple[Exceedance, Array, float, Callable[[float], Exceedance]]:
-    """One truth: exceedance of the background, thresholds, error of P_FA, and target pixels at a fill."""
+def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
+    """One truth: exceedance of the background, and of target pixels at nodes over all fills of its populations."""
     processing, named = e.scenario.processing, e.targets[target]
     v, seen = int(e.which[u]), e.seen.rows(e.which[u : u + 1])
     of, base, looked_for = seen.of, filter_base(e.stated, e.seen, v), seen.looked_for[named.name][0]
@@ -482,7 +523,7 @@ def _ace_truth(
         )  # fmt: skip
 
     fractions, dof = of.law_fraction[0], of_truth(e.world.law_dof, u)
-    decades = np.linspace(0.0, -float(np.log10(pfa[0])), 4).tolist()
+    decades = np.linspace(0.0, -float(np.log10(e.pfa[0])), 4).tolist()
     classes, laws = [], []
     for j, law in enumerate(of.laws):
         m = law.owner
@@ -495,9 +536,6 @@ def _ace_truth(
         laws.append((mean, surface, whole))
         classes.append(above(mean, whole, float(dof[j]), [j], decades))
     background = _mixed(fractions, classes)
-    threshold = ace_threshold(pfa, fractions.tolist(), classes)
-    first = int(np.searchsorted(background.scores, threshold[0]).clip(0, background.scores.size - 1))
-    error = float(background.standard_error[first] / max(background.probability[first], 1e-300))
     numbers, parts, _ = e.host_laws(target)
     world, number = e.world.rows(np.array([u])), e.stated.classes.index(named.host)
     material = e.material(target, world)
@@ -529,7 +567,12 @@ def _ace_truth(
             by_law.append(above(at, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
         return _mixed(parts, by_law)
 
-    return background, threshold, error, at_fill
+    # Those of whole objects too, even where their curve is not asked for.
+    own = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
+    every = np.concatenate([of_truth(e.fills(i, objects).values, u) for i in own for objects in (False, True)])
+    middle, reach = 0.5 * (every.max() + every.min()), 0.5 * (every.max() - every.min())
+    nodes = np.unique(middle - reach * np.cos(np.pi * np.arange(_NODES) / (_NODES - 1)))
+    return AcePixels(background, nodes, [at_fill(float(f)) for f in nodes])
 
 
 def _mixed(parts: Array, each: Sequence[Exceedance]) -> Exceedance:
@@ -537,17 +580,6 @@ def _mixed(parts: Array, each: Sequence[Exceedance]) -> Exceedance:
     pairs = list(zip(parts, each, strict=True))
     error = np.sqrt(sum((part * one.standard_error) ** 2 for part, one in pairs))
     return Exceedance(each[0].scores, np.asarray(sum(part * one.probability for part, one in pairs)), error)
-
-
-def _averaged(at_nodes: list[Exceedance], nodes: Array, fills: Array, weights: Array) -> Exceedance:
-    """Probability that any of the pixels with ``fills`` (K, n) passes, averaged with ``weights`` (K,)."""
-    scores, error = at_nodes[0].scores, np.max([e.standard_error for e in at_nodes], axis=0)
-    z = ndtri(np.clip([e.probability for e in at_nodes], 1e-300, 1.0 - 1e-16))  # (nodes, S)
-    distinct, inverse = np.unique(fills.round(6), return_inverse=True)
-    table = ndtr(np.stack([np.interp(distinct, nodes, row) for row in z.T], axis=1))  # (fills, S)
-    log_missed = np.log(np.clip(1.0 - table, 1e-300, 1.0))
-    missed = np.exp(log_missed[inverse.reshape(fills.shape)].sum(axis=1))
-    return Exceedance(scores, 1.0 - weights @ missed, error)
 
 
 def _distribution(population: Exceedance) -> ScoreDistribution:
@@ -568,66 +600,34 @@ def detect(
     ------
     UsageError : no filter, as the background can not be inverted.
     """
-    processing, units, pfa = e.scenario.processing, ("pixel", "object") if object_curves else ("pixel",), e.pfa
+    processing, pfa, at = e.scenario.processing, e.pfa, np.array(points)
     out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
-    for number, target in enumerate(e.targets):
+    for target in e.targets:
         for name in processing.detectors:
-            linear = name in LINEAR_DETECTORS
-            if linear:
-                made, at = linear_curves(e, target, name, pfa, units, points), list(range(len(points)))
-            else:
-                made = e.once(("ace", number, units), lambda t=number: ace_curves(e, t, pfa, units))  # type: ignore[misc]
-                at = list(points)
-            for population, c in made.items():
-                e.curves |= {(population, name, unit): pd for unit, pd in c.pd.items()}
-                for products, u, i in zip(out, points, at, strict=True):
-                    pair = {population: c.target[i], background_of(population): c.background[i]}
-                    products["scores"] |= {(subject, name): scores for subject, scores in pair.items()}
-                    x = c.thresholds[u]
-                    products["roc"] |= {
-                        (population, name, unit): RocCurve(pfa, *(pd[u],) * 3, x, unit, preset_pfa=c.preset[i])  # type: ignore[arg-type]
-                        for unit, pd in c.pd.items()
-                    }
-                    if linear:
-                        products["exceedance"][target.name, name] = ExceedanceCurve(x[::-1], *(pfa[::-1],) * 3)
-            errors = next(iter(made.values())).errors  # of what is drawn alone
-            for products, (pd_error, pfa_error) in zip(out, (errors[u] for u in points if errors), strict=False):
-                products["notes"].append(
-                    f"{name} of {target.name}: {processing.samples} draws per class; standard error of P_D at most "
-                    f"{pd_error:.2g}, of P_FA at {pfa[0]:.1g} {100 * pfa_error:.2g} %"
-                )
+            pixels = [e.scores(population.name, name) for population in target.populations]
+            for error in e.problems.values():
+                raise error
+            # What the background scores by one filter, all populations of its target share.
+            thresholds = pixels[0].thresholds(pfa[None])
+            behind = pixels[0].background(at, thresholds[at])
+            for population, own in zip((p.name for p in target.populations), pixels, strict=True):
+                pd: dict[Literal["pixel", "object"], Array] = {"pixel": own.detection_above(thresholds)}
+                if object_curves:
+                    whole = e.scores(population, name, True)
+                    pd["object"] = pd["pixel"] if whole is own else whole.detection_above(thresholds)
+                for unit, curves in pd.items():
+                    key, e.curves[population, name, unit] = (population, name, unit), curves
+                    for products, u, (_, preset) in zip(out, points, behind, strict=True):
+                        products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
+                for products, scored, (of_background, _) in zip(out, own.target(at), behind, strict=True):
+                    products["scores"][population, name] = scored
+                    products["scores"][background_of(population), name] = of_background
+            for products, u in zip(out, points, strict=True):
+                if isinstance(own, AceScores):
+                    text = f"{name} of {target.name}: {processing.samples} draws per class; {own.note(u)}"
+                    products["notes"].append(text)
+                else:
+                    products["exceedance"][target.name, name] = ExceedanceCurve(thresholds[u, ::-1], *(pfa[::-1],) * 3)
     used = [f"detectors use {e.bands.size} of {len(e.axis)} bands"] if e.targets and processing.detectors else []
     alone = zip(spectra or [PredictedProducts(e.axis) for _ in points], out, strict=True)
     return [replace(p, **{**new, "notes": (*p.notes, *used, *new["notes"])}) for p, new in alone]
-
-
-def linear_curves(
-    e: Evaluation, target: Target, name: str, pfa: Array, units: Sequence[str], points: Sequence[int]
-) -> dict[str, Curves]:
-    """Population of a target -> scores and ROC by a linear detector in all truths (3.26-3.33)."""
-    out: dict[str, Curves] = {}
-    for population in target.populations:
-        scores, at = e.scores(population.name, name), np.array(points)
-        for error in e.problems.values():
-            raise error
-        if not out:  # what the background scores by one filter, all populations of its target share
-            thresholds = scores.thresholds(pfa[None])
-            rows, first, of = np.unique(scores.which[at], return_index=True, return_inverse=True)
-            some, c = scores.rows(at[first]), scores.classes.rows(rows)
-            mean = (c.fraction * c.mean).sum(axis=1)
-            sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
-            distributions = score_distributions(mean, sd, some.background_density)
-            behind, presets = [distributions[i] for i in of], some.preset(thresholds[at[first]])[of]
-        # Truths that move other things than this target's scores share what follows from them.
-        first, which = scores.distinct() if units == ("pixel",) else 2 * (np.arange(len(e)),)
-        pd = {"pixel": scores.rows(first).detection_above(thresholds[first])}
-        if "object" in units:
-            objects = e.scores(population.name, name, True)
-            alone = objects.means.shape == scores.means.shape
-            pd["object"] = pd["pixel"] if alone else objects.detection_above(thresholds[first])
-        wanted, of = np.unique(which[at], return_inverse=True)
-        some = scores.rows(first[wanted])
-        distributions = score_distributions(some.mean, some.sd, some.target_density)
-        pd = {unit: curve[which] for unit, curve in pd.items()}
-        out[population.name] = Curves(thresholds, pd, [distributions[i] for i in of], behind, list(presets))
-    return out

@@ -49,6 +49,13 @@ class FillDistribution:
         return FillDistribution(*(x[u if len(x) > 1 else 0] for x in (self.values, self.weights)))
 
     @property
+    def at_places(self) -> tuple[Array, Array]:
+        """(n, K, J) fills of the J pixels of an object at K places, and (n, K) probabilities of these."""
+        if self.shape is None:
+            return self.values[..., None], self.weights
+        return self.values.reshape(-1, *self.shape), np.full((1, self.shape[0]), 1.0 / self.shape[0])
+
+    @property
     def mean(self) -> float:
         """E[f]."""
         return float(self.weights @ self.values)

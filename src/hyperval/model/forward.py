@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -37,7 +37,7 @@ from hyperval.model.radiance import (
     target_pixel_covariance,
     toa_reflectance,
 )
-from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm
+from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
 from hyperval.model.stated import Origins, Stated, Truth, state_value
 from hyperval.model.world import World, find, read, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
@@ -140,11 +140,6 @@ def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dic
         for key, value in values.items():
             out.setdefault(key, np.empty((size, *value.shape[1:])))[index] = value
     return out
-
-
-def probit(p: Array) -> Array:
-    """Phi^-1 of probabilities, kept finite."""
-    return np.asarray(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
 
 
 Filter = tuple[str, str]
@@ -312,49 +307,41 @@ def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int
 _NODE = float(np.sqrt(3.0))
 
 
-class Emulated(NamedTuple):
-    """A world near one state of its atmosphere: terms are quadratic in each uncertain field, without cross terms.
+Cost = tuple[int, float, float]  # engine runs, greatest and median relative error of the radiance
 
-    Attributes
-    ----------
-    runs : engine runs behind it
-    error : greatest and median error of the radiance over a grey ground of reflectance 0.3, where there is light and
-        all fields are one standard uncertainty off [1]; None where nothing of the atmosphere is uncertain
+
+def emulated(world: World, inputs: Sequence[UncertainInput]) -> tuple[World, Cost | None]:
+    """The world with the engine run at the nodes of every uncertain field of its atmosphere alone, and what it costs.
+
+    Terms are then quadratic in each uncertain field, without cross terms.  The error is that of the radiance over a
+    grey ground of reflectance 0.3, where there is light and all fields are one standard uncertainty off [1]; there is
+    none where nothing of the atmosphere is uncertain.
     """
-
-    world: World
-    runs: int
-    error: tuple[float, float] | None
-
-
-def emulated(world: World, inputs: Sequence[UncertainInput]) -> Emulated:
-    """The world with the engine run at the nodes of every uncertain field of its atmosphere alone."""
     stated, nodes, off = world.stated, dict[str, list[float]](), dict[str, float]()
     state, engine = stated.scenario.atmosphere, stated.atmosphere
-    assert state is not None  # noqa: S101 - asked for where there is light
     for item in inputs:
         room, _, name = item.path.partition(".")
-        if room == "atmosphere":
+        if room == "atmosphere" and state is not None:
             at = state_value(state, name)
             ends = [float(item.direction(0, z)[item.path][0]) for z in (-_NODE, _NODE)]
             ends = [end for end in ends if abs(end - at) > 1e-12]  # a node at the end of the range may be the stated
             if ends:
                 nodes[name], off[name] = [at, *ends], float(item.direction(0, 1.0)[item.path][0])
     if not nodes:
-        return Emulated(world, 1, None)
+        return world, None
     star = replace(engine, nodes=nodes, star=True, kept={})
     guess, truth = star({f"atmosphere.{name}": np.array([x]) for name, x in off.items()}, 1), engine.run(off)
     seen = [t.path_radiance + 0.3 * (t.direct + t.adjacency) / (1 - 0.3 * t.spherical_albedo) for t in (guess, truth)]
     relative = np.abs(seen[0] / seen[1] - 1.0)[..., truth.direct > 1e-3 * truth.direct.max()]
     there = replace(world, stated=replace(stated, atmosphere=star, kept={}))
     runs = 2 + sum(len(values) - 1 for values in nodes.values())
-    return Emulated(there, runs, (float(relative.max()), float(np.median(relative))))
+    return there, (runs, float(relative.max()), float(np.median(relative)))
 
 
 def with_intervals(
     stated: PredictedProducts, inputs: Sequence[UncertainInput],
     predicted: Callable[[Iterable[Truth]], Iterable[PredictedProducts]], draws: Mapping[Key, Array], u: Uncertainty,
-    made: Emulated | None,
+    cost: Cost | None,
 ) -> PredictedProducts:  # fmt: skip
     """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
 
@@ -377,7 +364,7 @@ def with_intervals(
         key: drawn_curve(curve, limits(draws["curve", *key])) if everywhere or key in differs else curve
         for key, curve in stated.roc.items()
     }
-    notes = [_words(table, u, made)]
+    notes = [_words(table, u, cost)]
     if not everywhere and differs:
         which = ", ".join(sorted(map(" ".join, differs)))
         notes.append(f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}")
@@ -404,14 +391,14 @@ def with_uncertainty(
     far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
     if not inputs or not (far or u.method != "linear"):
         return with_limits(scenario, products, changes, shifts, {})
-    made = emulated(world, inputs) if scenario.atmosphere is not None else None
-    of_world = partial(predicted, made.world if made else world)
+    there, cost = emulated(world, inputs)
+    of_world = partial(predicted, there)
     show = world.stated.origins.show_progress
     draws = tabulated(of_world(track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget", show=show)))
     linear = u.method == "linear"
     curves = {key: draws["curve", *key] for key in far if linear}
     products = with_limits(scenario, products, changes, shifts, curves)
-    return products if linear else with_intervals(products, inputs, of_world, draws, u, made)
+    return products if linear else with_intervals(products, inputs, of_world, draws, u, cost)
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
@@ -422,7 +409,7 @@ def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
     return replace(estimate, error_covariance=factor**2 * estimate.error_covariance, budget=budget)
 
 
-def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, made: Emulated | None) -> str:
+def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, cost: Cost | None) -> str:
     ratios: dict[str, list[float]] = {}
     for row in table:
         if np.isfinite(row["sd_ratio"]):
@@ -430,10 +417,11 @@ def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, made: Emulated | 
             ratios.setdefault(label, []).append(row["sd_ratio"])
     text = f"{u.samples} draws of the budget (seed {u.seed}): standard uncertainty over the linearised one: "
     text += ", ".join(f"{k} {min(v):.2f}-{max(v):.2f}" for k, v in ratios.items())
-    if made is not None and made.error is not None:
+    if cost is not None:
+        runs, greatest, median = cost
         text += (
-            f"; atmosphere interpolated between {made.runs} engine runs, radiance within {100 * made.error[0]:.2g} % "
-            f"(median {100 * made.error[1]:.2g} %) with every input of it one standard uncertainty off"
+            f"; atmosphere interpolated between {runs} engine runs, radiance within {100 * greatest:.2g} % "
+            f"(median {100 * median:.2g} %) with every input of it one standard uncertainty off"
         )
     return text
 

@@ -35,6 +35,13 @@ from hyperval.model.stated import distinct
 from hyperval.products import RocCurve, ScoreDistribution
 
 SMALLEST_SD = 1e-12
+
+
+def probit(p: npt.ArrayLike) -> Array:
+    """Phi^-1 of probabilities, kept finite."""
+    return np.asarray(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
+
+
 _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
 _STEPS = 80
 _FAR = 1e7  # standard deviations: beyond it even a t law of two degrees of freedom has less than 1e-14
@@ -330,7 +337,7 @@ class Host:
             chosen = chosen[np.unique(share[chosen], return_index=True)[1]]
             some, at = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
             p = some.exceedance(threshold[rows], means[at], sds[at])
-            curves.append((rows, share, share[chosen], np.nan_to_num(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))))
+            curves.append((rows, share, share[chosen], np.nan_to_num(probit(p))))
 
         def read(part: slice) -> Array:
             out = np.empty((means.shape[0], threshold[:, part].shape[1], means.shape[1]))
@@ -404,7 +411,7 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
 
 def log10_false_alarm_at(curve: RocCurve, pd: float, values: Array) -> float:
     """log10 P_FA at which ``values`` (K,), P_D or a limit of it, reach ``pd``, by the same reading; NaN outside."""
-    x, y = ndtri(np.clip([curve.pfa, np.maximum.accumulate(np.nan_to_num(values))], 1e-300, 1.0 - 1e-16))
+    x, y = probit([curve.pfa, np.maximum.accumulate(np.nan_to_num(values))])
     return float(np.log10(ndtr(np.interp(ndtri(pd), y, x, np.nan, np.nan))))
 
 
@@ -434,113 +441,6 @@ def detection_probability(
             passed = passed + other * (1.0 - passed)  # small probabilities keep their digits
         pd[:, part] = np.matmul(passed, weights[:, :, None])[:, :, 0]  # (3.31)
     return np.asarray(np.clip(pd, 0.0, 1.0))
-
-
-@dataclass(frozen=True)
-class RocScores:
-    """What the ROC of n evaluations needs.
-
-    Attributes
-    ----------
-    classes : of the different backgrounds;  which (n,) of them each evaluation has
-    means, sds : (n, P) of the target pixels over their fills, or (n, P, J) of the J pixels of an object at P places
-    weights : (n, P) probabilities of these
-    host : the class that fills the rest of these pixels; None: one normal law in all evaluations
-    """
-
-    classes: ClassScores
-    which: Index
-    means: Array
-    sds: Array
-    weights: Array
-    host: Host | None = None
-
-    @property
-    def mean(self) -> Array:
-        """(n,) mean score of the target pixels."""
-        return np.asarray((self.weights * self.means).sum(axis=1))
-
-    @property
-    def sd(self) -> Array:
-        """(n,) standard deviation of that score, the spread of the fill included."""
-        away = self.means - self.mean[:, None]
-        return np.asarray(np.sqrt((self.weights * (self.sds**2 + away**2)).sum(axis=1)))
-
-    def distinct(self) -> tuple[Index, Index]:
-        """First of all evaluations whose pixels score the same, and which (n,) of these each evaluation is."""
-        return distinct([self.which, self.means, self.sds, self.weights], self.which.size)
-
-    def rows(self, index: Index) -> RocScores:
-        """The evaluations that ``index`` names."""
-        host = None if self.host is None else self.host.rows(index)
-        if host is not None and host.normal.all():
-            host = None
-        return RocScores(self.classes, self.which[index], self.means[index], self.sds[index], self.weights[index], host)
-
-    def thresholds(self, pfa: Array) -> Array:
-        """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
-        if pfa.shape[0] > 1:
-            return thresholds_at(pfa, self.classes.rows(self.which))
-        return thresholds_at(np.broadcast_to(pfa, (len(self.classes.mean), pfa.shape[1])), self.classes)[self.which]
-
-    def preset(self, thresholds: Array) -> Array:
-        """(n, K) preset P_FA of (3.30) whose least P_D (3.32) has ``thresholds`` (n, K)."""
-        rows = np.repeat(self.which, thresholds.shape[1])
-        return greatest_class_false_alarm(thresholds.ravel(), self.classes.rows(rows)).reshape(thresholds.shape)
-
-    def detection_above(self, thresholds: Array) -> Array:
-        """P_D (n, K) above ``thresholds`` (n, K) (3.31)."""
-        if self.host is not None and self.host.normal.any():
-            pd, normal = np.empty(thresholds.shape), self.host.normal
-            for rows in (np.flatnonzero(normal), np.flatnonzero(~normal)):
-                pd[rows] = self.rows(rows).detection_above(thresholds[rows])
-            return pd
-        return detection_probability(thresholds, self.means, self.sds, self.weights, self.host)
-
-    def detection(self, pfa: Array) -> Array:
-        """P_D (n, K) at ``pfa`` (n, K) or (1, K) (3.31, 3.33)."""
-        return self.detection_above(self.thresholds(pfa))
-
-    def background_density(self, score: Array) -> Array:
-        """Density of the background's score at ``score`` (n, K) (3.33) [per unit of score]."""
-        return score_density(score, self.classes.rows(self.which))
-
-    def target_density(self, score: Array) -> Array:
-        """Density of the target pixels' score at ``score`` (n, K), the derivative of (3.31) [per unit of score]."""
-        if self.host is not None:
-            density = self.host.exceedance(score, self.means, self.sds, density=True)
-            return np.asarray(np.matmul(density, self.weights[:, :, None])[:, :, 0])
-        return score_density(score, ClassScores(self.weights, self.means, self.sds, np.full(self.means.shape, np.inf)))
-
-    def log10_false_alarm(self, pd: Array) -> Array:
-        """log10 P_FA (n,) at which P_D is ``pd`` (n,), pixels (3.31 solved for the threshold)."""
-        reach = _FAR * np.maximum(self.sds, SMALLEST_SD)
-        low, high = (self.means - reach).min(axis=1), (self.means + reach).max(axis=1)
-        for _ in range(_STEPS):
-            middle = 0.5 * (low + high)
-            above = detection_probability(middle[:, None], self.means, self.sds, self.weights, self.host)[:, 0] > pd
-            low, high = np.where(above, middle, low), np.where(above, high, middle)
-        log_pfa, _ = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
-        return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
-
-    def auc(self, area: RocArea | None = None) -> Array:
-        """Area under the ROC (n,): the probability that a target pixel outscores a background pixel; or another."""
-        pfa = false_alarm_grid(min(1e-9, area.low) if area and area.logarithmic else 1e-9)
-        pd = self.detection(pfa[None])
-        mean, known = np.full(len(pd), np.nan), np.isfinite(pd).all(axis=1)
-        mean[known] = mean_detection(pfa, pd[known], area or WHOLE)
-        return mean
-
-
-# Score distributions are tabulated on this many points, over this many standard deviations either way.
-_GRID, _REACH = 201, 6.0
-
-
-def score_distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:
-    """Moments and density of a score in n evaluations."""
-    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)
-    rows = zip(mean.tolist(), sd.tolist(), grid, density(grid), strict=True)
-    return [ScoreDistribution(m, s, None, g, d) for m, s, g, d in rows]
 
 
 @dataclass(frozen=True)
@@ -589,6 +489,126 @@ AREAS = {
     "partial_auc@0..1e-1": RocArea(0.0, 0.1),
     "log_auc@1e-3..1e-1": RocArea(1e-3, 0.1, logarithmic=True),
 }
+
+
+@dataclass(frozen=True)
+class RocScores:
+    """What the ROC of n evaluations needs.
+
+    Attributes
+    ----------
+    classes : of the different backgrounds;  which (n,) of them each evaluation has
+    means, sds : (n, P) of the target pixels over their fills, or (n, P, J) of the J pixels of an object at P places
+    weights : (n, P) probabilities of these
+    host : the class that fills the rest of these pixels; None: one normal law in all evaluations
+    """
+
+    classes: ClassScores
+    which: Index
+    means: Array
+    sds: Array
+    weights: Array
+    host: Host | None = None
+
+    @property
+    def mean(self) -> Array:
+        """(n,) mean score of the target pixels."""
+        return np.asarray((self.weights * self.means).sum(axis=1))
+
+    @property
+    def sd(self) -> Array:
+        """(n,) standard deviation of that score, the spread of the fill included."""
+        away = self.means - self.mean[:, None]
+        return np.asarray(np.sqrt((self.weights * (self.sds**2 + away**2)).sum(axis=1)))
+
+    def rows(self, index: Index) -> RocScores:
+        """The evaluations that ``index`` names."""
+        host = None if self.host is None else self.host.rows(index)
+        if host is not None and host.normal.all():
+            host = None
+        return RocScores(self.classes, self.which[index], self.means[index], self.sds[index], self.weights[index], host)
+
+    def thresholds(self, pfa: Array) -> Array:
+        """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
+        if pfa.shape[0] > 1:
+            return thresholds_at(pfa, self.classes.rows(self.which))
+        return thresholds_at(np.broadcast_to(pfa, (len(self.classes.mean), pfa.shape[1])), self.classes)[self.which]
+
+    def detection_above(self, thresholds: Array) -> Array:
+        """P_D (n, K) above ``thresholds`` (n, K) (3.31); evaluations whose pixels score the same share it."""
+        first, same = distinct([self.which, self.means, self.sds, self.weights, thresholds], self.which.size)
+        pd, some, x = np.empty((first.size, thresholds.shape[1])), self.rows(first), thresholds[first]
+        normal = np.ones(first.size, dtype=bool) if some.host is None else some.host.normal
+        for rows in (np.flatnonzero(normal), np.flatnonzero(~normal)):
+            if rows.size:
+                of = some.rows(rows)
+                pd[rows] = detection_probability(x[rows], of.means, of.sds, of.weights, of.host)
+        return np.asarray(pd[same])
+
+    def detection(self, pfa: Array) -> Array:
+        """P_D (n, K) at ``pfa`` (n, K) or (1, K) (3.31, 3.33)."""
+        return self.detection_above(self.thresholds(pfa))
+
+    def target(self, at: Index) -> list[ScoreDistribution]:
+        """How the target pixels score in some evaluations."""
+        first, which = distinct([self.which[at], self.means[at], self.sds[at], self.weights[at]], at.size)
+        some = self.rows(at[first])
+        distributions = score_distributions(some.mean, some.sd, some.target_density)
+        return [distributions[i] for i in which]
+
+    def background(self, at: Index, thresholds: Array) -> list[tuple[ScoreDistribution, Array]]:
+        """How the background scores in some evaluations, and the preset P_FA (K,) of (3.30) whose least P_D (3.32) has
+        ``thresholds`` (n, K) of these.
+        """
+        which, first, same = np.unique(self.which[at], return_index=True, return_inverse=True)
+        some, c, x = self.rows(at[first]), self.classes.rows(which), thresholds[first]
+        mean = (c.fraction * c.mean).sum(axis=1)
+        sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
+        distributions = score_distributions(mean, sd, some.background_density)
+        rows = self.classes.rows(np.repeat(which, x.shape[1]))
+        preset = greatest_class_false_alarm(x.ravel(), rows).reshape(x.shape)
+        return [(distributions[i], preset[i]) for i in same]
+
+    def background_density(self, score: Array) -> Array:
+        """Density of the background's score at ``score`` (n, K) (3.33) [per unit of score]."""
+        return score_density(score, self.classes.rows(self.which))
+
+    def target_density(self, score: Array) -> Array:
+        """Density of the target pixels' score at ``score`` (n, K), the derivative of (3.31) [per unit of score]."""
+        if self.host is not None:
+            density = self.host.exceedance(score, self.means, self.sds, density=True)
+            return np.asarray(np.matmul(density, self.weights[:, :, None])[:, :, 0])
+        return score_density(score, ClassScores(self.weights, self.means, self.sds, np.full(self.means.shape, np.inf)))
+
+    def log10_false_alarm(self, pd: Array) -> Array:
+        """log10 P_FA (n,) at which P_D is ``pd`` (n,), pixels (3.31 solved for the threshold)."""
+        reach = _FAR * np.maximum(self.sds, SMALLEST_SD)
+        low, high = (self.means - reach).min(axis=1), (self.means + reach).max(axis=1)
+        for _ in range(_STEPS):
+            middle = 0.5 * (low + high)
+            above = detection_probability(middle[:, None], self.means, self.sds, self.weights, self.host)[:, 0] > pd
+            low, high = np.where(above, middle, low), np.where(above, high, middle)
+        log_pfa, _ = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
+        return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
+
+    def auc(self, area: RocArea = WHOLE) -> Array:
+        """Area under the ROC (n,): the probability that a target pixel outscores a background pixel; or another."""
+        pfa = false_alarm_grid(min(1e-9, area.low) if area.logarithmic else 1e-9)
+        pd = self.detection(pfa[None])
+        mean, known = np.full(len(pd), np.nan), np.isfinite(pd).all(axis=1)
+        mean[known] = mean_detection(pfa, pd[known], area)
+        return mean
+
+
+# Score distributions are tabulated on this many points, over this many standard deviations either way.
+_GRID, _REACH = 201, 6.0
+
+
+def score_distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:
+    """Moments and density of a score in n evaluations."""
+    grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)
+    rows = zip(mean.tolist(), sd.tolist(), grid, density(grid), strict=True)
+    return [ScoreDistribution(m, s, None, g, d) for m, s, g, d in rows]
 
 
 _POINTS = 4001

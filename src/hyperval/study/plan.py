@@ -21,7 +21,7 @@ from scipy.optimize.elementwise import find_root
 from scipy.stats import qmc
 
 from hyperval.atmosphere.between import spaced
-from hyperval.data import NUMERICAL_DETECTORS, Array, Index
+from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.model import (
@@ -37,9 +37,8 @@ from hyperval.model import (
     reads_again,
     with_values,
 )  # fmt: skip
-from hyperval.model.detection import detect
 from hyperval.model.radiance import mean_radiance
-from hyperval.model.roc import WHOLE, RocArea, curve_area, detection_at, log10_false_alarm_at
+from hyperval.model.roc import WHOLE, RocArea
 from hyperval.model.stated import state_entries
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
@@ -196,8 +195,6 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
         values = e.snr(output.subject, output.calibration_error) if snr else e.radiance(output.subject)
         return np.asarray(values[:, bands].mean(axis=1))
     detector = output.detector or e.scenario.processing.detectors[0]
-    if detector in NUMERICAL_DETECTORS:
-        return _of_curves(e, detector, output, pfa)
     objects = output.kind == "pd" and output.by == "object"
     scores = e.scores(output.subject, detector, objects)
     if output.kind == "pd":
@@ -205,27 +202,7 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
         return np.asarray(scores.detection(at)[:, 0])
     if output.kind == "log10-pfa":
         return scores.log10_false_alarm(np.full(len(e), output.pd))
-    return scores.auc(_area(output))
-
-
-def _area(output: Output) -> RocArea:
-    return WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True)
-
-
-def _of_curves(e: Evaluation, detector: str, output: Output, pfa: Array | None) -> Array:
-    """An output of a detector whose curves are drawn: between their points they are read as all curves are."""
-    values = np.empty(len(e))
-    for i, detection in enumerate(detect(e, points=range(len(e)))):
-        curve = detection.roc[output.subject, detector, output.by]
-        if output.kind == "pd":
-            at = output.pfa if pfa is None else float(pfa[i])
-            assert at is not None  # noqa: S101 - the schema asks for it
-            values[i] = detection_at(curve, at)
-        elif output.kind == "log10-pfa":
-            values[i] = log10_false_alarm_at(curve, output.pd, curve.pd)
-        else:
-            values[i] = curve_area(curve, _area(output))
-    return values
+    return scores.auc(WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True))
 
 
 def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
