@@ -108,6 +108,12 @@ def physical(**changes):
     return NoiseModel(**{**values, **changes})
 
 
+def by_its_noise(a, b, c):
+    """One band of a sensor known by NEdL = |a sqrt(b + L) + c| alone."""
+    electrons = {"electrons_per_radiance": np.array([1 / a**2]), "fixed_noise": np.sqrt([b]) / a, "detector_gain": 1.0}
+    return physical(constant=np.array([c]), lsb_electrons=np.zeros(1), **electrons)
+
+
 def test_3_13_to_3_19_every_term_of_a_sensor_by_hand():
     parts = physical().breakdown([5.0])
     assert parts.shot == pytest.approx([2.25 * 5000 / 1e6])
@@ -135,9 +141,9 @@ def test_3_13_more_signal_by_hand():
     for name, factor in (("shot", 2), ("fixed", 4), ("quantisation", 4), ("bit_errors", 4), ("calibration", 1)):
         assert getattr(after, name) * factor == pytest.approx(getattr(before, name))
     # A measured sensor |a sqrt(b + L)| has g = 1/a^2: the photons' part a^2 L halves, a^2 b goes down fourfold.
-    measured = (np.array([0.02]), np.array([3.0]), np.zeros(1))
-    found = with_signal(physical(measured=measured), 2.0).measured
-    assert measured_noise_variance([5.0], *found) == pytest.approx([0.0004 * (5 / 2 + 3 / 4)])
+    for c in (0.0, 0.01):  # a constant goes as the fixed noise: half of it
+        found = with_signal(by_its_noise(0.02, 3.0, c), 2.0).variance([5.0], calibration=False)[0]
+        assert found == pytest.approx((0.02 * np.sqrt(5 / 2 + 3 / 4) + c / 2) ** 2)
 
 
 def test_3_16_recorded_with_a_gain_and_an_offset_by_hand():
@@ -149,9 +155,7 @@ def test_3_16_recorded_with_a_gain_and_an_offset_by_hand():
 
 def test_measured_noise_is_the_physical_model():
     # a = 0.01, b = 1.2: G = 1e4, sigma_f = sqrt(1.2)/0.01 = 109.54 electrons.
-    found = measured_noise_variance(5.0, 0.01, 1.2, 0.0)
-    assert found == pytest.approx(1e-4 * 6.2)
-    sensor = {"electrons_per_radiance": np.array([1e4]), "fixed_noise": np.sqrt([1.2]) / 0.01, "detector_gain": 1.0}
+    assert measured_noise_variance(5.0, 0.01, 1.2, 0.0) == pytest.approx(1e-4 * 6.2)
     for c in (0.0, 0.002):
-        noise = physical(measured=tuple(np.array([x]) for x in (0.01, 1.2, c)), **sensor)
-        assert noise.variance([5.0], calibration=False) == pytest.approx((1e-2 * np.sqrt([6.2]) + c) ** 2, rel=1e-12)
+        found = by_its_noise(0.01, 1.2, c).variance([5.0], calibration=False)
+        assert found == pytest.approx((1e-2 * np.sqrt([6.2]) + c) ** 2, rel=1e-12)

@@ -106,9 +106,8 @@ def test_other_numbers_than_the_files_by_hand():
 
 def test_binned_measured_noise_is_the_mean_of_equal_bands():
     # Equal bands: the variance of a mean of three is a third, whatever c.
-    a, b, c = np.full(3, 0.01), np.full(3, 1.2), np.full(3, 2e-3)
-    one = model(
-        electrons_per_radiance=1 / a**2, fixed_noise=np.sqrt(b) / a, measured=(a, b, c),
+    one = model(  # a = 0.01, b = 1.2
+        electrons_per_radiance=np.full(3, 1e4), fixed_noise=np.full(3, 100 * np.sqrt(1.2)), constant=np.full(3, 2e-3),
         lsb_electrons=np.zeros(3), calibration_percent=np.zeros(3),
     )  # fmt: skip
     found = binned_noise(one, 3).variance(np.full(1, 5.0))

@@ -258,7 +258,7 @@ def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
     parts, unit = noise.breakdown(level), "uW cm-2 sr-1 nm-1"
     floor = 1e-9 * parts.total  # the others are zero, or what rounding leaves
     variances = {f"noise_{term}": part for term, part in vars(parts).items() if np.any(np.abs(part) > floor)}
-    if noise.measured is None:
+    if noise.constant is None:
         wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit").breakdown(level)
         variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
     signal = noise.electrons_per_radiance  # (3.13)

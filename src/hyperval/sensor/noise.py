@@ -216,7 +216,8 @@ class NoiseModel:
     bits : word length; (B,) where the arms differ
     bit_error_rate, bit_error_per : B_e and what it counts; the rate is (B,) where the arms differ
     calibration_percent : (B,) C_R [%]
-    measured : None, or (a, b, c) each (B,), which then stand in for G, sigma_f, LSB and bit errors
+    constant : (B,) c [radiance] where NEdL = |a sqrt(b + L) + c| is what is known of the noise, whose G is then 1/a^2
+        and sigma_f sqrt(b)/a; None of a sensor that counts electrons
     full_scale : (B,) radiance at full scale, None where the sensor file does not say
     readings : readings averaged per number before it is used (co-adds, binning): they divide every variance
         but that of the calibration, and those of the digital word where they are averaged before recording
@@ -234,7 +235,7 @@ class NoiseModel:
     bit_error_rate: float | Array
     bit_error_per: Literal["bit", "word"]
     calibration_percent: Array
-    measured: tuple[Array, Array, Array] | None = None
+    constant: Array | None = None
     full_scale: Array | None = None
     readings: float = 1.0
     digital_readings: float = 1.0
@@ -256,10 +257,9 @@ class NoiseModel:
         unit = analogue * gd2 / g**2  # of the electrons of the detector (3.16)
         shot, fixed = shot_variance(level, g) * unit, self.fixed_noise**2 * unit  # (3.13), (3.15)
         fit, lsb = np.zeros_like(g), self.lsb_electrons / g
-        if self.measured is not None:
-            lsb = fit
-            if np.any(self.measured[2]):
-                fit = analogue * gd2 * measured_noise_variance(level, *self.measured) - shot - fixed
+        if self.constant is not None and np.any(self.constant):
+            a, b = 1.0 / np.sqrt(g), self.fixed_noise**2 / g
+            fit = analogue * gd2 * measured_noise_variance(level, a, b, self.constant) - shot - fixed
         flipped = bit_error_variance(lsb, self.bits, self.bit_error_rate, self.bit_error_per)  # (3.19)
         calibration = calibration_variance(level, self.calibration_percent)  # (3.17)
         return NoiseBreakdown(
@@ -291,14 +291,11 @@ def with_signal(noise: NoiseModel, factor: float | Array) -> NoiseModel:
     """The noise with ``factor`` (scalar or (B,)) on the electrons per radiance (3.13); the well stays as it is.
 
     Measured noise |a sqrt(b + L) + c| follows from g = 1/a^2 electrons per radiance and b g electrons^2 of
-    fixed noise.
+    fixed noise; c goes as the fixed noise.
     """
-    model = replace(
+    return replace(
         noise,
         electrons_per_radiance=noise.electrons_per_radiance * factor,  # (3.13)
         full_scale=None if noise.full_scale is None else noise.full_scale / factor,
+        constant=None if noise.constant is None else noise.constant / factor,
     )
-    if noise.measured is not None:
-        a, b, c = noise.measured
-        model = replace(model, measured=(a / np.sqrt(factor), b / factor, c / factor))
-    return model

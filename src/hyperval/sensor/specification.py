@@ -248,15 +248,12 @@ class SensorChanges(Model):
 def changed_noise(noise: NoiseModel, changes: SensorChanges) -> NoiseModel:
     """The noise (3.13)-(3.19) of a sensor with other numbers.
 
-    The light acts by :func:`with_signal`; b g of measured noise is the variance of its fixed part [electrons^2].
+    The light acts by :func:`with_signal`.
     A changed word length moves the step of quantisation at the same full scale.
     """
     changed = with_signal(noise, changes.signal_factor)
     f = changes.fixed_noise_factor
     changed = replace(changed, fixed_noise=changed.fixed_noise * f)
-    if changed.measured is not None:
-        a, b, c = changed.measured
-        changed = replace(changed, measured=(a, b * f**2, c))
     if changes.calibration_error_percent is not None:
         c_r = np.full_like(noise.calibration_percent, changes.calibration_error_percent)
         changed = replace(changed, calibration_percent=c_r)
@@ -338,11 +335,10 @@ def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
     fixed = root_sum(noise.fixed_noise)
     weights = g_parts / g[:, None]
     calibration = np.sqrt(((weights * _groups(noise.calibration_percent, count)) ** 2).sum(axis=1))  # (3.17)
-    measured = None
-    if noise.measured is not None:
-        a, _, c = noise.measured
-        sign = np.sign(_groups(c, count).sum(axis=1))
-        measured = (1.0 / np.sqrt(g), fixed**2 / g, sign * root_sum(c / a**2) / g)
+    constant = None
+    if noise.constant is not None:
+        sign = np.sign(_groups(noise.constant, count).sum(axis=1))
+        constant = sign * root_sum(noise.constant * noise.electrons_per_radiance) / g
     full = None if noise.full_scale is None else _groups(noise.full_scale, count).min(axis=1)
 
     def first(x: Any) -> Any:
@@ -356,7 +352,7 @@ def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
         bits=first(noise.bits),
         bit_error_rate=first(noise.bit_error_rate),
         calibration_percent=calibration,
-        measured=measured,
+        constant=constant,
         full_scale=full,
     )
 
@@ -531,7 +527,7 @@ class Sensor:
         full = given.saturation_radiance.at(w) if given.saturation_radiance else None
         return NoiseModel(
             1.0 / a**2, np.sqrt(b) / a, self.specification.detector_gain, np.zeros(w.size), 1, 0.0, "bit",
-            calibration, (a, b, c), full,
+            calibration, c, full,
         )  # fmt: skip
 
     def _noise(self, on: SpectralAxis, calibration: Array) -> NoiseModel:

@@ -621,7 +621,7 @@ def photon_transfer(check: SensorCheck) -> Values:
     with np.errstate(all="ignore"):  # the inverse slope of the variance
         off = (other - level) / rise * noise.readings / noise.electrons_per_radiance - 1.0
     # A measured fit with c != 0 is not linear in the radiance: it says nothing of the gain.
-    linear = axis.good if noise.measured is None else axis.good & (noise.measured[2] == 0.0)
+    linear = axis.good if noise.constant is None else axis.good & (noise.constant == 0.0)
     if linear.any():
         yield Found(float(np.median(off[linear])), n=int(linear.sum()))
 
@@ -642,7 +642,7 @@ def lowest_snr(check: SensorCheck) -> Values:
 
 def quantisation(check: SensorCheck) -> Values:
     """Noise of the digital word over all other."""
-    if check.noise.measured is None:
+    if check.noise.constant is None:
         parts = check.noise.breakdown(sunlit_radiance(check.axis, DARK))
         ratio = np.where(check.axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
         yield _worst(check, ratio, f"reflectance {DARK:g}")

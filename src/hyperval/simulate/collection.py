@@ -10,7 +10,7 @@ What the simulation shares with the model: class statistics, atmosphere, sensor 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -144,8 +144,9 @@ class Detector:
         """One draw of the detector's noise [radiance], before the noise factor."""
         n = self.noise
         noise = rng.standard_normal(radiance.shape, dtype=np.float32)
-        if n.measured is not None:  # a sensor known by its noise alone: no electrons to count
-            a, b, c = (x.astype(np.float32) for x in n.measured)
+        if n.constant is not None:  # a sensor known by its noise alone: no electrons to count
+            g, sigma = n.electrons_per_radiance, n.fixed_noise
+            a, b, c = (x.astype(np.float32) for x in (1.0 / np.sqrt(g), sigma**2 / g, n.constant))
             return np.asarray(noise * np.abs(a * np.sqrt(np.maximum(b + radiance, 0.0)) + c))
         gain = n.electrons_per_radiance.astype(np.float32)
         electrons = radiance * gain  # (3.13)
@@ -363,12 +364,11 @@ def average_reflectance(renderer: SurfaceRenderer, *, show: bool | None = None) 
         rho = renderer.reflectance(line)
         return rho.sum(axis=0, dtype=np.float64), int(np.count_nonzero(rho < 0.0))
 
-    lines = renderer.scene.lines
-    total, negative = np.zeros(renderer.bands), 0
-    for part, count in track(_in_order(totals, range(lines)), "average reflectance", lines, show=show):
+    scene, total, negative = renderer.scene, np.zeros(renderer.bands), 0
+    for part, count in _line_by_line(totals, scene, "average reflectance", show):
         total += part
         negative += count
-    pixels = lines * renderer.scene.samples
+    pixels = scene.lines * scene.samples
     return total / pixels, negative / (pixels * renderer.bands)
 
 
@@ -416,9 +416,8 @@ def _write_cube(
             **scene.header,
         },
     ) as writer:
-        lines = track(_in_order(stored, range(scene.lines)), "cube", scene.lines, show=show)
         saturated = 0
-        for values, count in lines:
+        for values, count in _line_by_line(stored, scene, "cube", show):
             writer.write(values[None])
             saturated += count
     return saturated / (scene.lines * scene.samples * len(axis))
@@ -457,7 +456,8 @@ def _check_size(scene: SceneFile, bands: int) -> None:
         raise refusal("scene.large", scene.name, **size, most=MAX_MAP_PIXELS, gib=MAX_CUBE_BYTES >> 30)
 
 
-def _in_order(work: Callable[[int], T], items: Iterable[int]) -> Iterator[T]:
-    """Results of ``work`` in the order of ``items``, a few ahead at a time so that memory stays bounded."""
+def _line_by_line(work: Callable[[int], T], scene: SceneFile, words: str, show: bool | None) -> Iterator[T]:
+    """Results of ``work`` in the order of the lines, a few ahead at a time so that memory stays bounded."""
     with single_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:  # the limit belongs to the process
-        yield from in_order(pool, work, items, ahead=4 * WORKERS)
+        done = in_order(pool, work, range(scene.lines), ahead=4 * WORKERS)
+        yield from track(done, words, scene.lines, show=show)
