@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from hyperval.config import Model
-from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
+from hyperval.data import LINEAR_DETECTORS, Array, Mask
 from hyperval.errors import UsageError, package_table
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
@@ -346,27 +346,23 @@ def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
     return out
 
 
+def _world(p: Prepared, trade: Trade) -> World:
+    """The world where sliders stand that no axis moves."""
+    return with_values(p.world, {path: [value] for path, value in _constants(p, trade).items()})
+
+
 def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
-    """Columns of overlaid backgrounds and sensors and of sliders, a row for each family, and the names of its curves.
+    """Columns of overlaid backgrounds and sensors, a row for each family, and the names of its curves.
 
     Curves run by family and subject, subjects within.
     """
     inputs = _overlays(p, trade)
     rows = list(product(*(i.values or [] for i in inputs)))
     columns = moved(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
-    columns |= {path: np.full(len(rows), value) for path, value in _constants(p, trade).items()}
     names = [", ".join(str(row[k]) for k, i in enumerate(inputs) if len(i.values or []) > 1) for row in rows]
     several = len(trade.subject) > 1
     labels = [", ".join(filter(None, (s if several or not n else "", n))) for n in names for s in trade.subject]
     return columns or {"line.offset": np.zeros(1)}, labels
-
-
-def values_at(p: Prepared, trade: Trade, study: StudyFile, rows: Index) -> Array:
-    """Outputs (n, O) at some points of the study of a trade."""
-    columns = moved(study.inputs, input_values(study))
-    some = {path: column[rows] for path, column in columns.items()}
-    some |= {path: np.full(rows.size, value) for path, value in _constants(p, trade).items()}
-    return output_values(p.world, some, study.outputs)[0]
 
 
 def _known(trade: Trade, stride: int) -> Mask:
@@ -408,7 +404,8 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     if what == "points":
         new = _known(trade, step) & ~(_known(trade, steps[number - 1][1]) if number else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
-        values.reshape(-1, subjects)[rows] = values_at(p, trade, study, rows)
+        some = {path: column[rows] for path, column in moved(study.inputs, input_values(study)).items()}
+        values.reshape(-1, subjects)[rows] = output_values(_world(p, trade), some, study.outputs)[0]
     elif what == "required":
         needed = _required(p, trade)
     else:
@@ -423,23 +420,20 @@ def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
     trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
     (columns, labels), offer = _families(p, trade), p.inputs[trade.x]
     outputs, unit = outputs_of(trade, trade.x == PFA), f" {offer.unit}" if offer.unit != "1" else ""
-    found = np.full((len(labels) // len(outputs), len(outputs)), "", dtype=object)
-    for k, o in enumerate(outputs):
+    found = []
+    for o in outputs:
         question = Required(
             name="required", between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
             spacing=offer.spacing, equals=float(trade.wanted or 0.0), moves=moves_of(offer, trade),
         )  # fmt: skip
-        answer = answers(partial(output_values, p.world), columns, question, outputs)
+        answer, told = answers(partial(output_values, _world(p, trade)), columns, question, outputs), []
         for i, value in enumerate(answer.solutions.tolist()):
             why = answer.reasons.get(i, "").replace(o.name, KINDS[trade.output])
             why = why.replace("no solution", "not reached in this range")
             words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
-            words += f" ({why})" if why else ""
-            found[i, k] = (
-                value,
-                words if math.isfinite(value) else why,
-            )
-    each = zip(labels, found.ravel(), strict=True)
+            told.append((value, f"{words} ({why})" if why and math.isfinite(value) else why or words))
+        found.append(told)
+    each = zip(labels, (one for row in zip(*found, strict=True) for one in row), strict=True)
     return tuple((value, f"{label}: {words}" if len(labels) > 1 else words) for label, (value, words) in each)
 
 
@@ -448,6 +442,7 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
 
     Of P_D at P_FA (n,); of a spectrum's mean over its bands, where n is 1.
     """
+    truth = {**_constants(p, trade), **truth}
     products = predict(p.scenario, Origins(show_progress=False), truth=truth, object_curves=False)
     out = np.full((len(trade.subject), pfa.size, 2), np.nan)
     for k, o in enumerate(outputs_of(trade)):
@@ -551,7 +546,7 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
     outputs = outputs_of(trade)
     shape = len(labels) // len(outputs), len(outputs)
     spectra, numbers = np.empty(shape, dtype=object), np.full(shape, np.nan)
-    for index, e in evaluations(with_values(p.world, columns)):
+    for index, e in evaluations(with_values(_world(p, trade), columns)):
         for k, o in enumerate(outputs):
             numbers[index, k] = of_truths(e, o, None)
             if trade.is_spectral:
