@@ -127,11 +127,6 @@ class Fit:
         return float(self.amplitudes[0] if self.amplitudes.size == 1 else np.linalg.norm(self.amplitudes))
 
     @property
-    def bands_off(self) -> float:
-        """How many directions it takes, as many as there would be were all of those as large: (sum z^2)^2 / sum z^4."""
-        return float(np.sum(self.amplitudes**2) ** 2 / max(np.sum(self.amplitudes**4), 1e-300))
-
-    @property
     def in_words(self) -> str:
         """How far it would have to move."""
         if self.candidate is None:
@@ -524,8 +519,10 @@ class Reasoner:
     def _with(self, before: Hypothesis | None, fit: Fit, e: Array, whole: float) -> Hypothesis:
         """One cause more, of residuals e that those before have been taken from; ``whole`` is the chi-square of all."""
         prior = np.log(NONE_PRIOR) if fit.candidate is None else self.prior[fit.candidate]
-        # Bands that are off by themselves are few: many are a pattern that no candidate has, and no single bands.
-        many = not self.noisy and fit.name == SINGLE_BANDS and fit.bands_off > max(3.0, 0.1 * fit.amplitudes.size)
+        # Bands that are off by themselves are few, by their participation ratio: many are a pattern without a name.
+        z2 = fit.amplitudes**2
+        few = max(3.0, 0.1 * z2.size) * float(np.sum(z2**2))
+        many = not self.noisy and fit.name == SINGLE_BANDS and float(np.sum(z2)) ** 2 > few
         if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
         rest, _ = _after(fit, e, {})

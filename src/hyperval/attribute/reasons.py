@@ -146,7 +146,8 @@ class Causes:
 
     def standing(self) -> tuple[dict[Candidate, Array], Posterior]:
         """What explains the residuals."""
-        return self.explained(self.residual, self.covariance, self.columns, np.arange(self.predicted.size))
+        everything = np.arange(self.predicted.size)
+        return self.explained(self.residual, self.covariance, self.columns, everything, self.predicted, True)
 
     def sides(self) -> dict[str, tuple[str, str, str]]:
         """Of each quantity the bands, what is observed and what is predicted, to six digits."""
@@ -190,7 +191,8 @@ class Causes:
             light = (spectral | (self.stack.named("product") == "snr"))[of]
             of, moved = of[light], moved[light]
             # No field spectrum, which could make anything, has moved what was measured.
-            columns = {c: g for c, g in columns.items() if c.kind == "sensor" or (simulated and not c.makes_anything)}
+            can = (c for c in columns if c.kind == "sensor" or (simulated and not c.makes_anything))
+            columns = {c: self.beside(level, columns[c]) for c in can}
             columns |= self.of_spectra(level) | self.stack.exchanged(level)
             if simulated and (by_setting := self.or_rarer(moved, of, level, columns)).enough:
                 return by_setting
@@ -204,8 +206,7 @@ class Causes:
             for name, step, key, unit, at in _OF_DATA:
                 effects = np.column_stack([self.mistaken({key: unit * z}) for z in at])
                 steps[Candidate(name, "sensor", step, False, sizes=at)] = effects
-            by_data = self.or_displaced(moved, of, level, steps, regions=False)
-            if by_data.first not in (NONE, NOTHING):
+            if (by_data := self.or_displaced(moved, of, level, steps, regions=False)).first not in (NONE, NOTHING):
                 return by_data
         return self.or_rarer(moved + of_model, of, level, self.of_inputs)
 
@@ -254,10 +255,14 @@ class Causes:
             part = np.sqrt(np.mean((change[at] / np.maximum(scale, 1e-300)) ** 2))
             variance[at] = np.maximum(scale**2 * (floor**2 + (OFF * part) ** 2), 1e-300)
         own = {replace(c, unbounded=True): g[of] for c, g in columns.items() if np.any(g[of])}
-        return self.explained(moved, np.diag(variance[of]), own, of, noisy=False)[1]
+        return self.explained(moved, np.diag(variance[of]), own, of, level, False)[1]
+
+    def beside(self, level: Array, change: Array) -> Array:
+        """A change (n,) or (n, k) of the prediction, of spectra of ``level`` (n,) the same part."""
+        return np.asarray((change.T * np.where(self.stack.bands >= 0, level / self.predicted, 1.0)).T)
 
     def explained(
-        self, residual: Array, covariance: Array, columns: dict[Candidate, Array], of: Index, *, noisy: bool = True
+        self, residual: Array, covariance: Array, columns: dict[Candidate, Array], of: Index, level: Array, noisy: bool
     ) -> tuple[dict[Candidate, Array], Posterior]:
         """What explains residuals (k,) of the entries ``of``: between sizes the model is interpolated, and asked at
         those that are found; columns with those.
@@ -273,7 +278,7 @@ class Causes:
             more = _asked(self.evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
-                    wider = np.column_stack([columns.pop(c), (side[0] - self.predicted)[of]])
+                    wider = np.column_stack([columns.pop(c), self.beside(level, side[0] - self.predicted)[of]])
                     columns[replace(c, sizes=(*c.sizes, a))] = wider
             if not any(side is not None for side in more):
                 break
@@ -361,10 +366,7 @@ def causes_of(
     columns |= of_spectra(predicted)
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
     of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
-
-    @cache
-    def rarer() -> dict[Candidate, Array]:
-        return _columns_at(rarer_candidates(worlds), {}, predicted, evaluate)
+    rarer = cache(partial(_columns_at, rarer_candidates(worlds), {}, predicted, evaluate))
 
     def mistaken(mistake: Mapping[str, float]) -> Array:
         there = stacked(base, model.observe({}, mistake))
