@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import html
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from itertools import product as product_of
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -123,14 +122,6 @@ def _lines(frame: pandas.DataFrame, names: list[str], columns: Mapping[str, str]
     return marks
 
 
-def _subjects(data: xr.Dataset, product: str) -> list[str]:
-    """The subjects that have a product, in their order; none without the product."""
-    if product not in data:
-        return []
-    there: list[str] = data["subject"].to_numpy()[data[product].notnull().any("wavelength")].tolist()  # noqa: PD004
-    return there
-
-
 def labelled(side: Products) -> xr.Dataset:
     """A side over one ``subject`` and one ``wavelength``; a product is NaN for a subject that has none."""
     whole = to_xarray(side)
@@ -182,9 +173,19 @@ def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
 
 
 class _Tables(_Shown):
-    """Tables of the sides of a run, or of one side."""
+    """Tables of the sides of a run, or of one side.
 
-    sides: Mapping[str, xr.Dataset]
+    Attributes
+    ----------
+    both : "predicted", "observed" -> the products of each side there is
+    """
+
+    both: Mapping[str, Products]
+
+    @cached_property
+    def sides(self) -> Mapping[str, xr.Dataset]:
+        """The sides there are, "predicted" and "observed", as datasets."""
+        return {name: labelled(side) for name, side in self.both.items()}
 
     @property
     def plot(self) -> SidesPlot:
@@ -194,39 +195,39 @@ class _Tables(_Shown):
     @property
     def spectra(self) -> pandas.DataFrame:
         """Means with their standard uncertainties: a row for each side, product, subject and band."""
-        names = ["side", "product", "subject", "band_nm", "value", "standard_uncertainty"]
-        parts = [pandas.DataFrame(columns=names)]
-        for (side, data), product in product_of(self.sides.items(), SPECTRA):
-            if subjects := _subjects(data, product):
-                columns = [product, f"{product}_standard_uncertainty"]
-                frame = data[columns].sel(subject=subjects).transpose("subject", ...).to_dataframe().reset_index()
-                frame = frame.rename(columns=dict(zip(["wavelength", *columns], names[3:], strict=True)))
-                parts.append(frame.assign(side=side, product=product)[names])
-        return _joined(parts)
+        return self._table(
+            ["product", "subject", "band_nm", "value", "standard_uncertainty"],
+            lambda side: (
+                (product, subject, side.axis.centre_nm, e.mean, e.standard_uncertainty)
+                for product in SPECTRA for subject, e in getattr(side, product).items()
+            ),
+        )  # fmt: skip
 
     @property
     def roc(self) -> pandas.DataFrame:
         """ROC curves with their 95 % limits: a row for each point."""
-        return self._entries("roc", ["pfa", "pd", "pd_lower", "pd_upper", "threshold"], ["subject", "detector", "unit"])
+        values = ["pfa", "pd", "pd_lower", "pd_upper", "threshold"]
+        return self._table(
+            ["subject", "detector", "unit", *values],
+            lambda side: ((*key, *(getattr(curve, v) for v in values)) for key, curve in side.roc.items()),
+        )
 
     @property
     def scores(self) -> pandas.DataFrame:
         """Mean and standard deviation of each population's detector score."""
-        return self._entries("score", ["mean", "sd", "n"], ["subject", "detector"])
+        return self._table(
+            ["subject", "detector", "mean", "sd", "n"],
+            lambda side: ((*key, *np.array([[s.mean], [s.sd], [s.n]], float)) for key, s in side.scores.items()),
+        )
 
-    def _entries(self, name: str, values: list[str], names: list[str]) -> pandas.DataFrame:
-        parts = [pandas.DataFrame(columns=["side", *names, *values])]
-        for side, data in self.sides.items():
-            if f"{name}_{values[0]}" in data:
-                frame = data[[f"{name}_{v}" for v in values]].to_dataframe().reset_index()
-                frame.columns = frame.columns.str.removeprefix(f"{name}_")
-                parts.append(frame.dropna(subset=values[:1]).assign(side=side)[["side", *names, *values]])
-        return _joined(parts)
-
-
-def _joined(parts: list[pandas.DataFrame]) -> pandas.DataFrame:
-    """The tables after the first, which is empty and has their columns, as one."""
-    return pandas.concat(parts[1:] or parts, ignore_index=True)
+    def _table(
+        self, columns: Sequence[str], entries: Callable[[Products], Iterable[Sequence[Any]]]
+    ) -> pandas.DataFrame:
+        """A row for each value of each entry of a side, which gives words and arrays in the order of the columns."""
+        names = ["side", *columns]
+        every = [(name, *entry) for name, side in self.both.items() for entry in entries(side)]
+        parts = [pandas.DataFrame(dict(zip(names, entry, strict=True))) for entry in every]
+        return pandas.concat(parts, ignore_index=True) if parts else pandas.DataFrame(columns=names)
 
 
 class Probability(NamedTuple):
@@ -288,10 +289,10 @@ class _Side(_Tables):
         limits = (curve.pd, curve.pd_lower, curve.pd_upper)
         return Probability(*(float(detection_at(curve, pfa, values)) for values in limits))
 
-    @cached_property
-    def sides(self) -> Mapping[str, xr.Dataset]:  # type: ignore[override]
+    @property
+    def both(self) -> Mapping[str, Products]:  # type: ignore[override]
         """This one, by its name."""
-        return {"predicted" if isinstance(self, Prediction) else "observed": self.to_xarray()}
+        return {"predicted" if isinstance(self, Prediction) else "observed": self.products}
 
     def to_xarray(self) -> xr.Dataset:
         """Spectra, covariances and noise over one ``subject`` and one ``wavelength``, and curves."""
@@ -384,21 +385,17 @@ class Validation(_Tables):
         """What the collection gave; None where it was not observed."""
         return None if self.run.pair[1] is None else Observation(self.run.pair[1])
 
-    @cached_property
-    def sides(self) -> Mapping[str, xr.Dataset]:  # type: ignore[override]
-        """The sides there are, "predicted" and "observed", as datasets."""
-        return {name: data for side in (self.prediction, self.observation) if side for name, data in side.sides.items()}
+    @property
+    def both(self) -> Mapping[str, Products]:  # type: ignore[override]
+        """The sides there are."""
+        return self.run.sides
 
     def __repr__(self) -> str:
         """The campaign, and its rows by outcome."""
         counts = self.results.frame()["outcome"].value_counts(sort=False)
-        facts: dict[str, Iterable[object]] = {
-            "rows": [f"{n} {value}" for value, n in counts.items()],
-            "sides": list(self.sides),
-        }
-        for name, data in self.sides.items():
-            facts[name] = _subjects(data, "radiance") or _subjects(data, "reflectance")
-        return _card(f"Run of {self.name}", facts)
+        rows = [f"{n} {value}" for value, n in counts.items()]
+        subjects = {name: side.radiance or side.reflectance for name, side in self.both.items()}
+        return _card(f"Run of {self.name}", {"rows": rows, "sides": self.both, **subjects})
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The rows in the columns of ``results.csv``."""
@@ -423,8 +420,8 @@ class Validation(_Tables):
         UsageError : no such side, product or subject, or a product whose covariance is not kept.
         """
         matrix = f"{product}_error_covariance"
-        have = [f"{side} {name} {one}" for side, data in self.sides.items() for name in SPECTRA
-                if f"{name}_error_covariance" in data for one in _subjects(data, name)]  # fmt: skip
+        kept = [name for name in SPECTRA if name != "snr"]
+        have = [f"{at} {name} {one}" for at, own in self.both.items() for name in kept for one in getattr(own, name)]
         if f"{side} {product} {subject}" not in have:
             raise UsageError(f"no {side} {product} of {subject!r} with a covariance", expected=", ".join(have))
         one = self.sides[side].sel(subject=subject, drop=True)
