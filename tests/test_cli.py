@@ -191,7 +191,7 @@ import sys, types, time
 from pathlib import Path
 from hyperval.storage import whole_folder
 fake = types.ModuleType("hyperval.campaign.run")
-def observe(campaign, output, show_progress, **options):
+def observe(campaign, output, **options):
     with whole_folder(output) as t:
         (t / "half").write_text("x")
         print("ready", flush=True)
@@ -267,3 +267,12 @@ def test_bars_name_campaign_step_and_count(capsys, monkeypatch):
     with step("hysu", 3, 4, "compare"), working("figures", show=False):  # where nobody watches
         assert list(track(iter([1, 2]), "inputs", show=False)) == [1, 2]
     assert said(capsys) == ""
+
+
+def test_quiet_draws_no_bars_where_somebody_watches(capsys, monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for words, is_drawn in ((["metrics"], True), (["-q", "metrics"], False), (["metrics"], True)):
+        assert cli.run(words) == 0
+        assert list(track([1], "inputs")) == [1]
+        assert ("inputs" in said(capsys)) == is_drawn

@@ -1,4 +1,4 @@
-"""Progress on standard error for anything over two seconds; silent when nobody watches."""
+"""Progress on standard error for anything over two seconds; silent when nobody watches, or a listener is told."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _listener: Listener | None = None
 def set_listener(listener: Listener | None) -> None:
     """Tell a function of this process what is being done, how many parts of it are, and of how many.
 
-    It is told whether or not bars are drawn.
+    It is told whether or not bars are drawn; where it is there, they are drawn for a caller alone who asks for them.
     """
     global _listener  # noqa: PLW0603 - one for a process, as its standard error is
     _listener = listener
@@ -62,7 +62,7 @@ def working(what: str, *, show: bool | None = None) -> Iterator[None]:
 
 
 def _shown(show: bool | None) -> bool:
-    return sys.stderr.isatty() if show is None else show
+    return _listener is None and sys.stderr.isatty() if show is None else show
 
 
 def _bar(*columns: str) -> Progress:

@@ -14,10 +14,9 @@ import tempfile
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from types import FrameType
+from types import FrameType, SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeVar
 
 import typer
@@ -25,6 +24,7 @@ from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__, baseline, campaign, scoreboard
 from hyperval.errors import HypervalError, InputError, UsageError, as_typed, internal_error
+from hyperval.progress import set_listener
 
 if TYPE_CHECKING:
     from hyperval.results import Result
@@ -45,20 +45,7 @@ def command(*examples: str, of: typer.Typer = app, name: str | None = None) -> C
     return of.command(name, epilog="\n".join(("\b", "Examples:", *(f"  hyperval {example}" for example in examples))))
 
 
-@dataclass
-class CommandSettings:
-    """What the options before the command say."""
-
-    quiet: bool = False
-    debug: bool = False
-
-    @property
-    def show_progress(self) -> bool:
-        """Bars only where somebody watches."""
-        return not self.quiet and sys.stderr.isatty()
-
-
-settings = CommandSettings()
+settings = SimpleNamespace(quiet=False, debug=False)  # what the options before the command say
 
 Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
 AnyOutput = Annotated[Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
@@ -88,6 +75,7 @@ def options(
 ) -> None:
     """Options that stand before the command."""
     settings.quiet, settings.debug = quiet, debug
+    set_listener((lambda *_: None) if quiet else None)  # who is quiet is told nothing
     if data_dir is not None:
         from hyperval.datasets import set_data_dir
 
@@ -194,7 +182,6 @@ def check(
         source=source,
         output=output,
         junit=junit,
-        show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
     compared = [row for run in runs if run.before for row in run.rows if everything or row.reason]
@@ -265,7 +252,6 @@ def baseline_accept(
         reason=reason,
         baselines=folder,
         source=source,
-        show_progress=settings.show_progress,
     )
     header = ("where", "metric", "accepted before", "accepted now")
     print_table(header, [(r.owner, key, _in_words(old), _in_words(new)) for r in runs for key, old, new in r.changes])
@@ -314,7 +300,7 @@ def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data se
     from hyperval.datasets import cache_dir, dataset, fetch
 
     for entry in [dataset(name) for name in names]:
-        new = fetch(entry.name, show_progress=settings.show_progress)
+        new = fetch(entry.name)
         note(f"{entry.name}: {len(new)} files fetched into {cache_dir()}" if new else f"{entry.name}: complete")
         note(f"  licence {entry.licence}; please cite: {entry.citation}")
     return 0
@@ -496,7 +482,7 @@ def study(
     """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
     from hyperval.study.run import study_to_folder
 
-    code = study_to_folder(study_file, output, scheduler=scheduler, show_progress=settings.show_progress)
+    code = study_to_folder(study_file, output, scheduler=scheduler)
     return finished(code, output)
 
 
@@ -527,7 +513,6 @@ def benchmark(
         scores=dict(one.split("=", 1) for one in scores or ()),
         seed=seed,
         scheduler=scheduler,
-        show_progress=settings.show_progress,
     )
     return finished(code, output)
 
@@ -540,9 +525,7 @@ def power(
     errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
-    tables = campaign.campaign_power(
-        campaigns, output=output, accept=accept, own=errors, show_progress=settings.show_progress
-    )
+    tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
     done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
     print_table(
@@ -566,7 +549,7 @@ def predict(
     output: Output,
 ) -> int:
     """Run the forward model alone."""
-    return finished(campaign.predict_to_folder(scenario, output, show_progress=settings.show_progress), output)
+    return finished(campaign.predict_to_folder(scenario, output), output)
 
 
 @command("observe campaign.yaml -o out --write-reflectance envi")
@@ -579,7 +562,7 @@ def observe(
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
-    code = campaign.observe(file, output, write_reflectance=write_reflectance, show_progress=settings.show_progress)
+    code = campaign.observe(file, output, write_reflectance=write_reflectance)
     say_warnings(output)
     return finished(code, output)
 
@@ -610,7 +593,6 @@ def validate(
 
     code = campaign.validate(
         campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note,
-        show_progress=settings.show_progress,
     )  # fmt: skip
     if junit is not None:
         write_text(junit, junit_of(output))
@@ -625,7 +607,7 @@ def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], outpu
     """Write a simulated collection with its truth."""
     from hyperval.simulate import simulate_to_folder
 
-    return finished(simulate_to_folder(scene, output, show_progress=settings.show_progress), output)
+    return finished(simulate_to_folder(scene, output), output)
 
 
 def _dry_run(campaigns: list[Path], finished: Path | None) -> int:
@@ -680,7 +662,7 @@ def sensor_check(
     from hyperval.report.verdict import gate_fails, limits_text
     from hyperval.sensor_check import check_to_folder
 
-    check = check_to_folder(name, output, vary=vary / 100.0, show_progress=settings.show_progress)
+    check = check_to_folder(name, output, vary=vary / 100.0)
     decided = [r for r in check.table if r.planned]
     rows = [
         (str(r.outcome), r.product, r.subject, r.metric, f"{r.value:.4g}", limits_text(r), r.reason) for r in decided
