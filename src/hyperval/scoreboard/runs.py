@@ -19,7 +19,7 @@ from functools import cached_property, partial
 from itertools import compress, product
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import spectral
@@ -30,7 +30,7 @@ from hyperval.collection import Detection
 from hyperval.compare import named, product_rows, row, skipped
 from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
-from hyperval.errors import HypervalError, InputError, MissingDataError, UsageError, internal_error
+from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error, refusal, refuse
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark, row_names
 from hyperval.imagery import TargetObject, raster_of_size
@@ -48,7 +48,7 @@ from hyperval.pixels import (
     object_scores,
     register_detector,
 )
-from hyperval.products import PredictedProducts
+from hyperval.products import Products
 from hyperval.progress import step, track
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
@@ -449,19 +449,17 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density)
 
 
-def detector_rows(
-    observed: Observed, question: Question, *, seed: int, show_progress: bool | None = None
-) -> list[Result]:
+def detector_rows(observed: Observed, question: Question, *, seed: int) -> list[Result]:
     """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run."""
     detection, place = question.campaign.detection, observed.place
     if detection is None or place is None or observed.detected is None:
         why = "the campaign looks for no targets"
         return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors"))
     maps = observed.detected.score_maps
-    rows = _measured_rows(observed) + threshold_rows(place, maps, detection)
+    rows = [*side_rows(observed.observation, "measured"), *threshold_rows(place, maps, detection)]
     counts = block_counts(place, maps, detection)
     groups = {name: looks for name, looks in counts.group.items() if looks}
-    for name, looks in track(groups.items(), "ranks", len(groups), show=show_progress):
+    for name, looks in track(groups.items(), "ranks", len(groups)):
         if len(set(counts.item[list(looks)])) < 2:
             continue  # one object orders detectors by chance alone
         for measure in MEASURES.values():
@@ -473,11 +471,16 @@ def detector_rows(
     return rows
 
 
-def predicted_rows(predictions: Iterable[PredictedProducts]) -> list[Result]:
-    """What the model says of the measured rows: ``predicted_METRIC`` by subject and detector."""
-    names = {m.observed.replace("measured", "predicted"): f"predicted_{m.name}" for m in MEASURES.values()}
-    rows = [one for p in predictions for one in product_rows(p, "predicted") if one.product == "roc"]
-    return [replace(r, product=PRODUCT, metric=names[r.metric], evidence=None) for r in rows if r.metric in names]
+def side_rows(side: Products, said: Literal["measured", "predicted"]) -> Iterator[Result]:
+    """The metrics by subject, pool and detector as one side's own rows have them: ``METRIC``, ``predicted_METRIC``."""
+    pixels = {(s, f"{d}/{u}"): c.n_background for (s, d, u), c in side.roc.items()}
+    names = {m.observed.replace("measured", said): m for m in MEASURES.values()}
+    for own in product_rows(side, "observed" if said == "measured" else said):
+        measure = names.get(own.metric) if own.product == "roc" else None
+        n = pixels.get((own.subject, own.method))
+        if measure is not None and (n is None or measure.known_from(n)):
+            metric = measure.name if said == "measured" else f"predicted_{measure.name}"
+            yield replace(own, product=PRODUCT, metric=metric, evidence=None)
 
 
 def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection) -> list[Result]:
@@ -510,18 +513,6 @@ def _mean_of_parts(sums: Array, sizes: Array) -> tuple[float, tuple[float, float
     spread = math.sqrt(float(np.sum((sums - mean * sizes) ** 2)) * count / max(count - 1, 1)) / float(sizes.sum())
     half = float(stats.t.ppf(0.975, count - 1)) * spread if count > 1 else math.nan
     return mean, (mean - half, mean + half)
-
-
-def _measured_rows(observed: Observed) -> list[Result]:
-    """The metrics of single subjects and pools, as the collection's own rows have them."""
-    least = {(s, f"{d}/{u}"): c.n_background or 0 for (s, d, u), c in observed.observation.roc.items()}
-    names = {m.observed: m for m in MEASURES.values()}
-    rows = []
-    for own in product_rows(observed.observation, "observed"):
-        measure = names.get(own.metric)
-        if own.product == "roc" and measure is not None and measure.known_from(least[own.subject, own.method]):
-            rows.append(replace(own, product=PRODUCT, metric=measure.name, evidence=None))
-    return rows
 
 
 def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDetectors) -> list[Result]:
@@ -621,18 +612,13 @@ def load_extensions(paths: Iterable[Path]) -> None:
         place = Path(path).resolve()
         if place in _LOADED:
             continue
-        if not place.is_file():
-            raise InputError("no such file", where=str(path), expected="a Python file that registers detectors")
+        refuse(not place.is_file(), "benchmark.file", path)
         try:
             runpy.run_path(str(place))
         except HypervalError:
             raise
         except Exception as error:
-            raise UsageError(
-                f"the extension fails: {type(error).__name__}: {error}",
-                where=str(path),
-                expected="a Python file that calls register_detector",
-            ) from error
+            raise refusal("benchmark.fails", path, kind=type(error).__name__, why=error) from error
         _LOADED.add(place)
 
 
@@ -681,9 +667,7 @@ class Benchmarked:
         return [self.here.get((subject, f"{group[0]}/object", f"{part}{metric}")) for part in ("", "rank_", "first_")]
 
 
-def benchmark_campaign(
-    job: Job, *, seed: int, extensions: Sequence[Path], scores: Mapping[str, str], show_progress: bool | None
-) -> Benchmarked:
+def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], scores: Mapping[str, str]) -> Benchmarked:
     """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
     if job.waits is not None:
         return _stopped(job, Outcome.SKIPPED, job.waits[0])
@@ -693,7 +677,7 @@ def benchmark_campaign(
         with _score_maps(job.campaign.name, scores):
             while True:  # a detector that this collection cannot take does not take the others with it
                 try:
-                    return _with(job, seed, refused, show_progress)
+                    return _with(job, seed, refused)
                 except AddedDetectorError as error:
                     refused[error.detector] = str(error)
                 except UsageError as error:
@@ -732,7 +716,7 @@ def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
         detect.ADDED_DETECTORS.update(before)
 
 
-def _with(job: Job, seed: int, refused: Mapping[str, str], show_progress: bool | None) -> Benchmarked:
+def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
     """The rows with every detector that was not ``refused``."""
     name, chosen = job.campaign.name, Question(job.campaign, {})
 
@@ -740,17 +724,17 @@ def _with(job: Job, seed: int, refused: Mapping[str, str], show_progress: bool |
         nonlocal chosen
         regions: list[str] = []
         if job.campaign.detection is not None and not job.campaign.detection.undesired:
-            place = open_place(job.campaign.collection, inputs.resolve, show_progress=show_progress)
+            place = open_place(job.campaign.collection, inputs.resolve)
             regions = classes_with_regions(scenarios, place.regions)
         chosen = with_every_detector(job.campaign, regions, refused)
         return chosen.campaign
 
-    with step(name, 1, 1, "benchmark"), collected(job, question=ask, show_progress=show_progress) as collection:
-        rows = detector_rows(collection.observed, chosen, seed=seed, show_progress=show_progress)
+    with step(name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
+        rows = detector_rows(collection.observed, chosen, seed=seed)
         rows += peer_rows(collection.observed, chosen.campaign.detection)
         if chosen.campaign.detection is not None:
-            origins = ((scenario, collection.origins(scenario, show_progress)) for scenario in collection.scenarios)
-            rows += predicted_rows(predict(*one) for one in origins)
+            origins = ((scenario, collection.origins(scenario, None)) for scenario in collection.scenarios)
+            rows += (row for one in origins for row in side_rows(predict(*one), "predicted"))
         observation, detection = collection.observed.observation, chosen.campaign.detection
         about = {"campaign": chosen.campaign}
         record = record_of(collection.inputs, collection.scenarios, collection.seed, about, [observation])
@@ -776,7 +760,6 @@ def benchmark(
     scores: Mapping[str, str] = MappingProxyType({}),
     seed: int = 0,
     scheduler: str | None = None,
-    show_progress: bool | None = None,
 ) -> int:
     """Run every campaign with all detectors, and write one table and its page.
 
@@ -799,10 +782,9 @@ def benchmark(
     jobs, programs = jobs_of(*paths), tuple(Path(p).resolve() for p in extensions)
     with whole_folder(output) as folder, workers(worker_count(len(jobs)), scheduler) as where:
         here = where.executor is None  # one after the other, each with its own bars
-        run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores),
-                      show_progress=show_progress if here else False)  # fmt: skip
+        run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores))
         results = in_order(where, run, jobs, ahead=max(1, len(jobs)))
-        done = list(track(results, "campaigns", len(jobs), show=False if here else show_progress))
+        done = list(track(results, "campaigns", len(jobs), show=False if here else None))
         _write(done, extensions, seed, folder)
     return next((d.exit_code for d in done if d.exit_code is not None), 0)
 

@@ -119,20 +119,20 @@ def _command(*words: str) -> Iterator[None]:
 def files(folder: str) -> None:
     """Write the folder that ``hyperval predict`` writes of the scenario."""
     with _command("predict", "scenario.yaml"):
-        predict_to_folder(str(Path(folder) / "scenario.yaml"), Path(folder) / "results", show_progress=False)
+        predict_to_folder(str(Path(folder) / "scenario.yaml"), Path(folder) / "results")
 
 
 def study(folder: str) -> dict[str, Any]:
     """Evaluate the study of a folder."""
     with _command("study", "study.yaml"):
-        study_to_folder(Path(folder) / "study.yaml", Path(folder) / "results", show_progress=False)
+        study_to_folder(Path(folder) / "study.yaml", Path(folder) / "results")
     return summary_of("study", Path(folder) / "results")
 
 
 def campaign(folder: str, path: str) -> dict[str, Any]:
     """Run a campaign into a folder."""
     with _command("validate", Path(path).name):
-        code = validate([Path(path)], Path(folder) / "results", show_progress=False)
+        code = validate([Path(path)], Path(folder) / "results")
     return summary_of("validation", Path(folder) / "results") | {"exit_code": code}
 
 
@@ -155,7 +155,7 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     text, guesses = starter_campaign(named, place, name)
     write_draft(place / "campaign.yaml", "campaign", text)
     with _command("observe", "campaign.yaml"):
-        observe(place / "campaign.yaml", place / "results", show_progress=False)
+        observe(place / "campaign.yaml", place / "results")
     return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
 
 
@@ -245,7 +245,7 @@ def collection(folder: str, path: str) -> None:
     scene, part = load_scene(file), Path(folder) / "collection.part"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
-    simulate(scene, part, inputs=load_inputs(scene, file.parent), show_progress=False)
+    simulate(scene, part, inputs=load_inputs(scene, file.parent))
     part.replace(Path(folder) / COLLECTION)
 
 
