@@ -73,7 +73,6 @@ class WorkerTask:
 
     task: Any
     arguments: Any
-    begun: Callable[[], None] | None = None
     future: Future[Any] = field(default_factory=Future)
     progress: tuple[str, int, int | None] = ("", 0, None)
     started: float = 0.0
@@ -179,8 +178,6 @@ class TaskPool:
             raise Cancelled("cancelled before it began")
         worker.begin(task, is_over)
         task.started = time.monotonic()
-        if task.begun is not None:
-            task.begun()
         while not is_over():
             if time.monotonic() - task.started > self._seconds:
                 worker.end()

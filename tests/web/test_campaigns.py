@@ -72,7 +72,7 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
     assert answer.status_code == 200, answer.text
     content = answer.json()
     pixels = np.frombuffer(base64.b64decode(content["pixels"]), "<u2").reshape(content["height"], content["width"])
-    place = own.app.state.store.place(told["id"])
+    place = own.app.state.runs.place(told["id"])
     with rasterio.open(place / "results" / "scores" / "yellow-cem.tif") as file:
         scores = file.read(1)
     known = np.isfinite(scores)
@@ -118,7 +118,7 @@ def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run
 
 
 def place_of(own, told):
-    return own.app.state.store.place(told["id"])
+    return own.app.state.runs.place(told["id"])
 
 
 def thresholds_of_targets(page, content, results):
@@ -220,7 +220,7 @@ def test_pixel_is_shown_beside_the_prediction(own, run):
 def test_pixel_of_a_simulated_campaign_is_made_again(own, run):
     """Its collection goes when the campaign has run; the seed gives the same one."""
     client, told = run
-    place, folder = own.app.state.store.place(told["id"]), own.folder.parent / "campaigns" / "small"
+    place, folder = own.app.state.runs.place(told["id"]), own.folder.parent / "campaigns" / "small"
     url = f"{own.address}/runs/{told['id']}/pixel.json"
     (before,) = client.get(url, params={"line": 40, "sample": 30}).json()
     (place / view_name("pixel-40-30")).unlink()
@@ -252,7 +252,7 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
         words = ["validate", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]
         done = CliRunner().invoke(command, words)
     assert done.exit_code in (0, 1), done.output
-    _, here = read_pair(own.app.state.store.place(run["id"]) / "results")
+    _, here = read_pair(own.app.state.runs.place(run["id"]) / "results")
     predicted, there = read_pair(tmp_path / "out")
     assert predicted.radiance
     for name, spectrum in here.radiance.items():
@@ -276,7 +276,7 @@ def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_pa
     told = client.post(f"{own.address}/api/v1/studies", json={"study": ORDERED["study"]}).json()
     told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
-    place = own.app.state.store.place(told["id"])
+    place = own.app.state.runs.place(told["id"])
     shown = [float(r["value"]) for r in told["summary"]["rows"] if r["value"]]
     table = api.open(place / "results").to_dataframe()
     assert table["pd"].iloc[1] > table["pd"].iloc[0]

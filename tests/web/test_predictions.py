@@ -179,7 +179,7 @@ def test_charts_of_two_runs_have_differences(client, server):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hyperval.web.store._scripts", lambda: "others")
         assert client.get(f"{server.address}/api/v1/runs/{runs[1]}/charts").json() == alone
-    kept = server.app.state.store.place(runs[1])
+    kept = server.app.state.runs.place(runs[1])
     assert {view_name("charts"), "charts-others.json"} <= {path.name for path in kept.iterdir()}
     both = client.get(f"{server.address}/api/v1/runs/{runs[1]}/charts", params={"beside": runs[0]}).json()
     radiance = next(c for c in both if c["name"] == "chart-radiance")

@@ -1,33 +1,40 @@
 """Runs through restarts, damage and full disks: the files are the truth."""
 
 import errno
+import secrets
 import time
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("fastapi", reason="needs the extra web")
-from hyperval.web import RunStore, ServerSettings
+from hyperval.web import Runs, ServerSettings, WebRun
+
+POOLS = (None, None)  # nothing is ordered here
 
 
 @pytest.fixture
 def store(tmp_path):
-    return RunStore(ServerSettings(tmp_path))
+    return Runs(ServerSettings(tmp_path), POOLS)
 
 
 def again(store, **limits):
-    return RunStore(ServerSettings(store.folder, **limits))
+    return Runs(ServerSettings(store.folder, **limits), POOLS)
 
 
-def finished(store, owner="a", name="x"):
-    run = store.new(owner, "prediction", name, "", "1")
-    (store.place(run.id) / "charts.json").write_bytes(b"a" * 1000)
-    return store.change(run.id, state="finished", summary={"bands": 3})
+def kept(store, name="x", state="finished", **about):
+    """A run as its file has it."""
+    about = {"owner": "a", "kind": "prediction", "created": time.time(), **about}
+    run = WebRun(id=secrets.token_urlsafe(12), name=name, state=state, summary={"bands": 3}, **about)
+    place = store.place(run.id)
+    place.mkdir()
+    (place / "charts.json").write_bytes(b"a" * 1000)
+    (place / "run.json").write_text(run.model_dump_json())
+    return run
 
 
 def test_runs_outlive_a_restart_and_those_on_their_way_are_lost(store):
-    done, going = finished(store), store.new("a", "study", "y", "", "1")
-    store.change(going.id, state="running")
+    done, going = kept(store), kept(store, state="waiting")
     second = again(store)
     assert second.run(done.id, "a") == done
     assert second.run(going.id, "a").state == "lost"
@@ -38,23 +45,23 @@ def test_runs_outlive_a_restart_and_those_on_their_way_are_lost(store):
 
 
 def test_folder_that_cannot_be_read_is_told_of_and_removed(store):
-    good, bad = finished(store), finished(store)
+    good, bad = kept(store), kept(store)
     (store.place(bad.id) / "run.json").write_text('{"id": ')
     second = again(store)
-    assert [r.id for r in second.runs("a")] == [good.id]
+    assert [r.id for r in second.of("a")] == [good.id]
     assert any("1 folders of runs could not be read" in words for words in second.notices)
 
 
 def test_oldest_go_first_when_there_are_too_many_bytes_or_days(store):
-    runs = [finished(store, name=f"n{i}") for i in range(4)]
-    for number, run in enumerate(runs):
-        store.change(run.id, created=time.time() - 1000 + number)
+    now = time.time()
+    runs = [kept(store, name=f"n{i}", created=now - 1000 + i) for i in range(4)]
     second = again(store, kept_bytes=2900)
-    assert {r.id for r in second.runs("a")} == {r.id for r in runs[2:]}
+    assert {r.id for r in second.of("a")} == {r.id for r in runs[2:]}
     assert not store.place(runs[0].id).exists()
-    second.change(runs[2].id, created=time.time() - 40 * 86400.0)
+    old = kept(second, created=now - 40 * 86400.0)
     third = again(second, kept_days=30.0)
-    assert [r.id for r in third.runs("a")] == [runs[3].id]
+    assert [r.id for r in third.of("a")] == [runs[3].id, runs[2].id]
+    assert not store.place(old.id).exists()
 
 
 def test_full_disk_refuses_orders_and_shows_what_there_is(make_server, monkeypatch):

@@ -71,12 +71,11 @@ def test_failure_is_told_without_paths(pool, capfd):
 
 
 def test_task_tells_how_far_it_is_and_is_called_off(pool, tmp_path):
-    begun = []
-    running = WorkerTask("count", {"folder": str(tmp_path), "seconds": 60.0}, begun=lambda: begun.append(True))
+    running = WorkerTask("count", {"folder": str(tmp_path), "seconds": 60.0})
     pool.submit(running)
     awaited(lambda: running.progress[1])
     assert running.progress[0] == "counting"
-    assert begun == [True]
+    assert running.started
     waiting = pool.submit(WorkerTask("add", {"a": 1, "b": 1}))
     waiting.is_cancelled = running.is_cancelled = True
     for job in (running, waiting):

@@ -51,8 +51,6 @@ class Crew:
                 job.future.set_exception(web.Cancelled("cancelled before it began"))
                 continue
             job.started = time.monotonic()
-            if job.begun is not None:
-                job.begun()
             set_listener(lambda what, done, total, job=job: self._report(job, what, done, total))
             try:
                 result = tasks.TASKS[job.task](**job.arguments)

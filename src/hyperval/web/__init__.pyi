@@ -10,16 +10,17 @@ from .store import (
     LOOPBACK,
     Cancelled,
     Full,
-    RunStore,
+    Runs,
     ServerSettings,
     TaskFailed,
+    WebRun,
     WorkerPool,
     WorkerTask,
     view_name,
 )
 
 __all__ = [
-    "LOOPBACK", "POLICY", "Cancelled", "Full", "RunStore", "ServerSettings", "TaskFailed",
+    "LOOPBACK", "POLICY", "Cancelled", "Full", "Runs", "ServerSettings", "TaskFailed", "WebRun",
     "WorkerPool", "WorkerTask", "campaigns_of", "connections_of", "make_app", "needs", "plain", "predefined", "said",
     "scenario_form", "view_name", "walk",
 ]  # fmt: skip

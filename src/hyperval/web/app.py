@@ -22,7 +22,7 @@ from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes
 from hyperval.web.guard import Guard
 from hyperval.web.pages import api, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, field_name, mistake_of, problems, said
-from hyperval.web.store import Desk, RunStore, ServerSettings
+from hyperval.web.store import Runs, ServerSettings
 
 _THREADS = 128  # requests that wait for a worker hold one each
 
@@ -42,7 +42,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
         anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
         await anyio.to_thread.run_sync(_warm, settings)
         yield
-        app.state.desk.close()
+        app.state.runs.close()
 
     app = FastAPI(
         title="hyperval",
@@ -52,8 +52,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
         lifespan=life, dependencies=[Depends(closing_files)],
     )  # fmt: skip
     app.state.settings = settings
-    app.state.store = RunStore(settings)
-    app.state.desk = Desk(settings, app.state.store, pools)
+    app.state.runs = Runs(settings, pools)
     for router in (pages, api):
         app.include_router(router)
 

@@ -14,13 +14,11 @@ import os
 import re
 import secrets
 import sys
-from contextlib import suppress
-from http.cookies import CookieError, Morsel, SimpleCookie
 from typing import ClassVar
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import ClientDisconnect
+from starlette.requests import ClientDisconnect, cookie_parser
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -39,9 +37,7 @@ def _session(headers: Headers) -> tuple[str, bool]:
 
     Whoever knows it is the session.
     """
-    given = ""
-    with suppress(CookieError):
-        given = SimpleCookie(headers.get("cookie", "")).get(COOKIE, Morsel[str]()).value or ""
+    given = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
     is_known = _NAME.fullmatch(given) is not None
     return (given if is_known else secrets.token_urlsafe(32)), not is_known
 

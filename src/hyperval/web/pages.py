@@ -5,7 +5,8 @@ What there is to look up: the API, made from its OpenAPI file, and sensors numbe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -51,14 +52,8 @@ _LIBRARY = dict(zip(("bokeh.js", "bokeh-api.js"), LIBRARY, strict=True))
 def _environment() -> jinja2.Environment:
     environment = strict_templates("hyperval.web")
     environment.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
-    environment.filters["since"] = _since
+    environment.filters["since"] = lambda value: f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
     return environment
-
-
-def _since(seconds: float) -> str:
-    import datetime
-
-    return datetime.datetime.fromtimestamp(seconds, datetime.UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def owner_of(request: Request) -> str:
@@ -69,7 +64,7 @@ def owner_of(request: Request) -> str:
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
     """A page of the application."""
     text = _environment().get_template(template).render(
-        version=hyperval.__version__, notices=request.app.state.store.notices,
+        version=hyperval.__version__, notices=request.app.state.runs.notices,
         place=request.url.path, **content,
     )  # fmt: skip
     return HTMLResponse(text, status_code=status)
@@ -121,27 +116,8 @@ def schema(kind: Literal["campaign", "scenario", "study"]) -> Response:
 @pages.get("/docs")
 def reference(request: Request) -> Response:
     """Every operation of the API: what it takes, what it answers."""
-    described = request.app.openapi()
-    address = str(request.base_url).rstrip("/")
-    refusals = {code: about["description"] for code, about in api.responses.items()}
-    return page(request, "docs.html.j2", operations=list(_operations(described)), address=address, refusals=refusals)
-
-
-def _operations(described: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    schemas = described.get("components", {}).get("schemas", {})
-    for path, methods in described["paths"].items():
-        for method, operation in methods.items():
-            contents = list(operation.get("requestBody", {}).get("content", {}).values())
-            body: dict[str, Any] = contents[0]["schema"] if contents else {}
-            name = body.get("$ref", "").rsplit("/", 1)[-1]
-            fields: dict[str, Any] = dict(schemas.get(name, body).get("properties", ()))
-            yield {
-                "method": method.upper(),
-                "path": path,
-                "summary": (operation.get("description") or operation.get("summary", "")).replace("``", ""),
-                "parameters": [(p["name"], p.get("description", "")) for p in operation.get("parameters", ())],
-                "fields": [(key, value.get("description", "")) for key, value in fields.items()],
-            }
+    described, address = request.app.openapi(), str(request.base_url).rstrip("/")
+    return page(request, "docs.html.j2", described=described, address=address, refusals=_PROBLEMS)
 
 
 @pages.get("/sensors")

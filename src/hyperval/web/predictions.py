@@ -48,7 +48,7 @@ from hyperval.web.forms import (
 from hyperval.web.pages import api, form_parts, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, answer_of, run, run_of
-from hyperval.web.store import Desk, Files, WebRun
+from hyperval.web.store import Files, Runs, WebRun
 from hyperval.web.uploads import Uploads
 
 _WAIT_S = 5.0
@@ -73,7 +73,7 @@ def warm() -> None:
 @pages.get("/")
 def start(request: Request) -> Response:
     """What can be done here, and what was done last."""
-    runs = request.app.state.store.runs(owner_of(request))
+    runs = request.app.state.runs.of(owner_of(request))
     missing = {name: needs(scenario) for name, scenario in predefined().items()}
     return page(request, "start.html.j2", scenarios=predefined(), missing=missing, runs=runs[:8])
 
@@ -112,7 +112,7 @@ def _posted(request: Request, given: dict[str, list[str]]) -> Response:
         ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, begun, to_show(refusal), 422)
-    request.app.state.desk.wait(ordered, _WAIT_S)
+    request.app.state.runs.wait(ordered, _WAIT_S)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
 
@@ -123,12 +123,12 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     ------
     Refused : what is wrong with it, or there is no room.
     """
-    desk: Desk = request.app.state.desk
     own = Uploads(request)
     scenario = checked_scenario(data, own.names())
     text = yaml_text("scenario", plain(scenario))
     files: Files = {"scenario.yaml": text, **own.copies(text)}
-    return desk.order(own.owner, "prediction", scenario.name, scenario.title, files)
+    runs: Runs = request.app.state.runs
+    return runs.order(own.owner, "prediction", scenario.name, scenario.title, files)
 
 
 def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
@@ -140,7 +140,7 @@ def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
     """
     if run_of(request, run_id).kind != "prediction":
         raise Refused(404, "this run is not a prediction")
-    data: dict[str, Any] = load_yaml(request.app.state.store.place(run_id) / "scenario.yaml")[0]
+    data: dict[str, Any] = load_yaml(request.app.state.runs.place(run_id) / "scenario.yaml")[0]
     return data
 
 
@@ -268,7 +268,7 @@ def _source(request: Request, name: str) -> str:
     """A scenario as workers read it: its name, or its file."""
     if name.startswith("run:"):
         scenario_of(request, name[4:])
-        return str(request.app.state.store.place(name[4:]) / "scenario.yaml")
+        return str(request.app.state.runs.place(name[4:]) / "scenario.yaml")
     if name not in predefined():
         raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
     if missing := needs(predefined()[name]):
@@ -327,7 +327,7 @@ def desk(request: Request) -> Response:
         o for o in ordered
         if o.slider and (o.group != "Target" or len(o.paths) > 1 or any(f"[{s}]" in o.key for s in trade.subject))
     ]  # fmt: skip
-    runs = request.app.state.store.runs(owner_of(request), "prediction")
+    runs = request.app.state.runs.of(owner_of(request), "prediction")
     return page(
         request, "trade.html.j2", status=status, trade=trade, offers=offers, sliders=shown,
         errors=marked(mistakes, [mistake.field for mistake in mistakes]),
@@ -341,7 +341,7 @@ def desk(request: Request) -> Response:
 def live(request: Request) -> Response:
     """The ROC where the sliders stand, with its interval where that is asked for."""
     source, trade, _ = _asked(request, request.query_params)
-    told = request.app.state.desk.ask(
+    told = request.app.state.runs.ask(
         "trade_live", source=source, trade=trade, with_limits="limits" in request.query_params
     )
     return JSONResponse(told)
@@ -351,7 +351,7 @@ def live(request: Request) -> Response:
 def curve(request: Request) -> Response:
     """The curve or map, a line of JSON for each piece."""
     source, trade, _ = _asked(request, request.query_params)
-    ask = request.app.state.desk.ask
+    ask = request.app.state.runs.ask
 
     def pieces() -> Iterator[str]:
         number, before = 0, None
@@ -417,7 +417,7 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     text = yaml_text("scenario", plain(scenario))
     asked = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
     files = {"study.yaml": yaml_text("study", asked), "scenario.yaml": text, **own.copies(text)}
-    run: WebRun = state.desk.order(own.owner, "study", study.name, study.title, files)
+    run: WebRun = state.runs.order(own.owner, "study", study.name, study.title, files)
     return run
 
 

@@ -1,8 +1,8 @@
-"""Runs and what came of them: a folder each, whose run.json says how the run stands; and the desk, which takes orders.
+"""Runs and what came of them: a folder each, whose run.json says how the run stands.
 
 What one server takes on, and how long it keeps what came of it.
 
-The desk hands orders to the workers, and writes down what came of them.  Workers are the server's own processes, or
+Orders are handed to the workers, and what came of them is written down.  Workers are the server's own processes, or
 those of a Dask scheduler.  There the folder of the server is reached under the same path: a task reads and writes its
 run's folder, tells there how far it is, and looks there whether it is called off.
 """
@@ -125,142 +125,6 @@ class WebRun(BaseModel):
     summary: dict[str, Any] = {}
 
 
-class RunStore:
-    """Runs of one server: the folders below ``runs``, each of which says how its run stands.
-
-    A run whose file says that it waits or runs when a server starts is lost: the server that had it has ended.
-    Results that commands wrote elsewhere below the server's folder are runs too, which every session sees.
-    """
-
-    def __init__(self, settings: ServerSettings):
-        self.folder, self._settings = settings.folder, settings
-        self.notices: list[str] = []
-        self._lock = threading.RLock()
-        self._unwritten: dict[str, WebRun] = {}  # what stands in no file: that a run has begun, or met a full disk
-        self._cleared = 0.0
-        (self.folder / "runs").mkdir(parents=True, exist_ok=True)
-        self._settle()
-        self.clear()
-
-    def _settle(self) -> None:
-        known = {run.id for run in self._every()}
-        unreadable = [p for p in (self.folder / "runs").iterdir() if _ID.fullmatch(p.name) and p.name not in known]
-        lost = [run.id for run in self._every() if run.state not in ENDED]
-        for place in unreadable:
-            shutil.rmtree(place, ignore_errors=True)
-        for run_id in lost:
-            with suppress(OSError):
-                self.change(run_id, state="lost", reason="the server stopped before the run had finished")
-        if lost:
-            self.notices.append(f"{len(lost)} runs had not finished when the server stopped, and are lost.")
-        if unreadable:
-            self.notices.append(f"{len(unreadable)} folders of runs could not be read and were removed.")
-
-    def _every(self) -> list[WebRun]:
-        """The runs of all sessions."""
-        read = (self._unwritten.get(place.name) or _read(place) for place in (self.folder / "runs").iterdir())
-        return [run for run in read if run is not None]
-
-    def place(self, run_id: str) -> Path:
-        """The folder of a run."""
-        if not _ID.fullmatch(run_id):
-            raise KeyError(run_id)
-        return self.folder / "runs" / run_id
-
-    def new(
-        self, owner: str, kind: str, name: str, title: str, version: str, files: Files = MappingProxyType({})
-    ) -> WebRun:
-        """A run that waits, with its folder, which begins with ``files``.
-
-        Raises
-        ------
-        OSError : it cannot be written.
-        """
-        about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": version}
-        run = WebRun(id=secrets.token_urlsafe(12), created=time.time(), **about)
-        place = self.place(run.id)
-        try:
-            place.mkdir(mode=0o700)
-            for file, source in files.items():
-                (place / file).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copyfile(source, place / file) if isinstance(source, Path) else write_text(place / file, source)
-            self._write(run)
-        except OSError:
-            shutil.rmtree(place, ignore_errors=True)
-            raise
-        return run
-
-    def _write(self, run: WebRun) -> None:
-        write_text(self.place(run.id) / "run.json", run.model_dump_json(indent=1) + "\n")
-
-    def run(self, run_id: str, owner: str | None = None) -> WebRun:
-        """A run that a session sees; of any session where no ``owner`` is named.
-
-        Raises
-        ------
-        KeyError : there is none, or it is another session's.
-        """
-        run = self._unwritten.get(run_id) or _read(self.place(run_id))
-        if run is None or (owner is not None and run.owner not in (owner, EVERYBODY)):
-            raise KeyError(run_id)
-        return run
-
-    def runs(self, owner: str, kind: str | None = None) -> list[WebRun]:
-        """Runs that a session sees, the latest first."""
-        self._adopt()
-        seen = [r for r in self._every() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
-        return sorted(seen, key=lambda r: -r.created)
-
-    def _adopt(self) -> None:
-        """Give what commands wrote below the server's folder a run whose results are a link to it."""
-        groups = [place for place in self.folder.iterdir() if place.name not in ("runs", "uploads", "cache")]
-        for path in (path for group in groups for path in (group, *group.glob("*/")) if is_run(path)):
-            run_id = hashlib.sha256(str(path.relative_to(self.folder)).encode()).hexdigest()[:16]
-            place, written = self.place(run_id), path.stat().st_mtime
-            old = _read(place)
-            with suppress(OSError, HypervalError):  # it is being written, or no page can tell of it
-                if (old is None or old.created != written) and (record := provenance_of(path)):
-                    place.mkdir(mode=0o700, exist_ok=True)
-                    if not (place / "results").is_symlink():
-                        (place / "results").symlink_to(path.resolve(), target_is_directory=True)
-                    self._write(_told_of(run_id, path, record, written))
-
-    def change(self, run_id: str, **changes: Any) -> WebRun:
-        """Set entries of a run; in memory even where the file cannot be written.
-
-        That a run has begun stands in memory alone: after a restart it is lost as one that waited is.
-        """
-        with self._lock:
-            run = self._unwritten[run_id] = self.run(run_id).model_copy(update=changes)
-            if run.state != "running":
-                self._write(run)
-                del self._unwritten[run_id]
-        return run
-
-    def remove(self, run_id: str) -> None:
-        """Forget a run and what came of it."""
-        with self._lock:
-            self._unwritten.pop(run_id, None)
-            shutil.rmtree(self.place(run_id), ignore_errors=True)
-
-    def clear(self) -> None:
-        """Remove runs that are too old, and the oldest while all together are too large; looked at once a minute."""
-        now = time.time()
-        with self._lock:
-            if now < self._cleared + 60.0:
-                return
-            self._cleared = now
-            kept = [(path.stat().st_mtime, path) for path in (self.folder / "uploads").glob("*/*/*")]
-            own = [run for run in self._every() if run.state in ENDED and run.owner != EVERYBODY]
-            kept += [(run.created, self.place(run.id)) for run in own]
-            sizes = [size_of(path) for _, path in kept]
-            total = sum(sizes)
-            for (created, path), size in sorted(zip(kept, sizes, strict=True)):
-                if now - created > self._settings.kept_days * _DAY_S or total > self._settings.kept_bytes:
-                    total -= size
-                    shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
-
-
 def _read(place: Path) -> WebRun | None:
     """The run of a folder; None where it does not say, or what it links to has gone."""
     path = place / "run.json"
@@ -317,23 +181,132 @@ def _scripts() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
 
 
-class Desk:
-    """Runs of one server, from order to result.
+class Runs:
+    """Runs of one server, from order to result: the folders below ``runs``, each of which says how its run stands.
+
+    A run on its way is its task, one that has ended its file.  One whose file says that it waits when a server starts
+    is lost: the server that had it has ended.  Results that commands wrote elsewhere below the server's folder are runs
+    too, which every session sees.
 
     Parameters
     ----------
     pools : what carries out quick tasks, and long ones; default: as the settings say
     """
 
-    def __init__(self, settings: ServerSettings, store: RunStore, pools: tuple[TaskPool, TaskPool] | None = None):
-        self._settings, self.store = settings, store
+    def __init__(self, settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None = None):
+        self.folder, self._settings = settings.folder, settings
+        self.notices: list[str] = []
+        self._tasks: dict[tuple[str, object], WorkerTask] = {}  # by owner and run, or by run and file
+        self._changed = threading.Condition()
+        self._unwritten: dict[str, WebRun] = {}  # that ended when the disk was full
+        self._clearing, self._cleared = threading.Lock(), 0.0
+        (self.folder / "runs").mkdir(parents=True, exist_ok=True)
+        self._settle()
+        self.clear()
         of = partial(WorkerPool, most=settings.queue, memory_bytes=settings.memory_bytes, scheduler=settings.scheduler)
         self.quick, self.long = pools or (
             of(settings.quick_workers, seconds=settings.quick_seconds),
             of(settings.long_workers, seconds=settings.long_seconds),
         )
-        self._tasks: dict[tuple[str, object], WorkerTask] = {}  # by owner and run, or by run and file
-        self._changed = threading.Condition()
+
+    def _settle(self) -> None:
+        runs = {run.id: run for run in self._every()}
+        unreadable = [p for p in (self.folder / "runs").iterdir() if _ID.fullmatch(p.name) and p.name not in runs]
+        lost = [run for run in runs.values() if run.state not in ENDED]
+        for place in unreadable:
+            shutil.rmtree(place, ignore_errors=True)
+        for run in lost:
+            self._write_end(run, state="lost", reason="the server stopped before the run had finished")
+        if lost:
+            self.notices.append(f"{len(lost)} runs had not finished when the server stopped, and are lost.")
+        if unreadable:
+            self.notices.append(f"{len(unreadable)} folders of runs could not be read and were removed.")
+
+    def place(self, run_id: str) -> Path:
+        """The folder of a run."""
+        if not _ID.fullmatch(run_id):
+            raise KeyError(run_id)
+        return self.folder / "runs" / run_id
+
+    def _known(self, place: Path) -> WebRun | None:
+        """The run of a folder as it stands now; None where it does not say."""
+        run = self._unwritten.get(place.name) or _read(place)
+        if run is None or run.state in ENDED:
+            return run
+        task = self._tasks.get((run.owner, run.id))
+        return run.model_copy(update={"state": "running"}) if task is not None and task.started else run
+
+    def _every(self) -> list[WebRun]:
+        """The runs of all sessions."""
+        return [run for place in (self.folder / "runs").iterdir() if (run := self._known(place)) is not None]
+
+    def run(self, run_id: str, owner: str) -> WebRun:
+        """A run that a session sees.
+
+        Raises
+        ------
+        KeyError : there is none, or it is another session's.
+        """
+        run = self._known(self.place(run_id))
+        if run is None or run.owner not in (owner, EVERYBODY):
+            raise KeyError(run_id)
+        return run
+
+    def of(self, owner: str, kind: str | None = None) -> list[WebRun]:
+        """Runs that a session sees, the latest first."""
+        self._adopt()
+        seen = [r for r in self._every() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
+        return sorted(seen, key=lambda r: -r.created)
+
+    def _adopt(self) -> None:
+        """Give what commands wrote below the server's folder a run whose results are a link to it."""
+        groups = [place for place in self.folder.iterdir() if place.name not in ("runs", "uploads", "cache")]
+        for path in (path for group in groups for path in (group, *group.glob("*/")) if is_run(path)):
+            run_id = hashlib.sha256(str(path.relative_to(self.folder)).encode()).hexdigest()[:16]
+            place, written = self.place(run_id), path.stat().st_mtime
+            old = _read(place)
+            with suppress(OSError, HypervalError):  # it is being written, or no page can tell of it
+                if (old is None or old.created != written) and (record := provenance_of(path)):
+                    place.mkdir(mode=0o700, exist_ok=True)
+                    if not (place / "results").is_symlink():
+                        (place / "results").symlink_to(path.resolve(), target_is_directory=True)
+                    self._write(_told_of(run_id, path, record, written))
+
+    def _write(self, run: WebRun) -> None:
+        write_text(self.place(run.id) / "run.json", run.model_dump_json(indent=1) + "\n")
+
+    def _write_end(self, run: WebRun, **changes: Any) -> None:
+        """Write how a run ended; where that cannot be stored, no more can its results."""
+        run = run.model_copy(update=changes)
+        try:
+            self._write(run)
+        except FileNotFoundError:
+            pass  # removed meanwhile
+        except OSError as full:
+            lost = {"state": "failed", "reason": f"its results could not be stored: {full.strerror}", "summary": {}}
+            self._unwritten[run.id] = run.model_copy(update=lost)
+
+    def remove(self, run_id: str) -> None:
+        """Forget a run and what came of it."""
+        self._unwritten.pop(run_id, None)
+        shutil.rmtree(self.place(run_id), ignore_errors=True)
+
+    def clear(self) -> None:
+        """Remove runs that are too old, and the oldest while all together are too large; looked at once a minute."""
+        now = time.time()
+        with self._clearing:
+            if now < self._cleared + 60.0:
+                return
+            self._cleared = now
+            kept = [(path.stat().st_mtime, path) for path in (self.folder / "uploads").glob("*/*/*")]
+            own = [run for run in self._every() if run.state in ENDED and run.owner != EVERYBODY]
+            kept += [(run.created, self.place(run.id)) for run in own]
+            sizes = [size_of(path) for _, path in kept]
+            total = sum(sizes)
+            for (created, path), size in sorted(zip(kept, sizes, strict=True)):
+                if now - created > self._settings.kept_days * _DAY_S or total > self._settings.kept_bytes:
+                    total -= size
+                    shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
 
     def _hand(
         self, key: tuple[str, object], pool: TaskPool, task: WorkerTask, end: Callable[[], None] = lambda: None
@@ -369,37 +342,34 @@ class Desk:
             own = sum(of == owner for of, _ in list(self._tasks))
             if own >= self._settings.per_session:
                 raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
+            about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": hyperval.__version__}
+            run = WebRun(id=secrets.token_urlsafe(12), created=time.time(), **about)
+            place = self.place(run.id)
+            task = WorkerTask(kind, {"folder": str(place), **arguments})
             try:
-                run = self.store.new(owner, kind, name, title, hyperval.__version__, files)
-            except OSError as error:
-                raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
-            task = WorkerTask(kind, {"folder": str(self.store.place(run.id)), **arguments})
-            task.begun = partial(self._note, run.id, state="running")
-            try:
+                place.mkdir(mode=0o700)
+                for file, source in files.items():
+                    (place / file).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(source, place / file) if isinstance(source, Path) else write_text(
+                        place / file, source
+                    )
+                self._write(run)
                 pool = self.quick if kind == "prediction" else self.long
-                self._hand((owner, run.id), pool, task, partial(self._end, run.id, task))
-            except Refused:
-                self.store.remove(run.id)
-                raise
+                self._hand((owner, run.id), pool, task, partial(self._end, run, task))
+            except (OSError, Refused) as error:
+                shutil.rmtree(place, ignore_errors=True)
+                if isinstance(error, Refused):
+                    raise
+                raise Refused(503, f"nothing can be stored for now: {error.strerror}", wait=60) from error
         return run
 
-    def _note(self, run_id: str, **changes: Any) -> None:
-        """Change a run, unless it was removed meanwhile."""
-        with suppress(OSError, KeyError):
-            self.store.change(run_id, **changes)
-
-    def _end(self, run_id: str, task: WorkerTask) -> None:
+    def _end(self, run: WebRun, task: WorkerTask) -> None:
         seconds = time.monotonic() - task.started if task.started else 0.0
         error = task.future.exception()
         state = "finished" if error is None else "cancelled" if isinstance(error, Cancelled) else "failed"
         told = {"summary": task.future.result()} if error is None else {"reason": str(error)}
-        try:
-            self.store.change(run_id, state=state, seconds=seconds, **told)
-        except OSError as full:
-            self._note(run_id, state="failed", reason=f"its results could not be stored: {full.strerror}", summary={})
-        except KeyError:
-            pass  # removed meanwhile
-        self.store.clear()
+        self._write_end(run, state=state, seconds=seconds, **told)
+        self.clear()
 
     def wait(self, run: WebRun, seconds: float) -> None:
         """Wait until a run has ended, or for some time."""
@@ -433,7 +403,7 @@ class Desk:
         """
         if run.state != "finished":
             raise Refused(409, f"this run has no results: {run.reason or run.state}")
-        place, now = self.store.place(run.id), hyperval.__version__
+        place, now = self.place(run.id), hyperval.__version__
         if (place / name).exists():
             return place / name
         if task in ("files", "draw") and run.version != now:  # the scenario would give other numbers

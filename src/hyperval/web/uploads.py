@@ -124,7 +124,7 @@ class Uploads:
             raise Refused(422, mistakes)
         if field == "sensors":
             try:
-                self._state.desk.ask("sensor", path=str(path))
+                self._state.runs.ask("sensor", path=str(path))
             except Refused as refusal:
                 words = refusal.mistakes[0].message.replace(path.name, name)
                 raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
@@ -213,7 +213,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
             continue
         if files.setdefault(path.name, (field, path)) != (field, path):
             mistakes.append(FieldMistake(field, f"{path.name}: was given twice"))
-    state.store.clear()
+    state.runs.clear()
     others = any(form.get(f"{field}_{end}") for field in PARTS for end in ("kept", "named"))
     is_cube = others or not fields or bool(fields - {*_OF_SCENARIOS})
     parts = {field: [name for name, (of, _) in files.items() if of == field] for field in PARTS}
@@ -232,7 +232,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         raise Refused(422, mistakes)
     if not is_cube:
         return list(own.names())
-    run: WebRun = state.desk.order(
+    run: WebRun = state.runs.order(
         own.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
         {f"collection/{name}": path for name, (_, path) in files.items()},
         parts=parts, stated=stated.model_dump(exclude_none=True), most=state.settings.samples,
