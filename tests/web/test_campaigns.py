@@ -206,6 +206,48 @@ def test_results_of_the_command_line_below_the_folder_are_seen_by_everybody(own,
     assert client.get(api_runs).json() == []
 
 
+@pytest.mark.parametrize(("command", "kinds"), ORDERED["written"], ids=str)
+def test_results_of_scripts_are_told_by_what_they_hold_and_damaged_ones_not_at_all(own, run, command, kinds):
+    """One folder that a script had written below the server's made every list of runs an internal error."""
+    group = own.folder / f"group-{len(kinds)}-{len(str(command))}"
+    place = shutil.copytree(place_of(own, run[1]) / "results", group / "by-script")
+    record = json.loads((place / "provenance.json").read_text("utf-8"))
+    (place / "provenance.json").write_text(json.dumps(record | {"command": command}), "utf-8")
+    shutil.copytree(place, group / ".half-written")
+    told = own.session().get(f"{own.address}/api/v1/runs")
+    shutil.rmtree(group)
+    assert told.status_code == 200
+    assert [one["kind"] for one in told.json()] == kinds
+    assert all(one["name"] == "small" for one in told.json())
+
+
+def test_maps_and_figures_are_offered_whatever_their_first_letter(own, run):
+    """A target of a letter that is none of ASCII has files that begin with an underscore: they were not offered."""
+    client, told = run
+    results = place_of(own, told) / "results"
+    shutil.copy(results / "scores" / "yellow-cem.tif", results / "scores" / "_cker-cem.tif")
+    assert "scores/_cker-cem.tif" in client.get(f"{own.address}/api/v1/runs/{told['id']}").json()["files"]
+    assert client.get(f"{own.address}/runs/{told['id']}/files/scores/_cker-cem.tif").status_code == 200
+    (results / "scores" / "_cker-cem.tif").unlink()
+
+
+def test_curves_of_a_map_are_those_of_its_target_and_of_no_longer_name(own, run):
+    """The map of "large" was shown with the curves of "large-planks"."""
+    client, told = run
+    scores = place_of(own, told) / "results" / "scores"
+    maps = [shutil.copy(scores / "yellow-cem.tif", scores / f"{name}-cem.tif") for name in ("large", "large-planks")]
+    url = f"{own.address}/runs/{told['id']}/map.json"
+    for name, subjects in (("large", set()), ("large-planks", {"large-planks"})):
+        content = client.get(url, params={"name": f"{name}-cem"}).json()
+        assert {curve["subject"] for curve in content["curves"]} == subjects
+    for path in maps:
+        path.unlink()
+    own_map = (scores / "yellow-cem.tif").rename(scores / "cem.tif")  # as that of an anomaly detector
+    content = client.get(url, params={"name": "cem"}).json()
+    own_map.rename(scores / "yellow-cem.tif")
+    assert {curve["subject"] for curve in content["curves"]} == {"large-planks", "small-planks"}
+
+
 def test_pixel_is_shown_beside_the_prediction(own, run):
     client, told = run
     url = f"{own.address}/runs/{told['id']}/pixel.json"
@@ -214,6 +256,16 @@ def test_pixel_is_shown_beside_the_prediction(own, run):
     assert "field" in chart["subjects"]
     assert client.get(url, params={"line": 6, "sample": 72}).status_code == 409
     assert client.get(url, params={"line": -1, "sample": 0}).status_code == 422
+    small = SmallCampaign(own.folder.parent / "campaigns" / "small")
+    small.data["collection"]["cube"] |= {"quantity": "counts", "unit": None}
+    small.write()
+    answer = client.get(url, params={"line": 7, "sample": 7})
+    SmallCampaign(small.folder).write()
+    small.data["name"], small.data["collection"]["cube"]["path"] = "other", "collection/other.img"
+    beside = small.write("campaign-other.yaml")  # another campaign of the folder, whose image was taken
+    assert client.get(url, params={"line": 8, "sample": 8}).status_code == 200
+    beside.unlink()
+    assert (answer.status_code, answer.json()["errors"][0]["message"]) == (409, "this run predicted no counts")
 
 
 @pytest.mark.slow
@@ -244,6 +296,18 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
         run = client.post(url, files={k: (None, v) for k, v in ORDERED["brought"].items()}).json()["run"]
         told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
     assert told["state"] == "finished", told
+    campaign = f"run:{run['id']}"
+    with monkeypatch.context() as patch:
+        undrawn(patch)
+        compared = client.post(f"{own.address}/api/v1/validations", json={"campaign": campaign}).json()
+        compared = client.get(f"{own.address}/api/v1/runs/{compared['id']}", params={"wait": 60}).json()
+    assert compared["state"] == "finished", compared
+    pixel = client.get(f"{own.address}/runs/{compared['id']}/pixel.json", params={"line": 6, "sample": 6})
+    assert pixel.status_code == 200, pixel.text  # it was said that there is no such campaign any more
+    section = client.get(f"{own.address}/validate").text.partition(f'value="{campaign}"')[2].partition("</section>")[0]
+    assert compared["summary"]["status"] in section
+    file = client.get(f"{own.address}/runs/{compared['id']}/files/results.csv")
+    assert f'filename="{run["id"]}-results.csv"' in file.headers["content-disposition"]
     text = client.get(f"{own.address}/api/v1/runs/{run['id']}/files/campaign.yaml").content
     (tmp_path / "campaign.yaml").write_bytes(text)
     shutil.copytree(own.app.state.settings.data / "collection", tmp_path / "collection")

@@ -62,7 +62,8 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
     for word in given:
         path = Path(word)
         of_place = re.match(r"(--output|--data-dir|--junit)(=|$)|-o", word)
-        if not skip and not of_place and word not in {"--again", "-q", "--quiet"}:  # what gives the same results
+        # Left out is what gives the same results.
+        if not skip and not of_place and word not in {"--again", "-q", "--quiet", "--debug"}:
             out.append("/".join(path.parts[-2:]) if path.is_absolute() else word)
         skip = not skip and of_place is not None and word in {"-o", "--output", "--data-dir", "--junit"}
     return out

@@ -742,7 +742,7 @@ def serve(
         upload_bytes=upload_mb * MEGABYTE, long_seconds=seconds, memory_bytes=memory_mb * MEGABYTE, queue=queue,
         quick_workers=workers, long_workers=long_workers, kept_bytes=kept_mb * MEGABYTE, kept_days=kept_days,
     ))  # fmt: skip
-    for words in application.state.store.notices:
+    for words in application.state.runs.notices:
         note(words)
     note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")
     uvicorn.run(

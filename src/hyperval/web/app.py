@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import anyio.to_thread
-from fastapi import Depends, FastAPI, Request
+from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
@@ -49,7 +49,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
         version=hyperval.__version__,
         description="Predictions, studies and campaigns of hyperspectral imagers.",
         docs_url=None, redoc_url=None, openapi_url="/api/v1/openapi.json",
-        lifespan=life, dependencies=[Depends(closing_files)],
+        lifespan=life,
     )  # fmt: skip
     app.state.settings = settings
     app.state.runs = Runs(settings, pools)
@@ -68,14 +68,6 @@ def _warm(settings: ServerSettings) -> None:
     list(runs.campaigns_of(settings))
     gc.collect()
     gc.freeze()  # what is loaded stays: to go through it again takes up to half a second, while somebody waits
-
-
-async def closing_files(request: Request) -> AsyncIterator[None]:
-    """Close the files of a form when it has been answered."""
-    try:
-        yield
-    finally:
-        await request.close()
 
 
 _WORDS = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}

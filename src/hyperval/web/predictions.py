@@ -22,7 +22,6 @@ from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
-from hyperval.config import load_yaml
 from hyperval.errors import UsageError
 from hyperval.model import column_of, in_file
 from hyperval.model import plain as own_value
@@ -98,8 +97,8 @@ def predict_form(
 @pages.post("/predict")
 async def predict_post(request: Request) -> Response:
     """Add or remove a row of the form, or run it."""
-    form = await request.form(max_fields=4000)
-    given = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
+    async with request.form(max_fields=4000) as form:
+        given = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
     return await run_in_threadpool(_posted, request, given)
 
 
@@ -131,25 +130,27 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     return runs.order(own.owner, "prediction", scenario.name, scenario.title, files)
 
 
-def scenario_of(request: Request, run_id: str) -> dict[str, Any]:
-    """The plain data of a prediction of this session.
+def _file(request: Request, name: str) -> str:
+    """A scenario as workers read it: its name, or its file; ``run:ID`` is that of a prediction of this session.
 
     Raises
     ------
     Refused : there is none.
     """
-    if run_of(request, run_id).kind != "prediction":
-        raise Refused(404, "this run is not a prediction")
-    data: dict[str, Any] = load_yaml(request.app.state.runs.place(run_id) / "scenario.yaml")[0]
-    return data
+    if name.startswith("run:"):
+        if run_of(request, name[4:]).kind != "prediction":
+            raise Refused(404, "this run is not a prediction")
+        return str(request.app.state.runs.place(name[4:]) / "scenario.yaml")
+    if name not in predefined():
+        raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
+    return name if name in builtin_scenarios() else str(resources.files("hyperval.web") / "scenarios" / f"{name}.yaml")
 
 
 def _first(request: Request, begun: str) -> dict[str, Any] | None:
-    """What a form began with: a predefined scenario, or ``run:ID``; None where there is none (any more)."""
-    if begun.startswith("run:"):
-        with suppress(Refused):
-            return scenario_of(request, begun[4:])
-    return plain(predefined()[begun]) if begun in predefined() else None
+    """What a form began with; None where it is there no more."""
+    with suppress(Refused):
+        return plain(load_scenario(_file(request, begun)))
+    return None
 
 
 def _form(
@@ -265,16 +266,11 @@ _NOTE = "# The emulator of 6S stands in for the engine; without its line each st
 
 
 def _source(request: Request, name: str) -> str:
-    """A scenario as workers read it: its name, or its file."""
-    if name.startswith("run:"):
-        scenario_of(request, name[4:])
-        return str(request.app.state.runs.place(name[4:]) / "scenario.yaml")
-    if name not in predefined():
-        raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
-    if missing := needs(predefined()[name]):
+    """A scenario as workers read it, all of whose data are here."""
+    if missing := needs(predefined().get(name)):
         words = "; ".join(f"this server lacks the data set {name}: {how}" for name, how in missing.items())
         raise Refused(422, [FieldMistake("scenario", words)])
-    return name if name in builtin_scenarios() else str(resources.files("hyperval.web") / "scenarios" / f"{name}.yaml")
+    return _file(request, name)
 
 
 def _number(text: str) -> float | str:
@@ -392,8 +388,8 @@ def take_away(request: Request, name: str) -> Response:
 @pages.post("/trade")
 async def keep(request: Request) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
-    form = await request.form(max_fields=1000)
-    study = (await run_in_threadpool(_study, request, form, exact=True))[1]
+    async with request.form(max_fields=1000) as form:
+        study = (await run_in_threadpool(_study, request, form, exact=True))[1]
     study["scenario"] = form.get("scenario") or _FIRST
     run = await run_in_threadpool(order_study, request, study)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)

@@ -12,9 +12,9 @@ from functools import lru_cache
 from mimetypes import guess_type
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import Query, Request
+from fastapi import Form, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
@@ -26,7 +26,7 @@ from hyperval.web.pages import api, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused
 from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, Runs, ServerSettings, WebRun, view_name
 
-_NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9][A-Za-z0-9_.@+-]{0,120}")
+_NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9_-][A-Za-z0-9_.@+-]{0,120}")
 _SOURCES = {"prediction": "scenario.yaml", "study": "study.yaml", "pipeline": "campaign.yaml"}
 
 
@@ -155,7 +155,8 @@ def file(request: Request, run_id: str, name: str) -> Response:
     if not path.is_file() or not any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results")):
         raise Refused(404, "this run has no such file")
     shown = {".html", ".svg", ".png"} & {path.suffix}
-    headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{run.name}-{path.name}"'}
+    own = run.name.removeprefix("run:")
+    headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{own}-{path.name}"'}
     if path.suffix == ".html":  # the page of a report has scripts of its own, and these alone
         headers["content-security-policy"] = (
             f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {page_hashes()}; "
@@ -261,9 +262,8 @@ def campaigns_page(request: Request) -> Response:
 
 
 @pages.post("/validate")
-async def campaign_run(request: Request) -> Response:
+def campaign_run(request: Request, order: Annotated[ValidationOrder, Form()]) -> Response:
     """Run a campaign."""
-    order = ValidationOrder(campaign=str((await request.form()).get("campaign"))[:100])
     return RedirectResponse(f"/runs/{validations(request, order).id}", status_code=303)
 
 
@@ -273,9 +273,9 @@ def validations(request: Request, order: ValidationOrder) -> RunAnswer:
     known = known_campaigns(request).get(order.campaign)
     if known is None:
         raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
-    own = known.name if not known.name.startswith("run:") else "campaign"
-    owner, arguments = owner_of(request), {"path": str(known.path)}
-    return answer_of(request, request.app.state.runs.order(owner, "validation", own, known.title, **arguments))
+    store: Runs = request.app.state.runs
+    run = store.order(owner_of(request), "validation", known.name, known.title, path=str(known.path))
+    return answer_of(request, run)
 
 
 def maps_of(place: Path) -> list[str]:
@@ -311,9 +311,9 @@ def pixel_data(
     run = run_of(request, run_id)
     if run.kind != "validation":
         raise Refused(409, "spectra of pixels stand beside predictions, which a validation has")
-    known = next((k for k in known_campaigns(request).values() if run.name in (k.name, k.path.parent.name)), None)
+    known = known_campaigns(request).get(run.name)
     if known is None:
-        raise Refused(409, "the campaign of this run is no longer there")
+        raise Refused(409, "this server has no campaign of the name of this run")
     arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
     if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
         request.app.state.runs.view(run, COLLECTION, COLLECTION, path=str(known.path))

@@ -36,7 +36,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 import hyperval
-from hyperval.errors import HypervalError, internal_error
+from hyperval.errors import HypervalError, internal_error, reader
 from hyperval.executors import NOTHING, Cancelled, Process, TaskFailed, TaskPool, Worker, Workers, WorkerTask, workers
 from hyperval.progress import set_listener
 from hyperval.report import first_screen
@@ -94,6 +94,7 @@ _ID = re.compile(r"[A-Za-z0-9_-]{16}")
 _DAY_S = 86400.0
 EVERYBODY = ""  # the owner of what commands wrote
 MOST_LISTED = 40
+_COMMANDS = ("hyperval", "__main__.py")  # by which this program is started
 _STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit")
 COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
 Files = Mapping[str, str | Path]  # name in the folder of a run -> its text, or the path of what is copied
@@ -144,15 +145,18 @@ def _parsed(path: Path, *_: int) -> WebRun:
     return run
 
 
-def _told_of(run_id: str, results: Path, record: Mapping[str, Any], written: float) -> WebRun:
-    """The run of what a command wrote: of a validation the campaign's, of another the name of its folder."""
-    verb = str((record.get("command") or ["", ""])[1])
-    about = dict(record.get("configuration") or {}).get("campaign" if verb == "validate" else "scenario") or {}
-    kind = {"validate": "validation"}.get(verb, verb)
+@reader
+def _told_of(results: Path, record: Mapping[str, Any], **more: Any) -> WebRun:
+    """The run of what a command or script wrote, with the name of its campaign or scenario, else of its folder."""
+    configuration = dict(record.get("configuration") or {})
+    about = configuration.get("campaign") or configuration.get("scenario") or {}
+    program, *words = record.get("command") or ("",)
+    verb = next((word for word in words if not word.startswith("-")), "") if program in _COMMANDS else ""
+    kind = {"validate": "validation", "": "validation" if "campaign" in configuration else "results"}.get(verb, verb)
     name = str(about.get("name") or results.name)
     return WebRun(
-        id=run_id, owner=EVERYBODY, kind=kind, name=name, title=str(about.get("title") or name), created=written,
-        state="finished", version=str(record.get("hyperval", "")), summary=summary_of(kind, results),
+        owner=EVERYBODY, kind=kind, name=name, title=str(about.get("title") or name), state="finished",
+        version=str(record.get("hyperval", "")), summary=summary_of(kind, results), **more,
     )  # fmt: skip
 
 
@@ -261,16 +265,19 @@ class Runs:
     def _adopt(self) -> None:
         """Give what commands wrote below the server's folder a run whose results are a link to it."""
         groups = [place for place in self.folder.iterdir() if place.name not in ("runs", "uploads", "cache")]
-        for path in (path for group in groups for path in (group, *group.glob("*/")) if is_run(path)):
+        folders = (path for group in groups for path in (group, *group.glob("*/")) if not path.name.startswith("."))
+        for path in filter(is_run, folders):
             run_id = hashlib.sha256(str(path.relative_to(self.folder)).encode()).hexdigest()[:16]
-            place, written = self.place(run_id), path.stat().st_mtime
+            place = self.place(run_id)
             old = _read(place)
             with suppress(OSError, HypervalError):  # it is being written, or no page can tell of it
+                written = path.stat().st_mtime
                 if (old is None or old.created != written) and (record := provenance_of(path)):
+                    run = _told_of(path, record, id=run_id, created=written)
                     place.mkdir(mode=0o700, exist_ok=True)
                     if not (place / "results").is_symlink():
                         (place / "results").symlink_to(path.resolve(), target_is_directory=True)
-                    self._write(_told_of(run_id, path, record, written))
+                    self._write(run)
 
     def _write(self, run: WebRun) -> None:
         write_text(self.place(run.id) / "run.json", run.model_dump_json(indent=1) + "\n")

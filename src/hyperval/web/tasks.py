@@ -200,14 +200,16 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     """Measured curves whose scores the map shows: threshold, P_FA, P_D, and the scores at their upper ends."""
     _, observed = read_pair(Path(folder) / "results")
     curves = [] if observed is None else list(observed.roc.items())
-    detectors = {detector for _, detector, _ in dict(curves) if name.endswith(f"-{detector}")}
+    # A map is named TARGET-DETECTOR, that of anomalies by its detector alone.
+    detectors = {detector for _, detector, _ in dict(curves) if f"-{name}".endswith(f"-{detector}")}
     own_detector = max(detectors, key=len, default="")
-    target = name.removesuffix(f"-{own_detector}").removesuffix("_image")
-    # Of one map all curves of its detector; of several, those whose subject bears the name of what was looked for.
-    is_only = len(list((Path(folder) / "results" / "scores").glob(f"*-{own_detector}.tif"))) == 1
+    stems = (path.stem for path in (Path(folder) / "results" / "scores").glob("*.tif"))
+    maps = {stem: stem.removesuffix(f"-{own_detector}") for stem in stems if f"-{stem}".endswith(f"-{own_detector}")}
     out = []
     for (subject, detector, unit), c in curves:
-        own = detector == own_detector and (is_only or file_stems([subject])[subject].startswith(target))
+        # Of one map all curves of its detector; of several, those whose subject begins as no longer name does.
+        looked_for = [stem for stem, target in maps.items() if file_stems([subject])[subject].startswith(target)]
+        own = detector == own_detector and (len(maps) == 1 or max(looked_for, key=len, default="") == name)
         known = np.isfinite(c.threshold) & np.isfinite(c.pd)
         if observed is not None and own and known.any():
             parts = {part: getattr(c, part)[known].tolist() for part in ("threshold", "pfa", "pd")}
@@ -258,12 +260,12 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     if not (0 <= line < cube.lines and 0 <= sample < cube.samples):
         raise UsageError(f"no such pixel: ({line}, {sample})", expected=f"({cube.lines}, {cube.samples}) pixels")
     values = cube.read(line, 1).values[0, sample]
-    predicted, _ = read_pair(Path(folder) / "results")
-    if predicted is None:
-        raise UsageError("this run predicted nothing")
-    quantity = source.quantity
+    predicted, quantity = read_pair(Path(folder) / "results")[0], source.quantity
+    spectra = getattr(predicted, quantity, None)
+    if not spectra:
+        raise UsageError(f"this run predicted no {quantity}")
     own = SpectralEstimate(values, np.zeros((values.size, values.size)))
-    sides: dict[str, Any] = {quantity: dict.fromkeys(getattr(predicted, quantity), own)}
+    sides: dict[str, Any] = {quantity: dict.fromkeys(spectra, own)}
     observed = ObservedProducts(cube.axis, **sides)
     figure = spectra_figure((predicted, observed), quantity, names=("predicted", f"pixel ({line}, {sample})"))
     _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [fetched(figure)] if figure else [])

@@ -10,7 +10,7 @@ import re
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -161,17 +161,17 @@ def bring(request: Request) -> Response:
 @pages.post("/uploads")
 async def uploads_page(request: Request) -> Response:
     """Take files: a cube runs through the empirical pipeline, spectra and sensor files are kept."""
-    form = await form_of(request)
-    try:
-        taken = await run_in_threadpool(take_files, request, form)
-    except Refused as refusal:
-        given = {name: value for name, value in form.items() if isinstance(value, str)}
-        return _page(request, given, to_show(refusal), 422)
+    async with form_of(request) as form:
+        try:
+            taken = await run_in_threadpool(take_files, request, form)
+        except Refused as refusal:
+            given = {name: value for name, value in form.items() if isinstance(value, str)}
+            return _page(request, given, to_show(refusal), 422)
     return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
 
 
-async def form_of(request: Request) -> FormData:
-    """The fields and files of a request.
+def form_of(request: Request) -> AbstractAsyncContextManager[FormData]:
+    """The fields and files of a request, for a block.
 
     Raises
     ------
@@ -179,7 +179,7 @@ async def form_of(request: Request) -> FormData:
     """
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
         raise Refused(422, [FieldMistake("body", "files come as multipart/form-data")])
-    return await request.form(max_files=MOST_FILES, max_fields=200)
+    return request.form(max_files=MOST_FILES, max_fields=200)
 
 
 def _page(
@@ -268,7 +268,8 @@ async def uploads(request: Request) -> UploadAnswer:
 
     Field spectra and sensor files without a cube are kept for the scenarios of this session.
     """
-    taken = await run_in_threadpool(take_files, request, await form_of(request))
+    async with form_of(request) as form:
+        taken = await run_in_threadpool(take_files, request, form)
     if isinstance(taken, WebRun):
         return UploadAnswer(run=answer_of(request, taken))
     return UploadAnswer(kept=taken)
