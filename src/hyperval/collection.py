@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, field_validator
 
-from hyperval.config import Model, OneOf, RadianceUnit, WavelengthUnit
+from hyperval.config import Model, OneOf, RadianceUnit, WavelengthUnit, twice, unknown
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
 from hyperval.scenario import SpectrumSource
 
@@ -117,14 +116,14 @@ class Ring(OneOf):
     inner_pixels: float = Field(0.0, ge=0, le=10_000, description="the same [pixels]")
     outer_pixels: float | None = Field(None, gt=0, le=10_000, description="the same [pixels]")
 
-    @model_validator(mode="after")
-    def _one_unit(self) -> Ring:
-        if self.inner_pixels if self.outer_pixels is None else self.inner_m:
-            raise ValueError("inner and outer distance are in one unit: metres, or pixels")
-        inner, outer = self.inner_pixels or self.inner_m, self.outer_pixels or self.outer_m
-        if outer is not None and inner >= outer:
-            raise ValueError(f"the outer distance must exceed the inner one, {inner:g}")
-        return self
+    refused: ClassVar = {
+        "inner and outer distance are in one unit: metres, or pixels": lambda r: (
+            r.inner_pixels if r.outer_pixels is None else r.inner_m
+        ),
+        "the outer distance must exceed the inner one, {:g}": lambda r: (
+            (inner := r.inner_pixels or r.inner_m) >= (r.outer_pixels or r.outer_m) and [inner]
+        ),
+    }
 
 
 class VectorSource(Model):
@@ -271,11 +270,6 @@ class TargetTruth(OneOf):
     }
 
 
-def _twice(names: Sequence[str]) -> list[str]:
-    """The names that stand more than once, in order."""
-    return sorted({n for n in names if names.count(n) > 1})
-
-
 class PanelReference(Model):
     """A calibration panel of the image with its reflectance measured on the ground."""
 
@@ -325,18 +319,15 @@ class EmpiricalLineSource(Model):
         "greatest integer of the stored type always counts as full",
     )
 
-    @model_validator(mode="after")
-    def _enough(self) -> EmpiricalLineSource:
-        if self.intercept and len(self.panels) + bool(self.darkest_pixel or self.path_radiance) < 2:
-            raise ValueError(
-                "an empirical line needs two panels, or one and darkest_pixel or path_radiance, or intercept: false"
-            )
-        if not self.intercept and (self.darkest_pixel or self.path_radiance):
-            raise ValueError("darkest_pixel and path_radiance give the path part, which intercept: false says is none")
-        lines = [entry.line for entry in self.path_radiance]
-        if len(set(lines)) < len(lines):
-            raise ValueError("path_radiance: a flight line occurs twice")
-        return self
+    refused: ClassVar = {
+        "an empirical line needs two panels, or one and darkest_pixel or path_radiance, or intercept: false": (
+            lambda e: e.intercept and len(e.panels) + bool(e.darkest_pixel or e.path_radiance) < 2
+        ),
+        "darkest_pixel and path_radiance give the path part, which intercept: false says is none": lambda e: (
+            not e.intercept and (e.darkest_pixel or e.path_radiance)
+        ),
+        "path_radiance: a flight line occurs twice": lambda e: twice(str(entry.line) for entry in e.path_radiance),
+    }
 
 
 class CalibrationUncertainty(OneOf):
@@ -384,25 +375,25 @@ class CollectionSection(OneOf):
     )
     snr_regions: list[str] = Field(default_factory=list, description="regions whose SNR the image gives")
 
-    @model_validator(mode="after")
-    def _one_source(self) -> CollectionSection:
-        if self.detector is not None and not (self.spectra and all(site.pixels for site in self.spectra)):
-            raise ValueError("detector is for spectra, each of which states its pixels: a cube shows its own noise")
-        line = self.empirical_line
-        if line is not None and self.cube is None and not self.spectra:
-            raise ValueError("empirical_line is for a cube or spectra")
-        if line is not None and line.path_radiance and self.cube is not None:
-            raise ValueError("empirical_line.path_radiance is for spectra; a cube shows its darkest_pixel")
-        if line is not None and self.spectra and (line.darkest_pixel or line.saturation is not None):
-            raise ValueError("empirical_line: spectra show no darkest_pixel and no saturation")
-        if self.simulate and self.cube is None:
-            raise ValueError("a simulated collection is a cube: give cube.path as simulated:NAME_rad.img")
-        cube = self.cube
-        if cube and cube.quantity == "radiance" and not (cube.unit or self.simulate or cube.may_state_unit):
-            raise ValueError("the unit of the radiance is not stated: cube.unit, such as uW cm-2 sr-1 nm-1")
-        if self.spectra and self.bands is None:
-            raise ValueError("spectra need 'bands': a table of band centres and widths")
-        return self
+    refused: ClassVar = {
+        "detector is for spectra, each of which states its pixels: a cube shows its own noise": lambda c: (
+            c.detector is not None and not (c.spectra and all(site.pixels for site in c.spectra))
+        ),
+        "empirical_line is for a cube or spectra": lambda c: c.empirical_line and not (c.cube or c.spectra),
+        "empirical_line.path_radiance is for spectra; a cube shows its darkest_pixel": lambda c: (
+            c.empirical_line and c.empirical_line.path_radiance and c.cube
+        ),
+        "empirical_line: spectra show no darkest_pixel and no saturation": lambda c: (
+            c.spectra and (line := c.empirical_line) and (line.darkest_pixel or line.saturation is not None)
+        ),
+        "a simulated collection is a cube: give cube.path as simulated:NAME_rad.img": lambda c: (
+            c.simulate and not c.cube
+        ),
+        "the unit of the radiance is not stated: cube.unit, such as uW cm-2 sr-1 nm-1": lambda c: (
+            c.cube and c.cube.quantity == "radiance" and not (c.cube.unit or c.simulate or c.cube.may_state_unit)
+        ),
+        "spectra need 'bands': a table of band centres and widths": lambda c: c.spectra and c.bands is None,
+    }
 
 
 class DetectionTarget(Model):
@@ -454,12 +445,7 @@ class Classification(Model):
     pixels: int = Field(20_000, ge=100, le=200_000, description="at most so many pixels of a class train, or test")
     seed: int = Field(0, ge=0)
 
-    @model_validator(mode="after")
-    def _names_differ(self) -> Classification:
-        for names in (self.classes, [f.name for f in self.features]):
-            if twice := _twice(names):
-                raise ValueError(f"{twice[0]!r} occurs twice")
-        return self
+    refused: ClassVar = {"{!r} occurs twice": lambda c: twice(c.classes) or twice(f.name for f in c.features)}
 
 
 class UnmixedTarget(Model):
@@ -548,29 +534,25 @@ class Detection(Model):
     areas: list[AreaCheck] = Field(default_factory=list)
     unmixing: Unmixing | None = None
 
+    refused: ClassVar = {
+        f"without targets the detectors can only be {', '.join(ANOMALY_DETECTORS)}": lambda d: (
+            not d.targets and not set(d.detectors) <= set(ANOMALY_DETECTORS)
+        ),
+        "pools, areas, unmixing and halo_pixels need targets": lambda d: (
+            not d.targets and (d.pools or d.areas or d.unmixing or d.halo_pixels)
+        ),
+        "local_window: the detector {!r} has no mean that could be local": lambda d: (
+            d.local_window and unknown(d.detectors, LOCAL_DETECTORS)
+        ),
+        "the detector 'osp' and 'undesired', the regions that it projects away, go together": lambda d: (
+            ("osp" in d.detectors) != bool(d.undesired)
+        ),
+        "two detection targets are named {!r}": lambda d: twice(t.name for t in d.targets),
+    }
+
     @field_validator("detectors")
     @classmethod
     def _known(cls, names: list[str]) -> list[str]:
-        for name in names:
-            if name not in detector_names():
-                raise ValueError(f"unknown detector {name!r}; one of {', '.join(detector_names())}")
+        if wrong := unknown(names, detector_names()):
+            raise ValueError("unknown detector {!r}; one of {}".format(*wrong))
         return names
-
-    @model_validator(mode="after")
-    def _anomalies_alone(self) -> Detection:
-        if not self.targets and not set(self.detectors) <= set(ANOMALY_DETECTORS):
-            raise ValueError(f"without targets the detectors can only be {', '.join(ANOMALY_DETECTORS)}")
-        if not self.targets and (self.pools or self.areas or self.unmixing or self.halo_pixels):
-            raise ValueError("pools, areas, unmixing and halo_pixels need targets")
-        return self
-
-    @model_validator(mode="after")
-    def _detectors_fit(self) -> Detection:
-        without = [name for name in self.detectors if name not in LOCAL_DETECTORS]
-        if self.local_window is not None and without:
-            raise ValueError(f"local_window: the detector {without[0]!r} has no mean that could be local")
-        if ("osp" in self.detectors) != bool(self.undesired):
-            raise ValueError("the detector 'osp' and 'undesired', the regions that it projects away, go together")
-        if twice := _twice([t.name for t in self.targets]):
-            raise ValueError(f"two detection targets are named {twice[0]!r}")
-        return self

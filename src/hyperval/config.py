@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -68,7 +69,19 @@ def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
             field["description"] = _BRACKETS.sub("", words).strip()
 
 
-Refused = Mapping[str, Callable[[Any], object]]  # words -> whether the entries of a model contradict each other so
+# Words -> whether the entries of a model contradict each other so; a list holds what stands in the words where they do.
+Refused = Mapping[str, Callable[[Any], object]]
+
+
+def twice(names: Iterable[Any]) -> list[Any]:
+    """What stands more than once, in order."""
+    return sorted(name for name, count in Counter(names).items() if count > 1)
+
+
+def unknown(names: Iterable[str], known: Iterable[str]) -> list[Any]:
+    """The first name that is not known and, in words, those that are; nothing where all are known."""
+    listed = list(known)
+    return next(([name, ", ".join(listed)] for name in names if name not in listed), [])
 
 
 class Model(BaseModel):
@@ -79,8 +92,10 @@ class Model(BaseModel):
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
-        for words in (words for words, contradicts in self.refused.items() if contradicts(self)):
-            raise ValueError(words)
+        for words, contradicts in self.refused.items():
+            if found := contradicts(self):
+                names = found if isinstance(found, list) else []
+                raise ValueError(words.format(*names, names=", ".join(map(str, names))) if names else words)
         return self
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.config import FileModel, Model, OneOf, file_of, load_model, load_yaml, shipped
+from hyperval.config import FileModel, Model, OneOf, file_of, load_model, load_yaml, shipped, twice, unknown
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
 from hyperval.errors import UsageError, as_typed, reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
@@ -239,8 +239,8 @@ class Uncertainty(OneOf):
     )
 
     refused: ClassVar = {  # field_spectra: entries of a subject add up
-        "fills: a subject occurs twice": lambda u: len({i.subject for i in u.fills}) < len(u.fills),
-        "fractions: a subject occurs twice": lambda u: len({i.subject for i in u.fractions}) < len(u.fractions),
+        "fills: a subject occurs twice": lambda u: twice(i.subject for i in u.fills),
+        "fractions: a subject occurs twice": lambda u: twice(i.subject for i in u.fractions),
     }
 
 
@@ -400,20 +400,17 @@ class Scene(Model):
         description="measured: in a campaign the pixels of the classes' regions take the place of their fractions",
     )
 
-    @model_validator(mode="after")
-    def _check(self) -> Scene:
-        total = sum(c.fraction for c in self.classes)
-        if abs(total - 1.0) > 1e-6:
-            raise ValueError(f"the fractions of the classes sum to {total:g}, not 1")
-        names = [s.name for s in (*self.classes, *self.panels, *self.sites)]
-        names += [p.name for t in self.targets for p in t.populations]
-        if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise ValueError(f"names of subjects occur twice: {', '.join(twice)}")
-        classes = {c.name for c in self.classes}
-        for target in self.targets:
-            if target.host not in classes:
-                raise ValueError(f"target {target.name!r}: host {target.host!r} is not one of {sorted(classes)}")
-        return self
+    refused: ClassVar = {
+        "the fractions of the classes sum to {:g}, not 1": lambda s: (
+            abs((total := sum(c.fraction for c in s.classes)) - 1.0) > 1e-6 and [total]
+        ),
+        "names of subjects occur twice: {names}": lambda s: twice(
+            x.name for x in (*s.classes, *s.panels, *s.sites, *(p for t in s.targets for p in t.populations))
+        ),
+        "target {!r}: host {!r} is not one of {}": lambda s: next(
+            ([t.name, *wrong] for t in s.targets if (wrong := unknown([t.host], (c.name for c in s.classes)))), []
+        ),
+    }
 
 
 class ElmPanels(Model):
@@ -471,12 +468,7 @@ class Processing(Model):
     )
     false_alarm_grid: FalseAlarmGrid = FalseAlarmGrid()
 
-    @model_validator(mode="after")
-    def _check(self) -> Processing:
-        for name in self.detectors:
-            if name not in MODEL_DETECTORS:
-                raise ValueError(f"unknown detector {name!r}; one of {', '.join(MODEL_DETECTORS)}")
-        return self
+    refused: ClassVar = {"unknown detector {!r}; one of {}": lambda p: unknown(p.detectors, MODEL_DETECTORS)}
 
     @property
     def linear_detectors(self) -> list[str]:
@@ -506,15 +498,10 @@ class Scenario(FileModel):
         ),
         "sensor_operation needs a sensor": lambda s: s.sensor_operation and not s.sensor,
         "sensor_changes needs a sensor": lambda s: s.sensor_changes and not s.sensor,
+        "filter_classes: {!r} is not one of {}": lambda s: unknown(
+            s.processing.filter_classes, (c.name for c in s.scene.classes)
+        ),
     }
-
-    @model_validator(mode="after")
-    def _check(self) -> Scenario:
-        classes = {c.name for c in self.scene.classes}
-        for name in self.processing.filter_classes:
-            if name not in classes:
-                raise ValueError(f"filter_classes: {name!r} is not one of {sorted(classes)}")
-        return self
 
     @field_validator("uncertainty")
     @classmethod
@@ -536,9 +523,8 @@ class Scenario(FileModel):
              "fills: no target or subject"),
             (value.fractions, {c.name for c in scene.classes}, "fractions: no class"),
         ):  # fmt: skip
-            for item in items:
-                if item.subject not in known:
-                    raise ValueError(f"{what} {item.subject!r}; there are {', '.join(sorted(known))}")
+            if wrong := unknown((item.subject for item in items), sorted(known)):
+                raise ValueError("{} {!r}; there are {}".format(what, *wrong))
         return value
 
     def with_values(self, values: Mapping[str, Any]) -> Scenario:

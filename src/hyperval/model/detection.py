@@ -199,7 +199,7 @@ class Evaluation(Keeps):
     pfa : (K,) false-alarm probabilities of the curves
     at, which : the V truths with other light, sensor and classes, and which (U,) of these each truth has
     usable : (V or 1, B) bands of the truths with other light that the detectors could use
-    curves : P_D (U, K) of all truths at the false-alarm probabilities of the curves, once they were asked for
+    probits : of P_D, (U, K) of all truths at the false-alarm probabilities of the curves, once they were asked for
     problems : truth -> why it has no filter; none where no filter was asked for
     """
 
@@ -213,7 +213,7 @@ class Evaluation(Keeps):
         self.light = light_of(self.at)
         self.usable = usable_bands(self.at, self.light)
         self.kept: dict[Any, Any] = {}
-        self.curves: dict[RocKey, Array] = {}
+        self.probits: dict[RocKey, Array] = {}
         self.problems: dict[int, UsageError] = {}
 
     def __len__(self) -> int:
@@ -306,8 +306,8 @@ class Evaluation(Keeps):
 
     def _ace_scores(self, target: int, detector: str, fills: FillDistribution) -> AceScores:
         each = self.once(("ace", target), lambda: [_ace_pixels(self, u, target) for u in range(len(self))])
-        values, weights = fills.at_places
-        scored = [one.any_of(of_truth(values, u), of_truth(weights, u)) for u, one in enumerate(each)]
+        values = fills.values.reshape(len(fills.values), *(fills.shape or (-1, 1)))
+        scored = [one.any_of(of_truth(values, u), of_truth(fills.weights, u)) for u, one in enumerate(each)]
         return AceScores(self.pfa, each, scored)
 
     def _scores(self, target: int, detector: str, fills: FillDistribution) -> RocScores:
@@ -316,10 +316,9 @@ class Evaluation(Keeps):
         means, sds = response.at(fills.values, gain, rows, self.shift)
         bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
         host = self.host(target, detector, np.arange(len(self)), 1.0 - fills.values, *bare)
-        _, weights = fills.at_places
         if fills.shape is not None:
             means, sds = (x.reshape(-1, *fills.shape) for x in (means, sds))
-        return RocScores(*self.classes(target, detector), means, sds, wide(weights, len(self)), host)
+        return RocScores(*self.classes(target, detector), means, sds, wide(fills.weights, len(self)), host)
 
     def host(
         self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
@@ -592,7 +591,7 @@ def detect(
     e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,),
     spectra: Sequence[PredictedProducts] = (),
 ) -> list[PredictedProducts]:  # fmt: skip
-    """Scores and ROC curves of all target populations (3.22-3.33) of some truths; those of all into ``e.curves``.
+    """Scores and ROC curves of all target populations (3.22-3.33) of some truths; the P_D of all into ``e.probits``.
 
     ``spectra`` : predictions of these truths that they are put into; none: they stand alone
 
@@ -616,7 +615,7 @@ def detect(
                     whole = e.scores(population, name, True)
                     pd["object"] = pd["pixel"] if whole is own else whole.detection_above(thresholds)
                 for unit, curves in pd.items():
-                    key, e.curves[population, name, unit] = (population, name, unit), curves
+                    key, e.probits[population, name, unit] = (population, name, unit), probit(curves)
                     for products, u, (_, preset) in zip(out, points, behind, strict=True):
                         products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
                 for products, scored, (of_background, _) in zip(out, own.target(at), behind, strict=True):

@@ -36,8 +36,8 @@ class FillDistribution:
     Attributes
     ----------
     values : (K,) fill fractions [1]; of n evaluations (n, K), of all alike (1, K)
-    weights : likewise, probabilities, sum 1
-    shape : (places, pixels) of objects, whose pixels lie along K without weights; None where a pixel is an object
+    weights : likewise, probabilities, sum 1; of objects those of their places
+    shape : (places, pixels) of objects, whose pixels lie along K; None where a pixel is an object
     """
 
     values: Array
@@ -47,13 +47,6 @@ class FillDistribution:
     def of(self, u: int) -> FillDistribution:
         """That of one of the evaluations."""
         return FillDistribution(*(x[u if len(x) > 1 else 0] for x in (self.values, self.weights)))
-
-    @property
-    def at_places(self) -> tuple[Array, Array]:
-        """(n, K, J) fills of the J pixels of an object at K places, and (n, K) probabilities of these."""
-        if self.shape is None:
-            return self.values[..., None], self.weights
-        return self.values.reshape(-1, *self.shape), np.full((1, self.shape[0]), 1.0 / self.shape[0])
 
     @property
     def mean(self) -> float:
@@ -430,7 +423,8 @@ def whole_object_fills(fill: Fill, thesis: bool) -> FillDistribution:
     places = np.array([[float(alone.weights[0] @ alone.values[0])]]) if thesis else fills_of_objects(fill)
     if places.shape[1] == 1 and alone.values.size >= places.shape[0]:
         return alone
-    return FillDistribution(places.reshape(1, -1), np.zeros((1, places.size)), (places.shape[0], places.shape[1]))
+    weights = np.full((1, len(places)), 1.0 / len(places))
+    return FillDistribution(places.reshape(1, -1), weights, (places.shape[0], places.shape[1]))
 
 
 def stacked_fills(each: Sequence[FillDistribution], which: Index) -> FillDistribution:

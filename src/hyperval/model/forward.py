@@ -775,7 +775,7 @@ def _prediction(
             scores = object_scores(here, np.arange(steps.size), None if objects is True else objects)
             prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(here))
         prediction = with_law_errors(prediction, e, origins, truth)
-    z = joined(((index, {key: probit(pd) for key, pd in part.curves.items()}) for index, part in parts), every.size)
+    z = joined(((index, part.probits) for index, part in parts), every.size)
     up, down = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
     return prediction, {key: (x[up] - x[0], x[down] - x[0]) for key, x in z.items()}
 

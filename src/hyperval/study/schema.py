@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from hyperval.config import FileModel, Model, OneOf, load_model
+from hyperval.config import FileModel, Model, OneOf, load_model, twice, unknown
 from hyperval.errors import UsageError, reader
 from hyperval.model.world import column_of
 
@@ -264,46 +264,47 @@ class StudyFile(FileModel):
     plots: list[Plot] = Field(default_factory=list)
     references: list[str] = Field(default_factory=list)
 
+    refused: ClassVar = {
+        "one-at-a-time takes values or grids": lambda s: (
+            s.design.kind == "one-at-a-time" and any(i.random for i in s.inputs)
+        ),
+        "a tornado goes with design: {kind: one-at-a-time}}, and other plots do not": lambda s: any(
+            (p.kind == "tornado") != (s.design.kind == "one-at-a-time") for p in s.plots
+        ),
+        "two inputs move {names}": lambda s: twice(s.paths),
+        "required {!r} moves {}, and so does an input": lambda s: [
+            word for q in s.required for move in q.targets if move.path in s.paths for word in (q.name, move.path)
+        ],
+        "output {!r}: give pfa, or an input that moves pfa, and not both": lambda s: [
+            o.name for o in s.outputs if o.kind == "pd" and (o.pfa is None) != ("pfa" in s.paths)
+        ],
+        "knees: {!r} is random; a knee needs values or a grid": lambda s: [
+            k.along for k in s.knees if any(i.random and i.name == k.along for i in s.inputs)
+        ],
+    }
+
     @model_validator(mode="after")
     def _check_names(self) -> StudyFile:
         named: list[Input | Output | Required] = [*self.inputs, *self.outputs, *self.required]
         names = [x.name for x in named] + [f"{q.name}.{r}" for q in self.required for r in q.report]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"names occur twice: {', '.join(twice)}")
-        inputs, outputs = {i.name: i for i in self.inputs}, {o.name for o in self.outputs}
+        if wrong := twice(names):
+            raise ValueError(f"names occur twice: {', '.join(wrong)}")
+        inputs, outputs = {i.name for i in self.inputs}, {o.name for o in self.outputs}
         results = outputs | {q.name for q in self.required}
 
         said = [(f"required {q.name!r}", name, outputs) for q in self.required for name in (q.output, *q.report)]
-        said += [pair for k in self.knees for pair in (("knees", k.output, results), ("knees", k.along, set(inputs)))]
+        said += [pair for k in self.knees for pair in (("knees", k.output, results), ("knees", k.along, inputs))]
         said += [("plots", p.output, results) for p in self.plots]
-        said += [("plots", name, set(inputs)) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
+        said += [("plots", name, inputs) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
         for where, name, among in said:
-            if name not in among:
-                raise ValueError(f"{where}: {name!r} is not one of {', '.join(sorted(among))}")
-        for k in self.knees:
-            if inputs[k.along].random is not None:
-                raise ValueError(f"knees: {k.along!r} is random; a knee needs values or a grid")
-        if any((p.kind == "tornado") != (self.design.kind == "one-at-a-time") for p in self.plots):
-            raise ValueError("a tornado goes with design: {kind: one-at-a-time}, and other plots do not")
+            if wrong := unknown([name], sorted(among)):
+                raise ValueError("{}: {!r} is not one of {}".format(where, *wrong))
         return self
 
-    @model_validator(mode="after")
-    def _check_paths(self) -> StudyFile:
-        if self.design.kind == "one-at-a-time" and any(i.random for i in self.inputs):
-            raise ValueError("one-at-a-time takes values or grids")
-        paths = [m.path for i in self.inputs for m in i.targets]
-        twice = sorted({p for p in paths if paths.count(p) > 1})
-        if twice:
-            raise ValueError(f"two inputs move {', '.join(twice)}")
-        for q in self.required:
-            both = sorted({m.path for m in q.targets} & set(paths))
-            if both:
-                raise ValueError(f"required {q.name!r} moves {', '.join(both)}, and so does an input")
-        for o in self.outputs:
-            if o.kind == "pd" and (o.pfa is None) != ("pfa" in paths):
-                raise ValueError(f"output {o.name!r}: give pfa, or an input that moves pfa, and not both")
-        return self
+    @property
+    def paths(self) -> list[str]:
+        """What its inputs move."""
+        return [m.path for i in self.inputs for m in i.targets]
 
     @property
     def moving(self) -> list[Input | Required]:
