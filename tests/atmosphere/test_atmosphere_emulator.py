@@ -21,6 +21,10 @@ def terms(**changes):
     return atmospheric_terms(AtmosphericState(**{k: v for k, v in {**STATE, **changes}.items() if v is not None}))
 
 
+def radiance(t, rho):
+    return t.path_radiance + (t.direct + t.adjacency) * rho / (1 - rho * t.spherical_albedo)
+
+
 def test_absorption_grows_with_the_amount_where_lines_are_weak_and_with_its_root_where_they_are_strong():
     depth = lambda u, pressure=1.0: sixs.band_depth(NUMBERS, np.array([u, u * pressure]), 0.8)  # noqa: E731
     assert depth(1e-3)[0] == pytest.approx(0.2e-3, rel=1e-9)
@@ -54,20 +58,38 @@ def test_radiance_is_that_of_6s_within_what_is_stated(engine_cache, place):
     theirs = atmospheric_terms(
         AtmosphericState(**{**STATE, **place, "engine": "sixs"}), cache_dir=engine_cache, show_progress=False
     )
-    radiance = [
-        t.path_radiance + (t.direct + t.adjacency) * 0.3 / (1 - 0.3 * t.spherical_albedo) for t in (ours, theirs)
-    ]
-    off = np.abs(radiance[0] - radiance[1])
+    off = np.abs(radiance(ours, 0.3) - radiance(theirs, 0.3))
     seen = theirs.gas_transmittance > 0.1
     assert np.sqrt(np.mean((off / ours.path_uncertainty)[seen] ** 2)) < 2.0
-    assert np.max(off[seen] / radiance[1][seen]) < 0.015
+    assert np.max((off / radiance(theirs, 0.3))[seen]) < 0.015
+
+
+DUST = {"aot550": 0.3, "angstrom_exponent": 0.1, "sensor_altitude_km": 700.0}
+MOVED = ("aot550", "water_vapour_g_cm2", "solar_zenith_deg")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("place", [{}, DUST])
+def test_a_step_from_a_run_of_6s_is_that_of_6s_to_a_fifth_of_itself_and_none_is_none(engine_cache, place, monkeypatch):
+    stated = AtmosphericState(**{**STATE, **place, "engine": "sixs"})
+    states = [stated] + [stated.model_copy(update={n: 1.1 * getattr(stated, n)}) for n in MOVED]
+    exact = [sixs.sixs_terms(state, engine_cache, False) for state in states]
+    monkeypatch.setattr(sixs, "run_sixs", None)  # no run but that of the stated state, which is in the cache
+    near = [sixs.terms_near(stated, state, engine_cache, False) for state in states]
+    seen = exact[0].gas_transmittance > 0.3
+    true, found = ([radiance(t, 0.15)[seen] - radiance(exact[0], 0.15)[seen] for t in each] for each in (exact, near))
+    assert all(np.linalg.norm(b - a) <= 0.2 * np.linalg.norm(a) for a, b in zip(true, found, strict=True))
 
 
 @pytest.mark.parametrize(("changes", "said"), CASES["outside_emulator"])
-def test_a_state_that_it_was_not_made_for_is_refused_with_what_mends_it(changes, said):
+def test_a_state_that_it_was_not_made_for_is_refused_with_what_mends_it_or_run(changes, said, monkeypatch):
     with pytest.raises(UsageError, match=said) as refused:
         terms(**changes)
     assert "choose engine: sixs" in refused.value.mend
+    stated, state = (AtmosphericState(**{**STATE, **more, "engine": "sixs"}) for more in ({}, changes))
+    monkeypatch.setattr(sixs, "sixs_terms", lambda state, *_: state)
+    assert sixs.terms_near(stated, state, None) is state
+    assert sixs.terms_near(state, stated, None) is stated
 
 
 def test_its_error_is_a_source_of_the_budget_and_the_engine_is_stated():

@@ -42,7 +42,7 @@ def at(terms, nm):
 def solver_reflectance(st, nm, rho, folder, depth=None):
     """The solver's own answer, aerosol, gas and ground together, with its own copy of the standard atmosphere."""
     depth, share = st.aerosol_optical_depth if depth is None else depth, st.aerosol_fraction_below
-    aerosol = sixs.Aerosol(sixs._aerosol_card(st.aerosol), depth, depth * share) if depth else None
+    aerosol = (sixs._aerosol_card(st.aerosol), depth, depth * share) if depth else None
     deck = sixs.deck(sixs.setting_of(st), "2\n", f"-1\n{nm / 1e3:.4f}", aerosol, rho)
     return sixs.parse_monochromatic(run_sixs(deck, folder))["reflectance"]
 
@@ -202,7 +202,7 @@ def test_the_sky_is_the_same_from_an_aircraft_and_from_space_and_the_beam_follow
 def test_extinction_of_every_type_is_what_the_solver_prints(engine_cache):
     mix = air.AerosolMix(dust=0.2, water_soluble=0.3, oceanic=0.45, soot=0.05)
     for aerosol in ("rural", "continental", "maritime", "urban", "desert", mix):
-        haze = sixs.Aerosol(sixs._aerosol_card(aerosol), 1.0, 1.0)
+        haze = (sixs._aerosol_card(aerosol), 1.0, 1.0)
         for nm in (412.5, 860.0, 2250.0, 2600.0):
             run = sixs.deck(sixs.Setting(0.0, 0.0, 0.0, 0.0, None), "0\n", f"-1\n{nm / 1e3:.4f}", haze)
             printed = sixs.parse_monochromatic(run_sixs(run, engine_cache))["depth_aerosol"]
@@ -230,7 +230,7 @@ def test_a_stated_share_moves_the_haze_below_the_sensor_and_an_exponent_changes_
 def test_ground_is_always_uniform_and_lambertian():
     # Non-uniform ground is wrong under an aircraft in the blue: after the spectral card stand 0 (uniform),
     # 0 (no directional effects), 0 (constant reflectance).
-    for height, *more in ((2.0, "-1\n0.5500", sixs.Aerosol("1", 0.2, 0.1), 0.25), (None, "-1\n0.5500")):
+    for height, *more in ((2.0, "-1\n0.5500", ("1", 0.2, 0.1), 0.25), (None, "-1\n0.5500")):
         deck = sixs.deck(SUN._replace(ground_km=0.3, height_km=height), "0\n", *more)
         assert re.search(r"-1\n0\.5500\n0\n0\n0\n0\.[0-9]{6}\n-1\n$", deck)
 
@@ -268,7 +268,7 @@ def test_asterisks_and_nan_are_refused(word, engine_cache):
 
 def test_standard_atmospheres_are_those_of_the_solver(engine_cache):
     # The solver holds the six models too: pressures and columns it prints for ground at 1.3 km, sensor 60 km above.
-    for number, model in enumerate(profiles._tables(), 1):
+    for number, model in enumerate(profiles._MODELS, 1):
         out = run_sixs(
             sixs.deck(SUN._replace(ground_km=1.3, height_km=60.0), f"{number}\n", "-1\n0.5500"), engine_cache
         )

@@ -33,9 +33,7 @@ def shape(card: str) -> np.ndarray:
     """(nodes,) extinction over that at 550 nm, the last one at 3750 nm."""
     depths = []
     for nm in sixs.NODES_NM:
-        run = sixs.deck(
-            sixs.Setting(0.0, 0.0, 0.0, 0.0, None), "0\n", f"-1\n{nm / 1e3:.4f}", sixs.Aerosol(card, 1.0, 1.0)
-        )
+        run = sixs.deck(sixs.Setting(0.0, 0.0, 0.0, 0.0, None), "0\n", f"-1\n{nm / 1e3:.4f}", (card, 1.0, 1.0))
         depths.append(sixs.parse_monochromatic(sixs.run_sixs(run, cache_folder()))["depth_aerosol"])
     found, nm = np.array(depths), sixs.NODES_NM
     power = np.log(found[-1] / found[-2]) / np.log(nm[-1] / nm[-2])

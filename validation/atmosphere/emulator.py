@@ -81,7 +81,7 @@ def fitted_scattering(made_from: list[AtmosphericState], folder: Path) -> dict[s
     runs = [quantities(state, folder) for state in track(made_from, "scattering", total=len(made_from))]
     airs = [sixs.air_of(state) for state in made_from]
     held = {"molecules": np.mean([run["molecules"] for run in runs], axis=0)}
-    held["features"] = np.array([air.features() for air in airs]).astype("f4").astype(float)
+    held["features"] = np.array([air.features()[0] for air in airs]).astype("f4").astype(float)
     forms = [sixs.single_scattering(air, held["molecules"]) for air in airs]
     for name, noise in NOISE.items():
         value, form = (np.array([of[name] for of in every]) for every in (runs, forms))

@@ -30,7 +30,7 @@ from .physics import (
     low_share,
     molecular_albedo,
 )
-from .sixs import NODES_NM, aerosol_extinction, run_sixs, sixs_terms
+from .sixs import NODES_NM, aerosol_extinction, run_sixs, sixs_terms, terms_near
 from .solar import (
     distance_on_day,
     earth_sun_distance_au,
@@ -102,5 +102,6 @@ __all__ = [
     "stated_fields",
     "tape5",
     "terms_from_runs",
+    "terms_near",
     "write_table",
 ]  # fmt: skip

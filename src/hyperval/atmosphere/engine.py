@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from hyperval.atmosphere.modtran import modtran_terms
-from hyperval.atmosphere.sixs import emulator_terms, sixs_terms
+from hyperval.atmosphere.sixs import emulator_terms, sixs_terms, terms_near
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table import read_table
 from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder
@@ -26,6 +26,7 @@ def atmospheric_terms(
     cache_dir: Path | None = None,
     show_progress: bool | None = None,
     resolve: Callable[[str], Path] | None = None,
+    near: AtmosphericState | None = None,
 ) -> AtmosphericTerms:
     """The terms of equation 3.7 for one state, from the engine that the state names.
 
@@ -35,6 +36,7 @@ def atmospheric_terms(
     cache_dir : where results are kept; default HYPERVAL_CACHE or the user's cache folder
     show_progress : draw a progress bar; default: when standard error is a terminal
     resolve : turns the state's ``table`` into a path; default: relative to the working directory
+    near : a state from which a step of 6S may be told by its emulator (:func:`hyperval.atmosphere.terms_near`)
 
     Returns
     -------
@@ -55,4 +57,6 @@ def atmospheric_terms(
             name = str(state.table).rstrip("/")
             refuse("a folder" in error.what, "table.folder", name, name=name)
             raise
+    if near is not None and near.engine == state.engine == "sixs":
+        return terms_near(near, state, cache_folder(cache_dir), show_progress)
     return ENGINES[state.engine](state, cache_folder(cache_dir), show_progress)

@@ -40,13 +40,14 @@ import importlib.util
 import os
 import re
 import subprocess
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, lru_cache
 from importlib import resources
 from os import cpu_count
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -68,7 +69,7 @@ from hyperval.atmosphere.state import (
 )
 from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, content_digest, lit_by, run_program
 from hyperval.data import Array
-from hyperval.errors import EngineError, refusal, refuse
+from hyperval.errors import EngineError, UsageError, refusal, refuse
 from hyperval.progress import track
 from hyperval.storage import last_line, number_of, sha256_of
 
@@ -103,20 +104,9 @@ class Setting(NamedTuple):
         return float(mu0), float(mu_v)
 
 
-@dataclass(frozen=True)
-class Aerosol:
-    """Aerosol cards.
-
-    Attributes
-    ----------
-    card : type card(s) of 6S
-    depth_550 : optical depth at 550 nm above the ground
-    depth_550_below : the part of it below the sensor
-    """
-
-    card: str
-    depth_550: float
-    depth_550_below: float
+# Aerosol: type card(s) of 6S, optical depth at 550 nm above the ground, and the part of it below the sensor.
+Aerosol = tuple[str, float, float]
+Run = tuple[str, Aerosol | None, Array]  # its spectral card, aerosol, and the wavelengths that it is looked at [nm]
 
 
 def profile_atmosphere(profile: Profile) -> str:
@@ -141,9 +131,8 @@ def deck(
     ----------
     spectral : "-1\\nWL" (one wavelength, um) or "-2\\nFROM TO" (table in steps of 2.5 nm)
     """
-    haze, below, height = "0\n-1\n", 0.0, setting.height_km
-    if aerosol is not None:
-        haze, below = f"{aerosol.card}\n0\n{aerosol.depth_550:.6f}\n", aerosol.depth_550_below
+    (card, depth, below), height = aerosol or ("", 0.0, 0.0), setting.height_km
+    haze = f"{card}\n0\n{depth:.6f}\n" if aerosol else "0\n-1\n"
     sensor = {None: "-1000\n", 0.0: "0\n"}.get(height)  # in space, on the ground
     if sensor is None:
         sensor = f"{altitude_card(float(height or 0.0))}\n-1.0 -1.0\n{below:.6f}\n"
@@ -459,58 +448,43 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: b
         "geometry": setting.card(), "ground_km": round(setting.ground_km, 5), "height_km": height,
     }  # fmt: skip
 
-    def outputs(runs: list[tuple[str, Aerosol | None]], what: str) -> list[str]:
-        decks = [deck(setting, GAS_FREE, *run) for run in runs]
-        return _run_all(decks, folder, f"6S {what}", show)
+    def singly(nodes_nm: Array, aerosols: Sequence[Aerosol | None]) -> list[Run]:
+        return [(_one_wavelength(nm), one, np.array([nm])) for nm, one in zip(nodes_nm, aerosols, strict=True)]
 
-    def molecules() -> Arrays:
-        runs = [parse_monochromatic(t) for t in outputs([(_one_wavelength(nm), None) for nm in NODES_NM], "molecules")]
-        return {name: np.array([run[name] for run in runs]) for name in (*SCATTERED, "depth_rayleigh")}
+    def solved(runs: Sequence[Run], what: str, names: Sequence[str] = SCATTERED) -> Arrays:
+        texts = _run_all([deck(setting, GAS_FREE, *run[:2]) for run in runs], folder, f"6S {what}", show)
+        found = [solved_at(text, nodes_nm) for text, (*_, nodes_nm) in zip(texts, runs, strict=True)]
+        return {name: np.concatenate([part[name] for part in found]) for name in names}
 
-    clear = cached(folder, "molecules", air, molecules)
+    in_clear, known = singly(NODES_NM, [None] * NODES_NM.size), (*SCATTERED, "depth_rayleigh")
+    clear = cached(folder, "molecules", air, lambda: solved(in_clear, "molecules", known))
     node = {("reflectance_rayleigh" if name == "reflectance" else name): values for name, values in clear.items()}
-    depth, fraction, card = state.aerosol_optical_depth, state.aerosol_fraction_below, _aerosol_card(state.aerosol)
-    if depth == 0.0:
+    if state.aerosol_optical_depth == 0.0:
         return node
-    extinction = aerosol_extinction(state.aerosol)
-    as_typed = np.full(NODES_NM.size, depth)  # 6S follows the aerosol type from 550 nm
-    if state.angstrom_exponent is not None:  # (wavelength / 550 nm)^-exponent (Angstrom 1929)
-        as_typed = depth * (NODES_NM / 550.0) ** -state.angstrom_exponent / extinction
-    used, share = trusted_stand_ins(as_typed, fraction, height)
+    card = _aerosol_card(state.aerosol)
+    used, share, total, below = trusted_stand_ins(state, height)
+    aerosols = [(card, round(d, 6), round(d * f, 6)) for d, f in zip(used, share, strict=True)]
 
-    aerosols = [Aerosol(card, round(d, 6), round(d * f, 6)) for d, f in zip(used, share, strict=True)]
-
-    def haze() -> Arrays:
-        pieces: list[tuple[slice, str]] = []
-        for low, high in _TABLES_NM:
-            first, last = np.searchsorted(NODES_NM, (low, high + _STEP_NM), "right")
-            if last - first >= _FEWEST_OF_A_TABLE and len(set(aerosols[first:last])) == 1:
-                pieces.append((slice(first, last), f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}"))
-            else:
-                pieces += [(slice(i, i + 1), _one_wavelength(NODES_NM[i])) for i in range(first, last)]
-        texts = outputs([(spectral, aerosols[at.start]) for at, spectral in pieces], "haze")
-        found = [solved_at(t, NODES_NM[at]) for (at, _), t in zip(pieces, texts, strict=True)]
-        return {name: np.concatenate([part[name] for part in found]) for name in SCATTERED}
-
-    asked = {"aerosol": [[a.card, a.depth_550, a.depth_550_below] for a in aerosols]}
-    hazy = cached(folder, "haze", air | asked, haze)
-    total = as_typed / used  # 1 where 6S was run with the depth itself
-    below = as_typed * fraction / (used * share)
+    runs = list[Run]()
+    for low, high in _TABLES_NM:
+        first, last = np.searchsorted(NODES_NM, (low, high + _STEP_NM), "right")
+        there, each = NODES_NM[first:last], aerosols[first:last]
+        as_table = there.size >= _FEWEST_OF_A_TABLE and len(set(each)) == 1
+        table = f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}", each[0], there
+        runs += [table] if as_table else singly(there, each)
+    hazy = cached(folder, "haze", air | {"aerosol": [list(a) for a in aerosols]}, lambda: solved(runs, "haze"))
     molecular = clear["reflectance"]
     if height is not None:
         # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
         # them than without), which a trace of aerosol shows at two wavelengths.  It follows the wavelength straight.
         trace_share = 1.0 - np.exp(-height / _SCALE_HEIGHT_KM)
-        least = Aerosol(card, _TRACE, _TRACE * trace_share)
-
-        def trace() -> Arrays:
-            runs = [(_one_wavelength(nm), aerosol) for aerosol in (None, least) for nm in _TRACE_NM]
-            texts = outputs(runs, "molecules in haze")
-            return {"reflectance": np.array([parse_monochromatic(t)["reflectance"] for t in texts]).reshape(2, -1)}
-
-        alone, seen = cached(folder, "trace", air | {"trace": [least.card, *_TRACE_NM]}, trace)["reflectance"]
+        least, at = (card, _TRACE, _TRACE * trace_share), np.array(_TRACE_NM)
+        both = singly(np.tile(at, 2), [None, None, least, least])
+        asked = air | {"trace": [card, *_TRACE_NM]}
+        traced = cached(folder, "trace", asked, lambda: solved(both, "molecules in haze"))
+        alone, seen = traced["reflectance"].reshape(2, -1)
         its_own = _TRACE * trace_share / float(np.interp(550.0, NODES_NM, used * share))
-        excess = (seen - its_own * _log_log(hazy["reflectance"], np.array(_TRACE_NM))) / (1.0 - its_own) / alone - 1.0
+        excess = (seen - its_own * _log_log(hazy["reflectance"], at)) / (1.0 - its_own) / alone - 1.0
         slope = (excess[1] - excess[0]) / (_TRACE_NM[1] - _TRACE_NM[0])
         molecular = molecular * (1.0 + excess[0] + slope * (np.minimum(NODES_NM, _INFRARED_NM) - _TRACE_NM[0]))
     return {
@@ -519,7 +493,7 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: b
         "down": clear["down"] * (hazy["down"] / clear["down"]) ** total,
         "up": clear["up"] * (hazy["up"] / clear["up"]) ** below,
         "spherical_albedo": clear["spherical_albedo"] + total * (hazy["spherical_albedo"] - clear["spherical_albedo"]),
-        "depth_aerosol": as_typed * fraction * extinction,
+        "depth_aerosol": depths_as_typed(state) * state.aerosol_fraction_below * aerosol_extinction(state.aerosol),
     }
 
 
@@ -536,8 +510,7 @@ def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
     """
     rows = _table_rows(text)
     if not rows.size:
-        run = parse_monochromatic(text)
-        return {name: np.array([run[name]]) for name in SCATTERED}
+        return {name: np.array([value]) for name, value in parse_monochromatic(text).items()}
     nm = np.round(rows[:, 0] * 1e3, 1)
     first, last = np.searchsorted(_SOLVED_NM, nm[0], "right") - 1, np.searchsorted(_SOLVED_NM, nm[-1])
     solved = _SOLVED_NM[max(first, 0) : last + 1]
@@ -571,15 +544,35 @@ def aerosol_extinction(aerosol: AerosolMix | str) -> Array:
     return _log_log(together, NODES_NM, nm) / _log_log(together, np.array([550.0]), nm)
 
 
-def trusted_stand_ins(depth: Array, fraction: float, height_km: float | None) -> tuple[Array, Array]:
-    """(nodes,) optical depths and shares below the sensor that 6S can be trusted with."""
-    if height_km is None:
-        return depth, np.ones_like(depth)  # from space nothing is split, and nothing goes wrong
-    lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
-    share = max(fraction, lowest * (1.0 + 1e-6) + 1e-6)
-    above = np.where(NODES_NM < _INFRARED_NM, _LEAST_ABOVE, _LEAST_ABOVE_INFRARED)
-    used = np.maximum(np.maximum(depth, _LEAST_DEPTH), np.minimum(above / max(1.0 - share, 1e-9), _GREATEST_STAND_IN))
-    return used, np.minimum(share, 1.0 - _LEAST_ABOVE / used)
+def depths_as_typed(state: AtmosphericState) -> Array:
+    """(nodes,) optical depth at 550 nm at which the state's type of aerosol has the state's depth at a node.
+
+    6S follows the type from 550 nm; a stated Angstrom exponent goes as (wavelength / 550 nm)^-exponent (Angstrom 1929).
+    """
+    depth = state.aerosol_optical_depth
+    if state.angstrom_exponent is None:
+        return np.full(NODES_NM.size, depth)
+    colour = (NODES_NM / 550.0) ** -state.angstrom_exponent
+    return np.asarray(depth * colour / aerosol_extinction(state.aerosol))
+
+
+def trusted_stand_ins(
+    state: AtmosphericState, height_km: float | None, within: tuple[float, float] = (0.0, np.inf)
+) -> tuple[Array, Array, Array, Array]:
+    """What 6S can be trusted with in place of a state's haze, (nodes,) each.
+
+    Optical depth at 550 nm, ``within`` limits, and its share below the sensor; the state's whole depth, and its depth
+    below the sensor, over those.
+    """
+    typed, fraction = depths_as_typed(state), state.aerosol_fraction_below
+    used, share = np.clip(typed, *within), np.ones_like(typed)
+    if height_km is not None:  # from space nothing is split, and nothing goes wrong
+        lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
+        most = max(fraction, lowest * (1.0 + 1e-6) + 1e-6)
+        above = np.where(NODES_NM < _INFRARED_NM, _LEAST_ABOVE, _LEAST_ABOVE_INFRARED)
+        used = np.maximum(np.maximum(used, _LEAST_DEPTH), np.minimum(above / max(1.0 - most, 1e-9), _GREATEST_STAND_IN))
+        share = np.minimum(most, 1.0 - _LEAST_ABOVE / used)
+    return used, share, typed / used, typed * fraction / (used * share)
 
 
 def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
@@ -593,12 +586,9 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | N
     inputs = {"binary": sixs_fingerprint(), "scheme": SCHEME, "decks": decks}
 
     def compute() -> Arrays:
-        outputs = _run_all(list(decks.values()), folder, "6S gas", show)
-        gases = {}
-        for name, text in zip(decks, outputs, strict=True):
-            nm, transmittance = parse_steps(text)
-            gases[name] = np.maximum(np.interp(GRID_NM, nm, transmittance), LEAST_GAS)
-        return gases
+        printed = map(parse_steps, _run_all(list(decks.values()), folder, "6S gas", show))
+        grids = (np.interp(GRID_NM, *steps) for steps in printed)
+        return {name: np.maximum(grid, LEAST_GAS) for name, grid in zip(decks, grids, strict=True)}
 
     return cached(folder, "gas", inputs, compute)
 
@@ -653,7 +643,7 @@ EMULATOR = "emulator.npz"
 _MIDDLE_ATM = {"dry": 0.5, "water": 0.8}  # p0
 _LOST = {"molecules": 0.5, "haze": 0.16}  # part of the scattered light that does not go on forward
 _HEIGHTS_KM = (0.5, 20.0)
-_LEAST_EMULATED = 0.015  # thinner haze is this one, scaled
+_EMULATED_DEPTHS = 0.015, 0.9  # thinner or thicker haze is that at the end, scaled
 _RHO = 0.3  # ground over which the error of the transmittances is stated
 
 
@@ -681,9 +671,16 @@ class Air(NamedTuple):
     part: Array
 
     def features(self) -> Array:
-        """(5,) where the state lies between the stored ones, each about -1 to 1."""
-        sun, haze = 2.0 * np.sqrt(1.0 / self.mu0 - 1.0) - 1.0, 4.0 * np.sqrt(self.depth[0]) - 2.0
-        return np.array([sun, haze, self.ground_km / 1.5 - 1.0, np.log(self.below) + 1.0, self.scale_km - 2.0])
+        """(nodes, 5) where the state lies between the stored ones, each about -1 to 1.
+
+        Under an aircraft the haze is that of the first node, since 6S is run with more of it in the infrared; seen from
+        space it may be another one at each node.
+        """
+        haze = 4.0 * np.sqrt(self.depth if self.below == 1.0 else self.depth[:1]) - 2.0
+        sun, ground = 2.0 * np.sqrt(1.0 / self.mu0 - 1.0) - 1.0, self.ground_km / 1.5 - 1.0
+        rest = np.array([ground, np.log(self.below) + 1.0, self.scale_km - 2.0])
+        columns = np.broadcast_arrays(sun, np.resize(haze, self.depth.size), *rest)
+        return np.stack(columns, axis=1)
 
 
 def air_of(state: AtmosphericState) -> Air:
@@ -691,10 +688,8 @@ def air_of(state: AtmosphericState) -> Air:
     setting, us62 = setting_of(state), standard_profile("us-standard-1962")
     *_, ground, height = in_standard_air(state, setting)
     air, above = air_column(us62, ground), 0.0 if height is None else air_column(us62, ground + height)
-    depth, fraction = state.aerosol_optical_depth, state.aerosol_fraction_below
-    used, share = trusted_stand_ins(np.full(NODES_NM.size, max(depth, _LEAST_EMULATED)), fraction, height)
+    used, share, total, part = trusted_stand_ins(state, height, _EMULATED_DEPTHS)
     scale = 2.0 if height is None else min(-height / np.log1p(-min(share[0], 1.0 - 1e-9)), 4.0)
-    total, part = depth / used, depth * fraction / (used * share)
     return Air(
         setting.cosines[0], air / air_column(us62, 0.0), 1.0 - above / air, ground, used, share, scale, total, part
     )
@@ -746,23 +741,22 @@ def kernel(a: Array, b: Array, shape: Array) -> Array:
 def scattering(state: AtmosphericState, held: Arrays) -> Arrays:
     """The quantities (nodes,) that a run of 6S would give of a state."""
     air, molecules = air_of(state), held["molecules"]
-    x, form, at = air.features()[None], single_scattering(air, molecules), dict[str, Array]()
+    x, form, at = air.features(), single_scattering(air, molecules), dict[str, Array]()
     for name in form:
         weights = held[f"{name}.weights"]  # of clear air for some of the states
         near = kernel(x, held["features"][: len(weights)], held[f"{name}.shape"])
-        at[name] = (basis(x) @ held[f"{name}.parabola"] + near @ weights)[0]
+        at[name] = np.einsum("nk,kn->n", basis(x), held[f"{name}.parabola"]) + np.einsum("nk,kn->n", near, weights)
     clear_down, clear_up = (np.exp(-at[name] * form[name]) for name in ("clear_down", "clear_up"))
     clear_albedo = at["clear_albedo"] * form["clear_albedo"]
     clear = {
         "reflectance_rayleigh": np.exp(at["clear_reflectance"]) * form["clear_reflectance"],
         "depth_rayleigh": molecules * air.pressure * air.below,
     }
-    depth = state.aerosol_optical_depth * state.aerosol_fraction_below
     haze = {
         "reflectance_aerosol": air.part * np.exp(at["reflectance"]) * form["reflectance"],
-        "depth_aerosol": aerosol_extinction("rural") * depth,
+        "depth_aerosol": depths_as_typed(state) * state.aerosol_fraction_below * aerosol_extinction("rural"),
     }
-    return clear | (haze if depth else {}) | {
+    return clear | (haze if state.aerosol_optical_depth else {}) | {
         "down": clear_down * np.exp(-at["down"] * form["down"] * air.total),
         "up": clear_up * np.exp(-at["up"] * form["up"] * air.part),
         "spherical_albedo": clear_albedo + air.total * at["albedo"] * form["albedo"],
@@ -804,8 +798,46 @@ def emulator_terms(
     ------
     UsageError : a state outside the ones that the numbers were made from.
     """
+    held, terms = stored(), _emulated_inside(state)
+    path, direct = held["path_error"] * terms.path_radiance, held["direct_error"] * _RHO * terms.direct
+    return replace(terms, path_uncertainty=np.hypot(path, direct))
+
+
+def terms_near(
+    stated: AtmosphericState, state: AtmosphericState, folder: Path, show_progress: bool | None = None
+) -> AtmosphericTerms:
+    """The terms of a state beside a stated one: those of 6S there times the change that the emulator says.
+
+    What the emulator is off by is nearly the same in both: a step of an input is known to about a tenth of itself
+    (validation/atmosphere/README.md), without a run.  A state that it does not cover is run.
+
+    Parameters
+    ----------
+    stated : where 6S is run
+    state : what is asked
+    folder, show_progress : as of :func:`sixs_terms`
+
+    Raises
+    ------
+    EngineError : 6S cannot be started or printed no numbers.
+    """
+    try:
+        before, after = _emulated_inside(stated), _emulated_inside(state)
+    except UsageError:
+        return sixs_terms(state, folder, show_progress)
+    known, without = sixs_terms(stated, folder, show_progress).spectra(), before.spectra()
+    changed = {name: values / np.maximum(without[name], 1e-300) for name, values in after.spectra().items()}
+    terms: dict[str, Any] = {
+        name: np.where(without[name] > 0.0, change, 1.0) * known[name] for name, change in changed.items()
+    }
+    terms["diffuse_fraction"] = np.minimum(terms["diffuse_fraction"], 1.0)
+    return replace(after, **terms)
+
+
+def _emulated_inside(state: AtmosphericState) -> AtmosphericTerms:
+    """The terms by the numbers that the package ships; refuses a state that they were not made from."""
     height, zenith = state.sensor_altitude_km - state.ground_altitude_km, state.sun[0]
-    at = coordinates(state)
+    at, coloured = coordinates(state), state.angstrom_exponent is not None and not state.in_space
     for name, value, low, high in (
         ("view_zenith_deg", state.view_zenith_deg, 0.0, 0.0),
         ("solar zenith [deg]", zenith, 0.0, 75.0),
@@ -816,11 +848,8 @@ def emulator_terms(
         ("sensor above the ground [km]", _HEIGHTS_KM[1] if state.in_space else height, *_HEIGHTS_KM),
     ):
         refuse(not low - 1e-9 <= value <= high + 1e-9, "emulator.value", name=name, value=value, low=low, high=high)
-    refuse(state.aerosol not in ("rural", "none"), "emulator.aerosol", aerosol=state.aerosol)
-    held = stored()
-    terms = emulated(state, held)
-    path, direct = held["path_error"] * terms.path_radiance, held["direct_error"] * _RHO * terms.direct
-    return replace(terms, path_uncertainty=np.hypot(path, direct))
+    refuse(coloured or state.aerosol not in ("rural", "none"), "emulator.aerosol", aerosol=state.aerosol)
+    return emulated(state, stored())
 
 
 @cache

@@ -58,10 +58,12 @@ class Profile:
     ozone_g_m3: Array
 
 
+@cache
 def standard_profile(model: str) -> Profile:
     """The standard atmosphere named ``model``; raises UsageError for an unknown name."""
     refuse(model not in _MODELS, "state.model", model=model, known=", ".join(_MODELS))
-    return _tables()[model]
+    levels = shipped_numbers("standard_atmospheres.csv", usecols=range(1, 6)).reshape(len(_MODELS), -1, 5)
+    return Profile(*levels[_MODELS.index(model)].T)
 
 
 def column_g_cm2(profile: Profile, density_g_m3: Array, above_km: float) -> float:
@@ -134,12 +136,6 @@ def root_between(falling: Callable[[float], float], low: float, high: float) -> 
     while low < (middle := 0.5 * (low + high)) < high:
         low, high = (middle, high) if falling(middle) > 0.0 else (low, middle)
     return middle
-
-
-@cache
-def _tables() -> dict[str, Profile]:
-    levels = shipped_numbers("standard_atmospheres.csv", usecols=range(1, 6)).reshape(len(_MODELS), -1, 5)
-    return {model: Profile(*rows.T) for model, rows in zip(_MODELS, levels, strict=True)}
 
 
 def shipped_numbers(name: str, **columns: Any) -> Array:

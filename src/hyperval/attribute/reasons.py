@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import product
+from itertools import chain, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,7 +79,7 @@ _EVERYTHING, SINCE = "every input", "since the accepted run"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
 Key = tuple[str, str, str]  # background, detector, metric
-Evaluate = Callable[[Sequence[Truths], str], list[tuple[Array, Array]]]
+Evaluate = Callable[..., list[tuple[Array, Array]]]  # of truths, a title, and whether a budget is made of them
 Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
 
 
@@ -90,18 +90,19 @@ class ScenarioModel:
     Attributes
     ----------
     scenarios : as they stand in the campaign
-    predict : (scenarios, truths) -> for each truth their products, merged as the campaign compares them
+    predict : (scenarios, truths, budgeted) -> for each truth their products, merged as the campaign compares them;
+        what a budget is made of as exactly as what is predicted
     observe : measures the collection again with changed settings, or with a mistake in its image
         (:meth:`hyperval.observe.open.Place.mistaken`)
     """
 
     scenarios: Sequence[Scenario]
-    predict: Callable[[Sequence[Scenario], Sequence[Truths]], Iterator[Products]]
+    predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
     observe: Callable[[Mapping[str, Any], Mapping[str, float]], Products]
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
-        return next(self.predict(scenarios, [[{} for _ in scenarios]]))
+        return next(self.predict(scenarios, [[{} for _ in scenarios]], True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,13 +328,16 @@ def causes_of(
     numbers = quantities(base, observed)
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
 
-    def evaluate(truths: Sequence[Truths], title: str) -> list[tuple[Array, Array]]:
-        predictions = track(model.predict(model.scenarios, truths), title, len(truths), show=show_progress)
+    def evaluate(truths: Sequence[Truths], title: str, budgeted: bool = False) -> list[tuple[Array, Array]]:
+        predictions = track(model.predict(model.scenarios, truths, budgeted), title, len(truths), show=show_progress)
         return [(stack.predicted(p), np.array([q.read(p) for q in numbers])) for p in predictions]
 
     moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
-    steps = [c.at(d, z) for c in moved for d in range(c.size) for z in (1.0, -1.0)]
-    found = iter(evaluate(steps, "attribution: inputs"))
+    steps = {
+        of: [c.at(d, z) for c in moved if c.budgeted is of for d in range(c.size) for z in (1.0, -1.0)]
+        for of in (True, False)
+    }  # the order of the candidates
+    found = chain.from_iterable(evaluate(some, "attribution: inputs", of) for of, some in steps.items())
     units: dict[Candidate, Array] = {}
     columns: dict[Candidate, Array] = {}
     ends: dict[Candidate, tuple[Array, Array]] = {}

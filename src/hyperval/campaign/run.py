@@ -45,6 +45,8 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
+# Engine of states that serve attribution alone.
+STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
 INTERNAL_ERROR = 4
 UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
 Done = tuple[RunReport, int | None]
@@ -120,6 +122,8 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     ]
     both = [observed.observation, *predicted]
     provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both)
+    if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
+        provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     power = accepted_table(campaign.name, side.inputs.base) if predicted else None
     return replace(
         report_of(campaign, rows),
@@ -223,26 +227,27 @@ def scenario_model(side: Collected, show_progress: bool | None) -> ScenarioModel
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
     draws = OBJECT_DRAWS if whole else False
 
-    def of_truths(scenario: Scenario, truths: Sequence[Truth]) -> Iterator[PredictedProducts]:
+    def of_truths(scenario: Scenario, truths: Sequence[Truth], budgeted: bool) -> Iterator[PredictedProducts]:
         # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
         # not what takes draws of its own for each of a hundred truths.
         closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
         processing = scenario.processing.model_copy(update={"detectors": closed})
         lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
-        return predictions(lighter, truths, side.origins(scenario, show_progress), objects=draws, object_curves=False)
+        origins = replace(side.origins(scenario, show_progress), emulated_steps=not budgeted)
+        return predictions(lighter, truths, origins, objects=draws, object_curves=False)
 
     # Predicted once, however often nothing is moved in it; the scenario is kept, whose number another would get.
     as_stated: dict[int, tuple[Scenario, PredictedProducts]] = {}
 
-    def moved_side(scenario: Scenario, truths: Sequence[Truth]) -> Iterator[PredictedProducts]:
-        moved = of_truths(scenario, [truth for truth in truths if truth])
+    def moved_side(scenario: Scenario, truths: Sequence[Truth], budgeted: bool) -> Iterator[PredictedProducts]:
+        moved = of_truths(scenario, [truth for truth in truths if truth], budgeted)
         for truth in truths:
             if not truth and id(scenario) not in as_stated:
-                as_stated[id(scenario)] = scenario, next(of_truths(scenario, [{}]))
+                as_stated[id(scenario)] = scenario, next(of_truths(scenario, [{}], True))
             yield next(moved) if truth else as_stated[id(scenario)][1]
 
-    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths]) -> Iterator[Products]:
-        sides = [moved_side(scenario, [truth[i] for truth in truths]) for i, scenario in enumerate(scenarios)]
+    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths], budgeted: bool) -> Iterator[Products]:
+        sides = [moved_side(s, [truth[i] for truth in truths], budgeted) for i, s in enumerate(scenarios)]
         for parts in zip(*sides, strict=True):
             yield joined(side, scenarios, parts)
 

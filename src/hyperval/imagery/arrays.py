@@ -477,15 +477,11 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     axes = _axes(array, str(wave.dims[0]))
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
-    good, centre = _beside(beside, wave, _GOOD), np.asarray(wave.values, float)
+    good, width = (_beside(beside, wave, name) for name in (_GOOD, _WIDTH))
+    centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
     about = Description(
         product=f"array {str(array.name)!r}",
-        bands=ListedBands(
-            np.where(centre > 0, centre, np.nan),
-            _beside(beside, wave, _WIDTH),
-            _stated_unit(wave),
-            None if good is None else good != 0,
-        ),
+        bands=ListedBands(np.where(centre > 0, centre, np.nan), width, _stated_unit(wave), flags),
         packing=(float(array.encoding.get("scale_factor", 1.0)), float(array.encoding.get("add_offset", 0.0))),
         quantity=quantity,
         unit=unit,
@@ -592,22 +588,15 @@ def open_matrix(
     """
     shapes = _shapes(path, kind)
     fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
-    fits = [n for n in fits if variable in (None, n, n.replace("/", "."))]
+    called = {n: n.replace("/", ".") for n in shapes}
+    fits = [n for n in fits if variable in (None, n, called[n])]
     fits = [n for n in fits if _TRUTH.search(n)] if plane and sum(bool(_TRUTH.search(n)) for n in fits) == 1 else fits
     if not fits:
-        listed = (
-            ", ".join(f"{n.replace('/', '.')} {' x '.join(map(str, shape))}" for n, shape in shapes.items())
-            or "no numbers"
-        )
+        listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
         wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
         raise refusal("array.none", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
-    refuse(
-        len(fits) > 1,
-        "array.maps" if plane else "array.images",
-        path,
-        count=len(fits),
-        names=", ".join(fits).replace("/", "."),
-    )
+    several, names = "array.maps" if plane else "array.images", ", ".join(called[n] for n in fits)
+    refuse(len(fits) > 1, several, path, count=len(fits), names=names)
     name = fits[0]
     size = 8 * int(np.prod(shapes[name]))
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):

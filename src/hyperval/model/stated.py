@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple, TypeVar
@@ -400,6 +400,7 @@ class Origins:
         ``data:`` for a registered data set
     cache_dir, show_progress : of the atmosphere engine
     engine : stands in for the atmosphere engine
+    emulated_steps : whether steps from the stated atmosphere may be told by the emulator of its engine
     sensor : stands in for the sensor that the scenario names
     left_out : (region, its measured statistics without each of the parts of the image that it lies in), of the
         regions whose law is known from their pixels alone
@@ -412,6 +413,7 @@ class Origins:
     cache_dir: Path | None = None
     show_progress: bool | None = None
     engine: Engine | None = None
+    emulated_steps: bool = False
     sensor: Sensor | None = None
     left_out: Callable[[], Iterable[tuple[str, Sequence[ClassStatistics]]]] | None = None
     read: Read = field(default_factory=dict, repr=False, compare=False)
@@ -487,10 +489,12 @@ def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
 def _terms_in_memory(
     engine: Callable[..., AtmosphericTerms], state: AtmosphericState, centre_nm: bytes, fwhm_nm: bytes,
     environment: tuple[str | None, ...], cache_dir: Path | None, show_progress: bool | None,
+    near: AtmosphericState | None,
 ) -> AtmosphericTerms:  # fmt: skip
     """Terms at bands: engines are deterministic, and give the same to the same state, files and bands."""
     axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
-    return _noted(engine(state, cache_dir=cache_dir, show_progress=show_progress).at_bands(axis), state)
+    terms = engine(state, cache_dir=cache_dir, show_progress=show_progress, near=near)
+    return _noted(terms.at_bands(axis), state)
 
 
 def _noted(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms:
@@ -530,20 +534,6 @@ class Atmosphere(Keeps):
     kept: dict[Any, Any] = field(default_factory=dict)
     _between: InterpolatedTerms | None = None
 
-    def whole(self, state: AtmosphericState) -> AtmosphericTerms:
-        """Terms of a state on the engine's own sampling.
-
-        Raises
-        ------
-        EngineError : the atmosphere engine failed.
-        """
-        source = self.origins
-        if source.engine is not None:
-            return source.engine(state)
-        if state.engine == "table":
-            return atmospheric_terms(state, resolve=source.find(self.scenario))
-        return atmospheric_terms(state, cache_dir=source.cache_dir, show_progress=source.show_progress)
-
     def run(self, changes: Truth) -> AtmosphericTerms:
         """The engine at the bands, where some entries of the state differ; once for each state."""
         return self.once(repr(sorted(changes.items())), lambda: self._run(changes))
@@ -553,9 +543,11 @@ class Atmosphere(Keeps):
         assert state is not None  # noqa: S101 - there is light
         state = with_settings(state, state_entries(state, changes)) if changes else state
         if source.engine is not None or state.engine == "table":  # a file of the scenario, read when it changes
-            return _noted(self.whole(state).at_bands(self.axis), state)
+            engine = source.engine or partial(atmospheric_terms, resolve=source.find(self.scenario))
+            return _noted(engine(state).at_bands(self.axis), state)
         bands = self.axis.centre_nm.tobytes(), self.axis.fwhm_nm.tobytes()
-        how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, source.show_progress
+        near = self.scenario.atmosphere if source.emulated_steps else None
+        how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, source.show_progress, near
         return _terms_in_memory(atmospheric_terms, state, *bands, *how)
 
     def prepare(self, states: Sequence[Truth], show_progress: bool | None) -> None:
