@@ -36,7 +36,7 @@ def test_frame_has_the_columns_of_the_contract():
         "campaign", "product", "subject", "method", "band_nm", "metric", "value", "unit", "lower", "upper", "n",
         "limit_low", "limit_high", "role", "evidence", "outcome", "cause", "detectable", "reason",
         "effect", "effect_unit", "effect_lower", "effect_upper", "accepted_low", "accepted_high", "detectable_low",
-        "detectable_high", "ideal", "p_value", "set_after", "subjects_seen",
+        "detectable_high", "ideal", "p_value", "set_after", "subjects_seen", "before",
     ]  # fmt: skip
     frame = ResultTable([row(value=0.1, n=3), row()]).frame()
     assert list(frame.columns) == list(COLUMNS) == contract

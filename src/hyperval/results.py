@@ -126,10 +126,11 @@ class Result:
     ``reason`` is for people: nothing reads it.  The columns from ``effect`` on tell a row with an outcome in units of
     the field (:attr:`hyperval.metrics.Metric.effect`): the size of what it is about with its 95 % interval, the range
     accepted for it, the sizes to either side that would have disagreed with 80 % probability, and the size where both
-    sides are equal; NaN where a metric has no such size.  ``p_value`` is that of a test; ``set_after`` tells a range
-    that was set after its own data were seen, ``subjects_seen`` whether budget and settings were "fitted" on the
-    subject or it is "unseen" ("" where the campaign does not say); ``about`` is what the effect of a test is made of,
-    and no column.
+    sides are equal; NaN where a metric has no such size.  ``before`` is what a row that tells of a change starts from:
+    its own number as the campaign states it, of a sensitivity the gap between the sides.  ``p_value`` is
+    that of a test; ``set_after`` tells a range that was set after its own data were seen, ``subjects_seen`` whether
+    budget and settings were "fitted" on the subject or it is "unseen" ("" where the campaign does not say); ``about``
+    is what the effect of a test is made of, and no column.
 
     Raises
     ------
@@ -167,6 +168,7 @@ class Result:
     p_value: float = math.nan
     set_after: bool = False
     subjects_seen: str = ""
+    before: float = math.nan
     about: Effect | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -59,7 +59,9 @@ from hyperval.products import (
     ObservedProducts,
     PredictedProducts,
     Products,
+    Quicklook,
     RocCurve,
+    ScoreMap,
     SpectralEstimate,
 )
 from hyperval.results import COLUMNS, OUTCOMES, Cause, Outcome, Result, ResultTable, Role, row_name
@@ -69,6 +71,7 @@ from hyperval.storage import write_text
 SIDES = {"predicted": PredictedProducts, "observed": ObservedProducts}
 SCHEMA_VERSION = 4
 SECONDS_PER_YEAR = 365.2425 * 86400.0
+WARNING = "warning: "  # what a note that warns begins with
 MAX_BYTES = 500_000_000  # of a table that is read
 MOST_JOINED = 200_000  # rows that the results.json of several campaigns repeats
 TABLE, PRODUCTS, PROVENANCE, PAGE, JUNIT, CSV = (
@@ -78,14 +81,28 @@ TABLE, PRODUCTS, PROVENANCE, PAGE, JUNIT, CSV = (
 
 @dataclass(frozen=True)
 class Run:
-    """What a folder of results holds.
+    """What a folder of results holds, and what its page says besides.
 
     Attributes
     ----------
     table : every row
-    provenance : where it came from; empty for what joins several runs
+    provenance : ``inputs`` is a list of mappings with the keys reference, sha256, licence, citation; the other keys
+        (versions, command, seed, formulation, ...) are shown as they are; empty for what joins several runs
     given : name of a side -> its products, of a run that is to be written
-    title, simulated : of ``products.nc``
+    campaign, title, description : name (also of the output folder), heading, a sentence or two
+    simulated : True when the collection is simulated; every page, figure and file then says so
+    computed : True when the reference is what another program computed, and no imagery
+    score_maps : "TARGET-DETECTOR" -> map
+    quicklook : picture of the scene
+    notes : assumptions made, what was left out
+    references : literature
+    chosen_after : (what, as it was before) of each range that was set after its data were seen
+    deciding : inconclusive criteria, and what would decide each
+    power : which injected errors the criteria detect (:class:`hyperval.campaign.PowerTable`), and why that is not of
+        the present run (empty where it is); None where that was not worked out
+    remedy : how to get the collection of a run that was skipped for lack of it
+    kind : what the page is: "Campaign" for both sides compared, else what it shows
+    sentence : what the page says first where it compares something else than a model with a collection
     folder : where it was read, None for one that is to be written
     """
 
@@ -94,6 +111,19 @@ class Run:
     given: Mapping[str, Products | None] = field(default_factory=dict)
     title: str = ""
     simulated: bool = False
+    campaign: str = ""
+    description: str = ""
+    computed: bool = False
+    score_maps: Mapping[str, ScoreMap] = field(default_factory=dict)
+    quicklook: Quicklook | None = None
+    notes: Sequence[str] = ()
+    references: Sequence[str] = ()
+    chosen_after: Sequence[tuple[str, str]] = ()
+    deciding: Sequence[tuple[Result, str]] = ()
+    power: tuple[Any, str] | None = None
+    remedy: str = ""
+    kind: str = "Campaign"
+    sentence: str = ""
     folder: Path | None = None
 
     @classmethod
@@ -119,6 +149,11 @@ class Run:
         return self.sides.get("predicted"), self.sides.get("observed")  # type: ignore[return-value]
 
     @property
+    def warnings(self) -> list[str]:
+        """Those of the notes that warn."""
+        return [note for note in self.notes if note.startswith(WARNING)]
+
+    @property
     def figures(self) -> dict[str, Path]:
         """Name of a file in ``figures/`` -> its path."""
         found = sorted((self.folder / "figures").glob("*.*")) if self.folder else []
@@ -132,27 +167,20 @@ class Run:
         given = (datetime.fromisoformat(text) for text in texts)
         return {t.replace(tzinfo=UTC) if t.tzinfo is None else t.astimezone(UTC) for t in given}
 
-    def write(
-        self,
-        folder: Path,
-        page: str,
-        figures: Mapping[str, bytes] | None = None,
-        score_maps: Mapping[str, Any] | None = None,
-    ) -> None:
+    def write(self, folder: Path, page: str, figures: Mapping[str, bytes] | None = None) -> None:
         """Write the run into an existing folder.
 
         Parameters
         ----------
         page : HTML
         figures : file name -> content
-        score_maps : "TARGET-DETECTOR" -> :class:`hyperval.report.run.ScoreMap`
         """
         folder = Path(folder)
         write_table(self.table, folder)
         if self.given:
             write_products(folder, self.given, title=self.title, simulated=self.simulated)
-        stems = file_stems(score_maps or {})
-        for name, score_map in (score_maps or {}).items():
+        stems = file_stems(self.score_maps)
+        for name, score_map in self.score_maps.items():
             (folder / "scores").mkdir(exist_ok=True)
             _write_score_map(folder / "scores" / f"{stems[name]}.tif", name, score_map)
         if self.provenance:
@@ -227,7 +255,7 @@ def file_stems(names: Iterable[str]) -> dict[str, str]:
     return stems
 
 
-def _write_score_map(path: Path, name: str, score_map: Any) -> None:
+def _write_score_map(path: Path, name: str, score_map: ScoreMap) -> None:
     """Write one map as float32 GeoTIFF; NaN is nodata; georeferenced where the map knows its transform."""
     import rasterio  # 20 MB, which runs without score maps do not need
     from affine import Affine

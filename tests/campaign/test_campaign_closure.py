@@ -69,7 +69,7 @@ def test_expected_maps_of_a_closure_campaign(small):
 
     # The measured mean of each kind of ground and target meets what is expected there, within five standard errors
     # (one false failure in a million) and the hundredth to which the filters of pixels and model agree.
-    numbers, contents = scene_content(place, detection, {s for s, *_ in run.prediction.expected_scores})
+    numbers, contents = scene_content(place, detection, {s for s, *_ in run.pair[0].expected_scores})
     names = [next(iter(content.values())) for content in contents]
     assert sorted(names) == sorted(["field", "court", *PANELS, "small-planks", "large-planks"])
     for number in range(len(contents)):

@@ -123,10 +123,10 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     place = tmp_path / "validation/power/small.yaml"
     known, inputs = campaign.accepted_table("small", tmp_path), run.provenance["inputs"]
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in inputs]
-    younger = report_page(replace(run, power=known.told(changed, run.table)), [])
+    younger = report_page(replace(run, power=(known, known.stale(changed, run.table))), [])
     assert "The table is older than campaign.yaml" in younger[: younger.index("<nav")]
     old = known.model_copy(update={"stated": dict.fromkeys(known.stated, 0.5)})
-    assert old.told(inputs, run.table).stale.startswith("The table is outdated: 2 of its criteria had different values")
+    assert old.stale(inputs, run.table).startswith("The table is outdated: 2 of its criteria had different values")
     errors = {BRIGHT: campaign.Injected(), "another": campaign.Injected(), TAILS: known.errors[TAILS]}
     campaign.write_power_table(place, known.model_copy(update={"errors": errors}))
     capsys.readouterr()

@@ -13,9 +13,9 @@ import pytest
 from hyperval import cli
 from hyperval.campaign import run_campaign
 from hyperval.datasets import InputLog
-from hyperval.report import RunReport, write_outputs
+from hyperval.report import write_outputs
 from hyperval.results import Outcome, Result, ResultTable
-from hyperval.run import write_table
+from hyperval.run import Run, write_table
 from hyperval.storage import PARTIAL, RECORD
 from small_campaign import files_of, with_stand_in_atmosphere, without_figures
 
@@ -106,7 +106,7 @@ def quick(monkeypatch) -> list[str]:
         ran.append(own.name)
         outcome = Outcome.SKIPPED if "nowhere" in own.title else Outcome.NONE
         table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)])
-        return RunReport(own.name, own.title, "", own.simulated, table, provenance={"inputs": log.entries()})
+        return Run(table, {"inputs": log.entries()}, title=own.title, campaign=own.name)
 
     def write(run, folder):
         write_table(run.table, folder)

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.stats import beta, norm
 
 from hyperval import products
-from hyperval.figures import Quicklook, ScoreMap
-from hyperval.report import RunReport
+from hyperval.products import Quicklook, ScoreMap
 from hyperval.results import Outcome, Result, ResultTable, Role
+from hyperval.run import Run
 from hyperval.spectra import SpectralAxis
 
 NASTY = "<script>alert('x')</script> & $\\bad$"
@@ -55,7 +55,7 @@ def make_run(
     shape: tuple[int, int] = (60, 90),
     rows: Sequence[Result] = (),
     campaign: str = "invented",
-) -> RunReport:
+) -> Run:
     """A whole run; ``rows`` are appended to its table."""
     rng = np.random.default_rng(4)
     ax = axis(bands)
@@ -108,15 +108,16 @@ def make_run(
     grey = np.clip(90 + 40 * np.sin(x / 9) + rng.normal(0, 8, shape), 0, 255).astype(np.uint8)
     regions = {"asphalt": (x > samples * 0.6) & (y < lines * 0.4), "grass": (x < samples * 0.4) & (y > lines * 0.6)}
     cube = {"reference": "data:invented/cube.img", "sha256": "ab" * 32, "licence": "CC0"}
-    return RunReport(
-        campaign, "Planks on a court", "Invented spectra in the shape of a small campaign.", simulated, table,
-        products.PredictedProducts(ax, **p, notes=("Thermal emission is left out.",), provenance={"engine": "6S"}),
-        products.ObservedProducts(ax, **o),
-        {
+    engine = {"notes": ("Thermal emission is left out.",), "provenance": {"engine": "6S"}}
+    sides = {"predicted": products.PredictedProducts(ax, **p, **engine), "observed": products.ObservedProducts(ax, **o)}
+    return Run(
+        table, given=sides, campaign=campaign, title="Planks on a court", simulated=simulated,
+        description="Invented spectra in the shape of a small campaign.",
+        score_maps={
             "yellow planks-CEM": ScoreMap(score, (0.5, 0, 287000.0, 0, -0.5, 4781000.0), "EPSG:32618", masks, 0.5),
             "yellow planks-ACE": ScoreMap(np.where(score > 1, np.nan, score)),
         },
-        Quicklook(np.stack([grey] * 3, axis=-1), regions | masks, (640.0, 550.0, 460.0), 0.5),
+        quicklook=Quicklook(np.stack([grey] * 3, axis=-1), regions | masks, (640.0, 550.0, 460.0), 0.5),
         provenance={
             "inputs": [cube | {"citation": "Nobody (2012), https://example.org/cube"}], "seed": 7,
             "versions": {"numpy": "2.0"}, "command": "hyperval validate campaign.yaml", "formulation": "corrected",

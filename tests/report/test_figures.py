@@ -4,6 +4,7 @@ import base64
 import dataclasses
 import io
 import json
+import math
 import re
 import xml.etree.ElementTree as ElementTree
 from typing import Any
@@ -15,7 +16,16 @@ from scipy.stats import norm
 from synthetic_run import axis, make_run
 
 from hyperval import figures
-from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, PixelDistribution, RocCurve
+from hyperval.products import (
+    Abundance,
+    ClassificationError,
+    ExceedanceCurve,
+    ObjectScores,
+    PixelDistribution,
+    Quicklook,
+    RocCurve,
+    ScoreMap,
+)
 from hyperval.results import Outcome, Result, ResultTable, Role
 
 LONG = "field spectrum of a target with a long name"
@@ -59,25 +69,24 @@ def sides(run):
             side, object_scores=objects, exceedance={(names[1], "cem"): tail}, classification=errors,
             abundance={**side.abundance, **areas},
         )
-        for side, objects, tail in zip((run.prediction, run.observation), (predicted, measured), tails, strict=True)
+        for side, objects, tail in zip(run.pair, (predicted, measured), tails, strict=True)
     )  # fmt: skip
 
 
 def reasons() -> list[Result]:
-    told = [
-        ("attribution", "all", name, "likelihood_gain", gain, f"{name}: -3 times its step of 1 %; x")
+    words = "{}: -3 times its step of 1 %; x".format
+    rows = [
+        Result("c", "attribution", "all", name, "likelihood_gain", gain, reason=words(name))
         for name, gain in ((LONG, 130.0), ("sensor gain", 5.0), ("blur (2)", 0.2))
     ]
-    told += [("attribution", "lawn", LONG, "likelihood_gain", 104.0, "")]
-    told += [("attribution", "radiance of lawn", "sensor gain", "reduced_chi_square", 1.1, "9.3 before")]
+    told = [("attribution", "lawn", LONG, "likelihood_gain", 104.0, math.nan)]
+    told += [("attribution", "radiance of lawn", "sensor gain", "reduced_chi_square", 1.1, 9.3)]
     told += [
-        ("sensitivity", f"all of the materials {i} m", f"{LONG} / cem/pixel", "roc_pd@1e-2_change", 0.01 * i, "gap 0.2")
+        ("sensitivity", f"all of the materials {i} m", f"{LONG} / cem/pixel", "roc_pd@1e-2_change", 0.01 * i, 0.2)
         for i in range(1, 5)
     ]
-    told += [
-        ("what-if", "all", name, "reduced_chi_square", x, "1.5 before") for name, x in (("near", 1.2), ("far", 2.2))
-    ]
-    rows = [Result("c", *names, value, reason=reason) for *names, value, reason in told]
+    told += [("what-if", "all", name, "reduced_chi_square", x, 1.5) for name, x in (("near", 1.2), ("far", 2.2))]
+    rows += [Result("c", *names, value, before=before) for *names, value, before in told]
     return rows + [
         Result("c", "abundance", f"all targets of {a} m2", "fcls", f"area_rmse_{side}", 0.2, "m2", lower=0.1, upper=0.5)
         for a in (1, 4) for side in ("predicted", "observed")
@@ -149,16 +158,16 @@ def test_the_words_of_a_figure_have_its_numbers(charts):
 
 
 def test_nothing_to_draw(run):
-    nothing = tuple(type(side)(side.axis) for side in (run.prediction, run.observation))
+    nothing = tuple(type(side)(side.axis) for side in run.pair)
     assert [*figures.first_figures(nothing), *further(*nothing)] == []
     assert figures.densities_figure([("one", nothing[0])]) is None
 
 
 def test_spectra_hold_both_sides_and_their_difference(run):
-    figure = figures.spectra_figure((run.prediction, run.observation), "radiance")
+    figure = figures.spectra_figure(run.pair, "radiance")
     assert [view.subject for view in figure.views] == ["grass", "lawn"]
     above, below = stated(figure)[0]["parts"]
-    predicted, measured = run.prediction.radiance["grass"], run.observation.radiance["grass"]
+    predicted, measured = run.pair[0].radiance["grass"], run.pair[1].radiance["grass"]
     p, m, u = predicted.mean, measured.mean, predicted.standard_uncertainty
     ratio_u = np.hypot(u / m, p * measured.standard_uncertainty / m**2)
     for mark, value, own_u in (
@@ -166,7 +175,7 @@ def test_spectra_hold_both_sides_and_their_difference(run):
         (above["marks"][1], p, u),
         (below["marks"][0], p / m - 1.0, ratio_u),
     ):
-        np.testing.assert_allclose(mark["columns"]["x"], run.prediction.axis.centre_nm, rtol=1e-6)
+        np.testing.assert_allclose(mark["columns"]["x"], run.pair[0].axis.centre_nm, rtol=1e-6)
         np.testing.assert_allclose(mark["columns"]["y"], value, rtol=1e-5, atol=1e-7)
         np.testing.assert_allclose(mark["columns"]["half"], norm.isf(0.025) * own_u, rtol=1e-5)
     assert [mark["dash"] for mark in above["marks"]] == ["solid", "dashed"]
@@ -175,42 +184,42 @@ def test_spectra_hold_both_sides_and_their_difference(run):
 
 
 def test_sides_without_a_difference_have_none_drawn(run):
-    same = figures.spectra_figure((run.prediction, run.prediction), "radiance")
+    same = figures.spectra_figure((run.pair[0], run.pair[0]), "radiance")
     assert "which are identical" in same.title
     assert [len(view.parts) for view in same.views] == [1, 1]
-    axis_of = run.observation.axis
-    moved = dataclasses.replace(run.observation, axis=dataclasses.replace(axis_of, centre_nm=axis_of.centre_nm + 40.0))
+    axis_of = run.pair[1].axis
+    moved = dataclasses.replace(run.pair[1], axis=dataclasses.replace(axis_of, centre_nm=axis_of.centre_nm + 40.0))
     for other in (moved, None):
-        alone = figures.spectra_figure((run.prediction, other), "radiance")
+        alone = figures.spectra_figure((run.pair[0], other), "radiance")
         assert [mark.label for mark in alone.marks()] == ["predicted"] * 2
-    assert figures.spectra_figure((run.prediction, dataclasses.replace(run.observation, snr={})), "snr") is None
-    one = dataclasses.replace(run.prediction, snr={"grass": run.prediction.snr["grass"]})
-    compared = figures.spectra_figure((one, run.observation), "snr")
+    assert figures.spectra_figure((run.pair[0], dataclasses.replace(run.pair[1], snr={})), "snr") is None
+    one = dataclasses.replace(run.pair[0], snr={"grass": run.pair[0].snr["grass"]})
+    compared = figures.spectra_figure((one, run.pair[1]), "snr")
     assert compared.title.endswith("; 1 of 2 shown, all in products.nc")
     assert ("grass" in compared.alt, "lawn" in compared.alt) == (True, False)
 
 
 def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run):
     row = Result("r", "radiance", "lawn", "m", "p_value_full", 0.0, role=Role.GATE, outcome=Outcome.DISAGREES)
-    figure = figures.spectra_figure((run.prediction, run.observation), "radiance", [row])
+    figure = figures.spectra_figure(run.pair, "radiance", [row])
     assert [view.subject for view in figure.views] == ["lawn", "grass"]
     many = make_run(bands=6, subjects=[f"s{i}" for i in range(30)], curves=0, shape=(4, 4))
-    figure = figures.spectra_figure((many.prediction, many.observation), "snr")
+    figure = figures.spectra_figure(many.pair, "snr")
     assert len(figure.views) == figures.MOST_SUBJECTS
     assert figure.title.endswith("; 24 of 30 shown, all in products.nc")
 
 
 def test_a_side_alone(run):
     """Bands may go by number; the logarithm of an eigenvalue of a large sample has the sd root of 2 / (n - 1)."""
-    axis = run.observation.axis
+    axis = run.pair[1].axis
     numbered = dataclasses.replace(axis, centre_nm=np.arange(1.0, 25.0), fwhm_nm=np.ones(24))
-    figure = figures.spectra_figure((None, dataclasses.replace(run.observation, axis=numbered)), "reflectance")
+    figure = figures.spectra_figure((None, dataclasses.replace(run.pair[1], axis=numbered)), "reflectance")
     assert figure.views[0].x.label == "number of the band"
     assert "absorption" not in figure.title + figures.statement(figure)
-    known = figures.spectra_figure((None, run.observation), "reflectance")
+    known = figures.spectra_figure((None, run.pair[1]), "reflectance")
     assert [685.0, 693.0] in json.loads(figures.statement(known))["absorption"]
-    estimate = dataclasses.replace(run.prediction.radiance["grass"], n=51)
-    figure = further(None, dataclasses.replace(run.prediction, radiance={"grass": estimate}))["radiance-eigenvalues"]
+    estimate = dataclasses.replace(run.pair[0].radiance["grass"], n=51)
+    figure = further(None, dataclasses.replace(run.pair[0], radiance={"grass": estimate}))["radiance-eigenvalues"]
     (mark,) = figure.views[0].parts[0].marks
     values = np.linalg.eigvalsh(estimate.pixel_covariance)[::-1][: mark.columns["y"].size]
     np.testing.assert_allclose(mark.columns["y"], values, rtol=1e-9)
@@ -232,7 +241,7 @@ def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(
     curve = RocCurve(pfa, *(np.sqrt(pfa),) * 3, pfa)
     held = {(f"t{i}", "cem", "pixel"): dataclasses.replace(curve, n_target=i) for i in range(30)}
     figure = next(
-        f for f in figures.first_figures((None, dataclasses.replace(run.observation, roc=held))) if f.name == "roc"
+        f for f in figures.first_figures((None, dataclasses.replace(run.pair[1], roc=held))) if f.name == "roc"
     )
     assert [view.subject for view in figure.views] == [f"t{i}" for i in range(6, 30)]
     columns = stated(figure)[0]["parts"][0]["marks"][0]["columns"]
@@ -285,8 +294,8 @@ def test_many_objects_are_a_map_and_a_histogram_and_groups_are_judged_together_a
         draws = rng.normal(0.5 + number, 0.05, (400, 5))
         predicted[subject, "cem"] = ObjectScores(draws)
         measured[subject, "cem"] = ObjectScores(np.full(25, np.median(draws) + 0.1), names)
-    sides = [type(s)(axis(2), object_scores=x) for s, x in ((run.prediction, predicted), (run.observation, measured))]
-    score_map = figures.ScoreMap(np.zeros((9, 120)), outlines=outlines)
+    sides = [type(s)(axis(2), object_scores=x) for s, x in ((run.pair[0], predicted), (run.pair[1], measured))]
+    score_map = ScoreMap(np.zeros((9, 120)), outlines=outlines)
     place, scores = stated(figures.many_objects_figure({"planks-cem": score_map}, sides))[0]["parts"]
     (dots,) = place["marks"]
     np.testing.assert_allclose(dots["columns"]["value"], 0.1, atol=1e-6)
@@ -329,7 +338,7 @@ def test_a_map_has_the_colours_of_its_scores_and_says_where_it_is():
     """Pixels of the picture, each so many points wide: white for none, then from dark to bright."""
     values, outline = np.linspace(0.0, 1.0, 200).reshape(10, 20), np.zeros((10, 20), bool)
     values[0, 0], outline[4:6, 8:12] = np.nan, True
-    maps = (figures.ScoreMap(values), figures.ScoreMap(values, outlines={"panel": outline}, pixel_size_m=2.0))
+    maps = (ScoreMap(values), ScoreMap(values, outlines={"panel": outline}, pixel_size_m=2.0))
     plain, outlined = (figures.draw_pictures(None, {"a": one}, simulated=False)[0] for one in maps)
     picture, marked = pixels(plain), pixels(outlined)
     top, left = 80, 96
@@ -348,7 +357,7 @@ def test_a_target_of_one_pixel_is_seen_in_a_large_map():
     values = np.zeros((1700, 1700))
     values[5:900, 0:40] = np.nan
     values[1203, 704] = 9.0
-    (drawing,) = figures.draw_pictures(None, {"a": figures.ScoreMap(values)}, simulated=False)
+    (drawing,) = figures.draw_pictures(None, {"a": ScoreMap(values)}, simulated=False)
     assert "each point is the largest score of 3 by 3 pixels" in drawing.title
     bright = np.abs(pixels(drawing) - [253, 231, 37]).max(axis=-1)[:, :-190] <= 2
     assert [place.tolist() for place in np.nonzero(bright)] == [[80 + 1203 // 3], [96 + 704 // 3]]
@@ -364,6 +373,6 @@ def test_a_long_strip_is_cut_to_its_regions(turned, shown):
     for own, cut in ((mask, shown), (mask & False, ""), (np.zeros((300, 200), bool), "")):
         own = own.T if turned else own
         (drawing,) = figures.draw_pictures(
-            figures.Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own}), {}, simulated=False
+            Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own}), {}, simulated=False
         )
         assert drawing.title.partition("; ")[2] == cut

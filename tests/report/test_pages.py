@@ -14,11 +14,12 @@ import rasterio
 from synthetic_run import GATE, NASTY, axis, make_run
 
 from hyperval import cli, report
+from hyperval.campaign import PowerTable
 from hyperval.errors import InputError
 from hyperval.figures import Drawing
 from hyperval.products import ObservedProducts, PredictedProducts
 from hyperval.results import Outcome, Result, ResultTable, Role, paired
-from hyperval.run import Run, read_rows, write_table
+from hyperval.run import SIDES, Run, read_rows, write_table
 
 # What is written: complete, self-contained, honest, and the same bytes twice.
 
@@ -205,18 +206,19 @@ def test_disagreements_that_do_not_decide_come_first_and_alike_backgrounds_are_o
 
 def test_pages_of_one_side_do_not_call_themselves_validations():
     rows = ResultTable([Result("s", "roc", "t", "cem/pixel", "pd@1e-2", 0.5)])
-    text = Page(report.report_page(report.RunReport("s", "S", "", False, rows, kind="Prediction of scenario"), [])).text
+    text = Page(report.report_page(Run(rows, campaign="s", title="S", kind="Prediction of scenario"), [])).text
     assert not re.search("alidat|Verdict|Campaign|simulated", text)
     assert "Prediction or observation only: nothing is compared." in text
 
 
 def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix():
     """With many subjects the matrix is longer than a screen.  A choice after the data stands after what it was."""
-    detected = [("sunlight x 1.05", "undetected", ""), ("fill fraction x 0.8", "1 criterion", "scores | all | cem | p")]
+    seen = {"sunlight x 1.05": {}, "fill fraction x 0.8": {"gates": ["scores | all | cem | p"]}}
     told = "The criteria detect 1 of 2 injected model errors. Undetected: sunlight x 1.05."
     notes = ["warning: the panels do not lie on one line", "a note", *(f"warning: number {i}" for i in range(3))]
     choices = [("radiance: at most 0.06", "at most 0.05"), ("snr: at most 0.1", "none")]
-    power = report.PowerWords(told, detected, "1")
+    facts = {"schema": 1, "campaign": "invented", "version": "1", "files": {}, "gates": 1, "disagreeing": 0}
+    power = PowerTable.model_validate({**facts, "errors": seen}), ""
     text = page_of(change={"chosen_after": choices, "power": power, "notes": notes}).text
     before = text[: text.index("Subject")]
     for words in ("SIMULATED", "Warning: the panels do not lie on one line", "1 more warning stands", told):
@@ -228,10 +230,12 @@ def test_warnings_choices_and_what_a_campaign_can_tell_stand_before_the_matrix()
 def test_nothing_at_all_is_undecided(tmp_path):
     predicted, observed = PredictedProducts(axis(5)), ObservedProducts(axis(5))
     for number, sides in enumerate([(None, None), (predicted, observed), (predicted, None)]):
-        files = written(report.RunReport("empty", "Empty", "", False, ResultTable(), *sides), tmp_path / str(number))
+        given = dict(zip(SIDES, sides, strict=True))
+        files = written(Run(ResultTable(), given=given, campaign="empty", title="Empty"), tmp_path / str(number))
         assert "nothing is compared" in Page(files["report.html"].decode()).text
         assert not any(name.startswith(("figures/", "scores/")) for name in files)
-    alone = page_of(subjects=("grass",), change={"observation": None, "score_maps": {}, "quicklook": None})
+    alone = {"given": {"predicted": make_run(curves=1).pair[0]}, "score_maps": {}, "quicklook": None}
+    alone = page_of(subjects=("grass",), change=alone)
     names = {attributes.get("id") for _, attributes in alone.tags if attributes.get("role") == "group"}
     assert {"chart-radiance-budget", "chart-scores", "chart-abundance"} <= names
 
@@ -277,9 +281,7 @@ def test_campaigns_without_their_collection_are_folded_by_what_gets_it():
 def test_an_index_joins_campaigns_and_sets_computed_and_simulated_references_apart(run, tmp_path):
     failed = row("t", product="roc")
     second, network = (
-        report.RunReport(
-            n, n, "", False, ResultTable([dataclasses.replace(failed, campaign=n)]), computed=n == "network"
-        )
+        Run(ResultTable([dataclasses.replace(failed, campaign=n)]), campaign=n, title=n, computed=n == "network")
         for n in ("second <b>", "network")
     )
     runs = {"invented": run, "second_b_": second, "network": network}
@@ -347,10 +349,10 @@ def test_a_verdict_that_turned_stands_first(folders, tmp_path):
 def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
     run = make_run()
     (tmp_path / "moved").mkdir()
-    radiance = {k: dataclasses.replace(e, mean=1.1 * e.mean) for k, e in run.prediction.radiance.items()}
+    radiance = {k: dataclasses.replace(e, mean=1.1 * e.mean) for k, e in run.pair[0].radiance.items()}
     table = ResultTable(dataclasses.replace(row, value=row.value * 1.1) for row in run.table)
-    moved = dataclasses.replace(run.prediction, radiance=radiance)
-    report.write_outputs(dataclasses.replace(run, prediction=moved, table=table), tmp_path / "moved")
+    moved = {**run.given, "predicted": dataclasses.replace(run.pair[0], radiance=radiance)}
+    report.write_outputs(dataclasses.replace(run, given=moved, table=table), tmp_path / "moved")
     page = compared(folders / "a", tmp_path / "moved", tmp_path / "out")
     assert "run A (dashed) and run B" in page
     assert page.count('id="chart-radiance"') == page.count('id="chart-snr"') == 1

@@ -160,30 +160,28 @@ def whole():
 @pytest.fixture(scope="module")
 def opened(whole, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    run.write_products(
-        folder, {"predicted": whole.prediction, "observed": whole.observation}, title=whole.title, simulated=True
-    )
+    run.write_products(folder, whole.given, title=whole.title, simulated=True)
     run.write_table(whole.table, folder)
     return hyperval.open(folder)
 
 
 def test_spectra_curves_and_scores_of_an_opened_run_are_tables(whole, opened):
     rows = opened.spectra.query("side == 'observed' and product == 'radiance' and subject == 'lawn'")
-    known = whole.observation.radiance["lawn"]
-    np.testing.assert_array_equal(rows["band_nm"], whole.observation.axis.centre_nm)
+    known = whole.pair[1].radiance["lawn"]
+    np.testing.assert_array_equal(rows["band_nm"], whole.pair[1].axis.centre_nm)
     np.testing.assert_array_equal(rows["value"], known.mean)
     np.testing.assert_allclose(rows["standard_uncertainty"], known.standard_uncertainty, rtol=1e-12)
-    (key, curve), *_ = whole.prediction.roc.items()
+    (key, curve), *_ = whole.pair[0].roc.items()
     rows = opened.roc.set_index(["side", "subject", "detector", "unit"]).loc[("predicted", *key)]
     np.testing.assert_array_equal(rows["pd"], curve.pd)
-    (subject, detector), score = next(iter(whole.observation.scores.items()))
+    (subject, detector), score = next(iter(whole.pair[1].scores.items()))
     row = opened.scores.set_index(["side", "subject", "detector"]).loc[("observed", subject, detector)]
     assert (row["mean"], row["sd"], row["n"]) == (score.mean, score.sd, score.n)
     assert len(opened.summary) == sum(row.planned for row in whole.table)
 
 
 def test_a_measurand_has_its_errors_by_the_names_of_obsarray(whole, opened):
-    data, known = opened.measurand("observed", "radiance", "lawn"), whole.observation.radiance["lawn"]
+    data, known = opened.measurand("observed", "radiance", "lawn"), whole.pair[1].radiance["lawn"]
     (component,) = data["radiance"].attrs["unc_comps"]
     u, covariance = data[component], known.error_covariance
     assert (u.attrs["err_corr_1_dim"], u.attrs["err_corr_1_form"]) == ("band", "err_corr_matrix")

@@ -693,8 +693,7 @@ def validate(
     if output is not None:
         with whole_folder(Path(output)) as folder:
             write_outputs(report, folder)
-    sides = {"predicted": report.prediction, "observed": report.observation}
-    return Validation(report.campaign, Run(report.table, report.provenance, sides), tuple(report.notes))
+    return Validation(report.campaign, report, tuple(report.notes))
 
 
 def study(path: Path | str, *, output: Path | str | None = None, show_progress: bool | None = None) -> Study:

@@ -523,11 +523,13 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         yield from named([row("probability", r.probability[name], n=r.dof)], "attribution", r.group, name)
     for place, item in enumerate(r.fits, start=1):
         assert item.candidate is not None  # noqa: S101 - of a candidate
-        unit = item.candidate.unit + ("" if item.candidate.budgeted else " (none is stated)")
+        unit, cause = item.candidate.unit, Cause.NONE
+        if not item.candidate.budgeted:
+            unit, cause = f"{unit} (none is stated)", Cause.NO_UNCERTAINTY
         own = [
             row("probability", r.probability[item.name], reason=f"rank {place}: {item.in_words}", n=r.dof),
             row("likelihood_gain", max(2.0 * item.evidence, 0.0), reason=f"rank {place}: {item.in_words}", n=r.dof),
-            row("needed_uncertainty", abs(item.units), reason=f"in units of the {unit}"),
+            row("needed_uncertainty", abs(item.units), cause=cause, reason=f"in units of the {unit}"),
         ]
         yield from named(own, "attribution", r.group, item.name)
 
@@ -542,7 +544,7 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     for block, at in causes.stack.placed():
         own = causes.covariance[at, at]
         before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (residual, left))
-        found = row("reduced_chi_square", after, n=block.observed.size, reason=f"{before:.4g} before")
+        found = row("reduced_chi_square", after, n=block.observed.size, before=before, reason=f"{before:.4g} before")
         yield from named([found], "attribution", _quantity(block), first.name)
 
 
@@ -558,7 +560,7 @@ def _sensitivity_rows(
             reason += f"; share of the variance {share:.3g}"
         unit = "stated uncertainty" if candidate.budgeted else candidate.step
         method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
-        found = row(f"{quantity.product}_{quantity.metric}_change", change, reason=f"per {unit}; {reason}")
+        found = row(f"{quantity.product}_{quantity.metric}_change", change, before=gap, reason=f"per {unit}; {reason}")
         yield replace(found, product="sensitivity", subject=quantity.subject, method=method)
 
 
@@ -580,12 +582,12 @@ class WhatIfOutcome(NamedTuple):
 
         The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
         """
-        n, p = before.residuals.dof, self.residuals.p_value
-        yield row("reduced_chi_square", self.reduced, n=n, reason=f"{before.reduced:.4g} before; {self.item.question}")
-        yield row("likelihood_gain", (before.reduced - self.reduced) * n, n=n, reason=f"p = {p:.2g} after")
+        n, was, p = before.residuals.dof, before.reduced, self.residuals.p_value
+        yield row("reduced_chi_square", self.reduced, n=n, before=was, reason=f"{was:.4g} before; {self.item.question}")
+        yield row("likelihood_gain", (was - self.reduced) * n, n=n, reason=f"p = {p:.2g} after")
         for name, gap in before.gaps.items():
             words = name.replace("|", "").replace("@", " at ").split()
-            yield row("_".join(words), self.gaps[name], n=n, reason=f"{gap:.4g} before")
+            yield row("_".join(words), self.gaps[name], n=n, before=gap, reason=f"{gap:.4g} before")
 
 
 def _what_ifs(

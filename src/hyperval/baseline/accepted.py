@@ -30,7 +30,7 @@ from hyperval.errors import HypervalError, as_typed, reader, refuse
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
-from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report import write_index, write_outputs
 from hyperval.report.verdict import accepted_words
 from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
@@ -570,7 +570,7 @@ def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
     for run in runs:
         path = run.path(baselines)
         inputs = [{"reference": path.name, "sha256": sha256_of(path)}] if path.is_file() else []
-        reports.append(RunReport(
+        reports.append(Run(
             campaign=run.owner, title=f"{run.title}: against the accepted numbers",
             description="Each number of this run beside the accepted one; it fails beyond its tolerance.",
             simulated=run.simulated, kind="Accepted numbers of", table=run.rows,

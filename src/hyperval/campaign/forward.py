@@ -8,8 +8,9 @@ from hyperval.campaign.provenance import record_of
 from hyperval.compare.products import product_rows
 from hyperval.datasets import InputLog
 from hyperval.model import Origins, predict
-from hyperval.report import RunReport, write_outputs
+from hyperval.report import write_outputs
 from hyperval.results import ResultTable, of_campaign
+from hyperval.run import Run
 from hyperval.scenario import load_scenario
 from hyperval.storage import whole_folder
 
@@ -20,14 +21,13 @@ def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | 
     log = InputLog(scenario.folder or Path())
     with whole_folder(output) as folder:  # first of all: it may not be writable
         prediction = predict(scenario, Origins(resolve=log.resolve, show_progress=show_progress))
-        run = RunReport(
+        run = Run(
             campaign=scenario.name,
             title=scenario.title or scenario.name,
             description=scenario.description,
-            simulated=False,
             kind="Prediction of scenario",
             table=ResultTable(of_campaign(product_rows(prediction, "predicted"), scenario.name)),
-            prediction=prediction,
+            given={"predicted": prediction},
             provenance=record_of(log, [scenario], None, {"scenario": scenario}, [prediction]),
             notes=prediction.notes,
         )

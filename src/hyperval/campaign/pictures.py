@@ -13,11 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.collection import Detection
-from hyperval.figures.spec import ExpectedScores, Quicklook, ScoreMap
 from hyperval.imagery import Cube, all_pixels
 from hyperval.observe import Observed, Place, map_name, scored_part, target_groups
 from hyperval.pixels import false_alarm_ratio
-from hyperval.products import PredictedProducts, background_of
+from hyperval.products import ExpectedScores, PredictedProducts, Quicklook, ScoreMap, background_of
 from hyperval.results import Result
 
 Expected = Mapping[tuple[str, str, str], float]

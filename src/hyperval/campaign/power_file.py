@@ -15,7 +15,6 @@ import hyperval
 from hyperval.config import Model, load_model
 from hyperval.errors import UsageError
 from hyperval.metrics import DIGITS, Evidence, default_tolerance
-from hyperval.report.run import PowerWords
 from hyperval.results import Result
 from hyperval.storage import write_text
 
@@ -129,20 +128,13 @@ class PowerTable(Model):
                 out.append(name)
         return out
 
-    def told(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> PowerWords:
-        """What a page says of the table beside a run of these inputs and rows."""
-        stale = ""
+    def stale(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> str:
+        """Why the table is not of a run of these inputs and rows; empty where it is."""
         if changed := self.changed_files(inputs):
-            stale = f"The table is older than {', '.join(changed)}: run hyperval power again."
-        elif moved := self.moved_gates(rows):
-            stale = f"The table is outdated: {len(moved)} of its criteria had different values ({moved[0]})."
-            stale += " Run hyperval power again."
-        errors = [
-            (name, i.words, "; ".join(filter(None, (i.which, i.reason and f"reason named: {i.reason}"))))
-            for name, i in self.errors.items()
-        ]
-        lines = [] if self.reasons is None else self.reasons.lines
-        return PowerWords(self.sentence, errors, self.version, stale, lines)
+            return f"The table is older than {', '.join(changed)}: run hyperval power again."
+        moved = self.moved_gates(rows)
+        outdated = f"The table is outdated: {len(moved)} of its criteria had different values ({', '.join(moved[:1])})."
+        return f"{outdated} Run hyperval power again." if moved else ""
 
     @property
     def sentence(self) -> str:

@@ -36,9 +36,9 @@ from hyperval.observe import observe as observe_collection
 from hyperval.observe import write_reflectance as reflectance_cube
 from hyperval.products import PredictedProducts, Products
 from hyperval.progress import step, track, working
-from hyperval.report import RunReport, write_index, write_outputs
+from hyperval.report import write_index, write_outputs
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
-from hyperval.run import read_rows
+from hyperval.run import Run, read_rows
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, whole_folder, write_text
@@ -49,7 +49,7 @@ OBJECT_DRAWS = 1600
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
 INTERNAL_ERROR = 4
 UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
-Done = tuple[RunReport, int | None]
+Done = tuple[Run, int | None]
 Form = Literal["envi", "cog"]
 
 
@@ -59,7 +59,7 @@ def run_campaign(
     predicts: bool = True,
     show_progress: bool | None = None,
     with_observed: Callable[[Observed], None] | None = None,
-) -> RunReport:
+) -> Run:
     """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
 
     ``with_observed`` is called while the files of the collection, simulated ones too, are still there.
@@ -98,7 +98,7 @@ def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextM
     return step(campaign, steps.index(what) + 1, len(steps), what)
 
 
-def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progress: bool | None) -> RunReport:
+def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progress: bool | None) -> Run:
     """What both sides say, compared and judged; what the collection says where nothing was predicted."""
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
     more: dict[str, Any] = {"kind": "Collection of campaign"}
@@ -127,12 +127,11 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     power = accepted_table(campaign.name, side.inputs.base) if predicted else None
     return replace(
         report_of(campaign, rows),
-        prediction=prediction,
-        observation=observed.observation,
+        given={"predicted": prediction, "observed": observed.observation},
         score_maps=score_maps(observed, campaign.detection, prediction, rows),
         quicklook=quicklook(observed),
         provenance=provenance,
-        power=power.told(provenance["inputs"], rows) if power else None,
+        power=(power, power.stale(provenance["inputs"], rows)) if power else None,
         notes=list(dict.fromkeys(notes)),
         references=campaign.references,
         chosen_after=campaign.every_choice(),
@@ -140,9 +139,9 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     )
 
 
-def report_of(campaign: Outline, rows: Iterable[Result]) -> RunReport:
+def report_of(campaign: Outline, rows: Iterable[Result]) -> Run:
     """What a campaign's file and its rows alone say."""
-    return RunReport(
+    return Run(
         campaign=campaign.name,
         title=campaign.title,
         description=campaign.description,
@@ -152,7 +151,7 @@ def report_of(campaign: Outline, rows: Iterable[Result]) -> RunReport:
     )
 
 
-def unfinished(job: Job, outcome: Outcome, reason: str) -> RunReport:
+def unfinished(job: Job, outcome: Outcome, reason: str) -> Run:
     """The planned comparisons of a campaign that could not be made, each as a row."""
     campaign = job.outline
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
@@ -333,7 +332,7 @@ class CampaignRun(NamedTuple):
     raises: bool
     show_progress: bool | None = None
 
-    def unchanged(self) -> RunReport | None:
+    def unchanged(self) -> Run | None:
         """The report of a campaign that stands whole, without its arrays; what does not is removed.
 
         Each file of an earlier run gets a second name; nothing is copied where the file system knows several names
@@ -371,17 +370,17 @@ class CampaignRun(NamedTuple):
         code = error.exit_code if isinstance(error, HypervalError) else INTERNAL_ERROR
         return self.written(unfinished(self.job, Outcome.ERROR, words), code)
 
-    def written(self, run: RunReport, code: int | None) -> Done:
+    def written(self, run: Run, code: int | None) -> Done:
         """Write its folder, and what it was made of where nothing was skipped or went wrong."""
         with step_of(run.campaign, "report"), working("figures and report", show=self.show_progress):
             write_outputs(run, self.folder)
         if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
             write_record(self.job, run, self.folder)
         table = ResultTable(row for row in run.table if row.planned or not row.per_band)  # most are of single bands
-        return replace(run, table=table, prediction=None, observation=None, score_maps={}, quicklook=None), code
+        return replace(run, table=table, given={}, score_maps={}, quicklook=None), code
 
 
-def write_record(job: Job, run: RunReport, folder: Path) -> None:
+def write_record(job: Job, run: Run, folder: Path) -> None:
     """Write into a campaign's folder what it was made of."""
     read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
     files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
@@ -391,7 +390,7 @@ def write_record(job: Job, run: RunReport, folder: Path) -> None:
         write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
 
 
-def as_before(job: Job, folder: Path) -> RunReport | None:
+def as_before(job: Job, folder: Path) -> Run | None:
     """The report that stands whole in ``folder``, without its arrays, where it is unchanged."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
         record, log = json.loads((folder / RECORD).read_bytes()), InputLog(job.folder)

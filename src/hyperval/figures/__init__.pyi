@@ -16,19 +16,16 @@ from .spec import (
     Axis,
     ColourScale,
     Drawing,
-    ExpectedScores,
     Figure,
     Mark,
     Panels,
     Part,
-    Quicklook,
-    ScoreMap,
     statement,
 )
 
 __all__ = [
-    "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "ExpectedScores", "Figure", "Mark", "Panels", "Part",
-    "Quicklook", "ScoreMap", "campaigns_figure", "canvas_of", "criteria_figure",
+    "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part",
+    "campaigns_figure", "canvas_of", "criteria_figure",
     "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure", "first_figures", "further_figures",
     "house_style", "many_objects_figure", "reason_figures", "spectra_figure", "statement",
 ]  # fmt: skip

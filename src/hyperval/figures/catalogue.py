@@ -29,7 +29,6 @@ from hyperval.figures.spec import (
     Mark,
     Panels,
     Part,
-    ScoreMap,
     Sides,
     a_row_each,
     a_view_each,
@@ -54,6 +53,7 @@ from hyperval.products import (
     Products,
     RocCurve,
     ScoreDistribution,
+    ScoreMap,
     SpectralEstimate,
 )
 from hyperval.results import WORST_FIRST, Result, ResultTable

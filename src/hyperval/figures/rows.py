@@ -30,8 +30,7 @@ from hyperval.figures.spec import (
     row_names,
 )
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable
-from hyperval.storage import number_of
+from hyperval.results import OUTCOMES, WORST_FIRST, Cause, Outcome, Result, ResultTable
 
 _LOOKS = {
     Outcome.DISAGREES: (NOT_MET, "square"), Outcome.ERROR: (NOT_MET, "x"), Outcome.UNDECIDED: (INCONCLUSIVE, "diamond"),
@@ -297,7 +296,7 @@ def reason_figures(table: ResultTable) -> list[Figure]:
     left = [
         r for r in table.where(product="attribution") if r.metric == "reduced_chi_square" and r.method != "every input"
     ]
-    left = sorted(left, key=lambda r: -_leading_number(r.reason))[:_MOST_QUANTITIES]
+    left = sorted(left, key=lambda r: -r.before)[:_MOST_QUANTITIES]
     first = next((f"Residuals before and after: {r.method}" for r in left), "")
     made = (
         _before_and_after("residuals", "attribution", left, [r.subject for r in left], first),
@@ -312,7 +311,7 @@ def reason_figures(table: ResultTable) -> list[Figure]:
 
 def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     needed = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
-    stated, names = {r.method for r in needed if "none is stated" not in r.reason}, [r.method for r in rows]
+    stated, names = {r.method for r in needed if r.cause is not Cause.NO_UNCERTAINTY}, [r.method for r in rows]
     looks = {True: (_STATED, "uncertainty stated"), False: (_UNSTATED, "none stated: standard step")}
     marks = []
     for is_stated, (colour, label) in looks.items():
@@ -401,7 +400,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
         return f"{r.subject}, {what}" + (f" {way}" if way else "")
 
     every = list(dict.fromkeys(label(r) for r in rows))
-    gaps = {label(r): abs(_leading_number(r.reason.partition("gap ")[2])) for r in rows}
+    gaps = {label(r): abs(r.before) for r in rows}
     shown = sorted(every, key=lambda q: -gaps[q])[:_MOST_QUANTITIES]
     by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
     names = list(dict.fromkeys(r.method.partition(" / ")[0] for r in rows))
@@ -428,11 +427,10 @@ def _effects(rows: Sequence[Result]) -> Figure:
 
 
 def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
-    """Reduced chi-square of each row, and that which its reason tells."""
+    """Reduced chi-square of each row, and what it was before."""
     if not rows:
         return None
-    before = np.array([_leading_number(r.reason) for r in rows])
-    after, at = np.array([r.value for r in rows]), np.arange(float(len(rows)))
+    (before, after), at = np.array([(r.before, r.value) for r in rows]).T, np.arange(float(len(rows)))
     marks = [Mark("dots", {"x": before, "y": at}, "as in the campaign", marker="circle", hollow=True)]
     for own, label, colour, marker in (
         (after < before, "after, closer", MET, "left"), (~(after < before), "after, farther", NOT_MET, "right")
@@ -448,7 +446,3 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
     alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
     return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
-
-
-def _leading_number(text: str) -> float:
-    return number_of((text.split() or [""])[0].rstrip(",;"))

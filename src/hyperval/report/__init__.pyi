@@ -2,14 +2,11 @@
 
 from .html import MAX_BYTES, index_page, report_page
 from .outputs import write_index, write_outputs
-from .run import PowerWords, RunReport
 from .side_by_side import compare_runs
 from .verdict import first_screen, interval_text, last_line, limits_text, number_text, value_text
 
 __all__ = [
     "MAX_BYTES",
-    "PowerWords",
-    "RunReport",
     "compare_runs",
     "first_screen",
     "index_page",

@@ -29,10 +29,9 @@ from hyperval.figures.spec import Drawing, Figure, statement
 from hyperval.metrics import Evidence, explained
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.report.run import WARNING, RunReport
 from hyperval.report.verdict import outcome_words, worst
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
-from hyperval.run import Run, is_run, is_simulated, read_pair
+from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
 
 if TYPE_CHECKING:
@@ -187,10 +186,9 @@ _INPUT = ("reference", "sha256", "licence", "citation")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 
-def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
+def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
-    rows = list(run.table)
-    sides = (run.prediction, run.observation)
+    rows, sides, (power, stale) = list(run.table), run.pair, run.power or (None, "")
     spectra = _worst_first(first_figures(sides, run.table), rows)
     many = many_objects_figure(run.score_maps, sides)
     shown_first = [*spectra, *([many] if many is not None else [])]
@@ -199,7 +197,7 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
     planned = [row for row in rows if row.planned]
-    screen = v.first_screen(rows, run.power.sentence.partition(". ")[0] + "." if run.power else "")
+    screen = v.first_screen(rows, power.sentence.partition(". ")[0] + "." if power else "")
     forest = criteria_figure(rows) if planned and not run.sentence else None
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
     first = [one for one in (forest, worst) if one is not None]
@@ -222,7 +220,8 @@ def report_page(run: RunReport, drawings: Sequence[Drawing]) -> str:
         worst=worst,
         verdict=run.sentence or screen.words,
         compares=bool(planned),
-        power=run.power,
+        power=power,
+        stale=stale,
         gated=any(row.gates for row in rows),
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=matrices,
@@ -266,7 +265,7 @@ def _link(subject: str, rows: Sequence[Result]) -> str:
     return f"#{anchor(made[0])}" if made else ""
 
 
-def index_page(runs: Sequence[RunReport], folders: Mapping[str, str], title: str = "Validation") -> str:
+def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Validation") -> str:
     """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page.
 
     Collected imagery, references that were computed and simulated collections stand apart: agreement with the

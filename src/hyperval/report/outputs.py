@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from hyperval.report.run import RunReport
 from hyperval.run import Run, file_stems, write_joined
 
 
-def write_outputs(run: RunReport, folder: Path) -> None:
+def write_outputs(run: Run, folder: Path) -> None:
     """Write everything of ``run`` into the existing ``folder``, its page and pictures besides."""
     from hyperval.report.html import report_page  # not before the imagery is done with
 
@@ -18,16 +18,11 @@ def write_outputs(run: RunReport, folder: Path) -> None:
         from hyperval.figures.pictures import draw_pictures
 
         drawings = draw_pictures(run.quicklook, run.score_maps, simulated=run.simulated)
-    Run(
-        run.table,
-        {**run.provenance, "warnings": run.warnings},
-        {"predicted": run.prediction, "observed": run.observation},
-        run.title,
-        run.simulated,
-    ).write(folder, report_page(run, drawings), {d.file_name: d.content for d in drawings}, run.score_maps)
+    told = replace(run, provenance={**run.provenance, "warnings": run.warnings})
+    told.write(folder, report_page(run, drawings), {d.file_name: d.content for d in drawings})
 
 
-def write_index(runs: Sequence[RunReport], folder: Path, title: str = "Validation", parts: Path | None = None) -> None:
+def write_index(runs: Sequence[Run], folder: Path, title: str = "Validation", parts: Path | None = None) -> None:
     """Write the page and the tables of several campaigns, whose folders come into ``folder`` from ``parts``."""
     from hyperval.report.html import index_page
 
