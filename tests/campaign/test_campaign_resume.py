@@ -106,7 +106,8 @@ def quick(monkeypatch) -> list[str]:
         ran.append(own.name)
         outcome = Outcome.SKIPPED if "nowhere" in own.title else Outcome.NONE
         table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)])
-        return Run(table, {"inputs": log.entries()}, title=own.title, campaign=own.name)
+        read = {"inputs": log.entries()}
+        return Run(table, read, title=own.title, campaign=own.name, simulated=bool(own.simulated))
 
     def write(run, folder):
         write_table(run.table, folder)

@@ -214,7 +214,7 @@ def test_csv_and_json_read_back_exactly(table):
             elif column != "n" or value is not None:
                 assert read[column] == str(value)
     text = run.results_csv([Result("c", "p", "s", "m", "z", np.float64(0.1), n=np.int64(4))])
-    assert text.splitlines()[1] == "c,p,s,m,,z,0.1,1,,,4,,,inform,model,none,,,,,,,,,,,,,,False,"
+    assert text.splitlines()[1] == "c,p,s,m,,z,0.1,1,,,4,,,inform,model,none,,,,,,,,,,,,,,False,,"
     document = json.loads(run.results_json(table), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
     counts = {"agrees": 5, "disagrees": 2, "undecided": 0, "skipped": 1, "error": 0, "none": 81}
     assert (document["counts"], sum(counts.values()), len(document["rows"])) == (counts, len(table), len(table))
