@@ -15,19 +15,20 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from itertools import islice
 from multiprocessing.connection import Connection
 from pathlib import Path
-from queue import Empty, Full, Queue, SimpleQueue
+from queue import Full, SimpleQueue
 from types import FrameType
 from typing import Any, NoReturn, Protocol, TypeVar
 
@@ -104,7 +105,7 @@ class Worker(Protocol):
 
 
 class TaskPool:
-    """Some workers that share a queue of tasks, each attended by a thread of this process.
+    """Some workers that share a queue of tasks, each attended by a thread of this process while it has one.
 
     Parameters
     ----------
@@ -116,11 +117,12 @@ class TaskPool:
         self, start: Callable[[], Worker], count: int, *, most: int = 0, seconds: float = math.inf, renewals: int = 0
     ):
         self._start, self._seconds, self._renewals = start, seconds, renewals
-        self._queue: Queue[WorkerTask | None] = Queue(most)
+        self._room = threading.Semaphore(count + most if most else sys.maxsize)
+        self._threads = ThreadPoolExecutor(count)
+        self._idle: SimpleQueue[Worker] = SimpleQueue()
         self._is_closed = False
-        self._threads = [threading.Thread(target=self._run, daemon=True) for _ in range(count)]
-        for thread in self._threads:
-            thread.start()
+        for _ in range(count):
+            self._idle.put(start())
 
     def submit(self, task: WorkerTask) -> WorkerTask:
         """Take a task.
@@ -129,46 +131,33 @@ class TaskPool:
         ------
         Full : as many as may wait do, or the pool is closed.
         """
-        if self._is_closed:
+        if self._is_closed or not self._room.acquire(blocking=False):
             raise Full
-        self._queue.put_nowait(task)
+        task.future = self._threads.submit(self._carried_out, task)
+        task.future.add_done_callback(lambda _: self._room.release())
         return task
 
     def close(self) -> None:
         """End every worker; tasks on their way are called off."""
         self._is_closed = True
-        for _ in self._threads:
-            with suppress(Full):
-                self._queue.put_nowait(None)
-        for thread in self._threads:
-            thread.join(2 * _UNWIND_S)
+        self._threads.shutdown(cancel_futures=True)
+        while not self._idle.empty():
+            self._idle.get().end()
 
-    def _run(self) -> None:
-        worker = self._start()
-        while not self._is_closed:
-            with suppress(Empty):
-                task = self._queue.get(timeout=5 * _TICK_S)
-                if task is not None and task.future.set_running_or_notify_cancel():
-                    worker = self._carried_out(task, worker)
-            if not worker.is_alive() and not self._is_closed:
-                worker = self._start()
-        worker.end()
-
-    def _carried_out(self, task: WorkerTask, worker: Worker) -> Worker:
-        """The worker that had the task to its end: another one where the first died."""
-        for left in reversed(range(self._renewals + 1)):
-            try:
-                task.future.set_result(self._result(task, worker))
-            except Lost as error:
-                worker.end()
-                if left and not self._is_closed:
-                    worker = self._start()
-                    continue
-                task.future.set_exception(error)
-            except Exception as error:
-                task.future.set_exception(error)
-            break
-        return worker
+    def _carried_out(self, task: WorkerTask) -> Any:
+        """What a task returns, of another worker where the first died; a worker that ended has one in its place."""
+        worker = self._idle.get()
+        try:
+            for left in reversed(range(self._renewals + 1)):
+                worker = worker if worker.is_alive() else self._start()
+                try:
+                    return self._result(task, worker)
+                except Lost:
+                    worker.end()
+                    if not left or self._is_closed:
+                        raise
+        finally:
+            self._idle.put(worker if worker.is_alive() or self._is_closed else self._start())
 
     def _result(self, task: WorkerTask, worker: Worker) -> Any:
         def is_over() -> bool:
@@ -244,6 +233,7 @@ class Process:
         self._process.join(2 * _UNWIND_S)
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid or 0, signal.SIGKILL)
+        self._process.join(_UNWIND_S)
 
 
 def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, memory_bytes: int | None) -> None:

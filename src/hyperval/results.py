@@ -47,6 +47,7 @@ OUTCOMES = {
     Outcome.NONE: Said("without a range", "", "", "", ""),
 }
 WORST_FIRST = tuple(OUTCOMES)
+SEPARATOR = " | "  # in the key of a row
 EVERY = ("*", "all subjects", "all objects")  # subjects of rows about all of them
 
 
@@ -175,6 +176,12 @@ class Result:
         metric = metric_of(self.metric)
         if self.evidence is None:
             object.__setattr__(self, "evidence", metric.evidence)
+
+    @property
+    def key(self) -> str:
+        """ "product | subject | method | metric", and the band where there is one: its name in files of numbers."""
+        band = [f"{self.band_nm:g} nm"] if self.per_band else []
+        return SEPARATOR.join([self.product, self.subject, self.method, self.metric, *band])
 
     @property
     def gates(self) -> bool:

@@ -11,7 +11,6 @@ from .accepted import (
     campaign_metrics,
     check,
     compare,
-    key_of,
     load_baseline,
     rows_of,
     sensor_metrics,
@@ -21,6 +20,6 @@ from .accepted import (
 
 __all__ = [
     "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "RunNumbers", "accept", "accepted_of", "campaign_metrics",
-    "check", "compare", "key_of", "load_baseline", "rows_of", "sensor_metrics", "split_key",
+    "check", "compare", "load_baseline", "rows_of", "sensor_metrics", "split_key",
     "today",
 ]  # fmt: skip

@@ -16,7 +16,9 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
+from functools import cached_property
 from importlib import metadata
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,7 +34,7 @@ from hyperval.model.roc import detection_at
 from hyperval.progress import track
 from hyperval.report import write_index, write_outputs
 from hyperval.report.verdict import accepted_words
-from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
+from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import NoiseModel, Sensor, library_names, load_sensor
 from hyperval.sensor_check.suite import (
@@ -57,7 +59,6 @@ def rounded(value: float) -> float | None:
 
 
 Kind = Literal["campaign", "sensor"]
-SEPARATOR = " | "
 
 
 class Accepted(Model):
@@ -147,11 +148,6 @@ def _text(value: object) -> str:
     return json.dumps(value, ensure_ascii=False)
 
 
-def key_of(row: Result) -> str:
-    """The name of a number in a baseline."""
-    return SEPARATOR.join((row.product, row.subject, row.method, row.metric))
-
-
 def split_key(key: str) -> tuple[str, str, str, str]:
     """Product, subject, method, metric of a name; ValueError when it is none."""
     product, first, rest = key.partition(SEPARATOR)
@@ -204,8 +200,8 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
 
     metrics: dict[str, Result] = {}
     for row in [*planned, *filter(is_behind, whole)]:
-        old = metrics.setdefault(key_of(row), row)
-        metrics[key_of(row)] = replace(old, outcome=min(old.outcome, row.outcome, key=WORST_FIRST.index))
+        old = metrics.setdefault(row.key, row)
+        metrics[row.key] = replace(old, outcome=min(old.outcome, row.outcome, key=WORST_FIRST.index))
     return dict(sorted(metrics.items()))
 
 
@@ -229,7 +225,7 @@ def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Re
     """
     check = SensorCheck(sensor, engine=engine)
     rows = [*_bands(check.axis), *_noise(check.axis, check.noise), *_scenarios(check)]
-    return {key_of(row): row for row in sorted(rows, key=key_of)}
+    return {row.key: row for row in sorted(rows, key=attrgetter("key"))}
 
 
 def _item(product: str, subject: str, metric: str, value: float, unit: str = "1") -> Result:
@@ -308,13 +304,6 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
     return Accepted(accepted=value, tolerance=limit.tolerance, of=limit.of, **more)
 
 
-def versions(packages: Mapping[str, str] | None = None, python: str | None = None) -> dict[str, str]:
-    """What the numbers were computed with: of a run's record where it is given, of this process otherwise."""
-    there = packages if packages is not None else {name: metadata.version(name) for name in PACKAGES}
-    known = {name: there[name] for name in PACKAGES if name in there}
-    return {"hyperval": hyperval.__version__, "python": python or platform.python_version(), **known}
-
-
 def today() -> str:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
     text = os.environ.get("SOURCE_DATE_EPOCH", "")
@@ -373,11 +362,7 @@ class RunNumbers:
 
     Attributes
     ----------
-    kind, name, title : what was run
-    metrics : its numbers
-    versions : what computed them
-    skipped : why nothing was run, None otherwise
-    simulated : True when the collection is simulated
+    kind, run : what was run, with all its rows; of a sensor these are its numbers
     reference : what a command names it by: the campaign file, or the sensor
     rows : one for each number of either side once it is checked, or one that says why there are none
     before : what was accepted, where there was a run and a baseline
@@ -385,23 +370,37 @@ class RunNumbers:
     """
 
     kind: Kind
-    name: str
-    title: str
-    metrics: Mapping[str, Result] = field(default_factory=dict)
-    versions: Mapping[str, str] = field(default_factory=dict)
-    skipped: str | None = None
-    simulated: bool = False
-    reference: str = ""
+    run: Run
+    reference: str
     rows: ResultTable = field(default_factory=ResultTable)
     before: Baseline | None = None
     after: Baseline | None = None
+
+    @cached_property
+    def metrics(self) -> Mapping[str, Result]:
+        """Its numbers by name."""
+        return campaign_metrics(self.run.table) if self.kind == "campaign" else {r.key: r for r in self.run.table}
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """What the numbers were computed with: by the run's record where it says so, else in this process."""
+        record = self.run.provenance
+        there = record.get("packages") or {name: metadata.version(name) for name in PACKAGES}
+        known = {name: there[name] for name in PACKAGES if name in there}
+        return {"hyperval": hyperval.__version__, "python": record.get("python") or platform.python_version(), **known}
+
+    @property
+    def skipped(self) -> str | None:
+        """Why nothing was run, None otherwise."""
+        made = any(row.outcome is not Outcome.SKIPPED for row in self.run.table)
+        return None if made else next(row.reason for row in self.run.table)
 
     def path(self, folder: Path, end: str = ".yaml") -> Path:
         """The file of its baseline: ``folder``/NAME.yaml, of sensors in a folder of their own.
 
         With the ``end`` .candidate.yaml where the numbers of a run without a baseline are left.
         """
-        return (folder if self.kind == "campaign" else folder / SENSORS) / f"{self.name}{end}"
+        return (folder if self.kind == "campaign" else folder / SENSORS) / f"{self.run.campaign}{end}"
 
     def stored(self, folder: Path) -> Baseline | None:
         """Its baseline, None when there is none.
@@ -414,8 +413,9 @@ class RunNumbers:
         if not path.is_file():
             return None
         found = load_baseline(path)
-        other = (found.kind, found.name) != (self.kind, self.name)
-        refuse(other, "baseline.other", path, wanted=f"{self.kind} {self.name}", of=f"{found.kind} {found.name!r}")
+        own = self.kind, self.run.campaign
+        of = f"{found.kind} {found.name!r}"
+        refuse((found.kind, found.name) != own, "baseline.other", path, wanted=" ".join(own), of=of)
         return found
 
     @property
@@ -432,14 +432,14 @@ class RunNumbers:
 
     def baseline(self, reason: str, before: Mapping[str, Accepted]) -> Baseline:
         """Its numbers as accepted today; tolerances that stand in ``before`` are kept."""
-        more: dict[str, Any] = {"versions": dict(self.versions or versions()), "schema_version": 1}
+        more: dict[str, Any] = {"versions": self.versions, "schema_version": 1}
         more["metrics"] = accepted_of(self.metrics, before)
-        return Baseline.model_construct(kind=self.kind, name=self.name, reason=reason, date=today(), **more)
+        return Baseline.model_construct(kind=self.kind, name=self.run.campaign, reason=reason, date=today(), **more)
 
     @property
     def owner(self) -> str:
         """How the run is named among others: sensors may bear the name of a campaign."""
-        return self.name if self.kind == "campaign" else f"sensor {self.name}"
+        return self.run.campaign if self.kind == "campaign" else f"sensor {self.run.campaign}"
 
     @property
     def broken(self) -> list[str]:
@@ -483,25 +483,21 @@ def all_runs(
             validate(campaigns, folder, show_progress=show_progress)
         runs = [_read(job, folder, finished=source is not None) for job in jobs]
     for name, sensor in track(chosen.items(), "sensors", len(chosen), show=show_progress):
-        title, numbers = sensor.specification.title, sensor_metrics(sensor, engine)
-        runs.append(RunNumbers("sensor", sensor.name, title, numbers, versions(), reference=name))
+        numbers = ResultTable(sensor_metrics(sensor, engine).values())
+        runs.append(RunNumbers("sensor", Run(numbers, campaign=sensor.name, title=sensor.specification.title), name))
     return runs
 
 
 def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     name = job.outline.name
     folder = source / name if is_run(source / name) else source
-    run = Run.open(folder)
+    run, title = Run.open(folder), job.outline.title
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)
     stale = finished and (folder / RECORD).is_file() and as_before(job, folder) is None
     refuse(stale, "baseline.stale", folder, name=name)
-    made_with = versions(run.provenance.get("packages"), run.provenance.get("python"))
-    reasons = {row.reason if row.outcome is Outcome.SKIPPED else None: None for row in table}
-    return RunNumbers(
-        "campaign", name, job.outline.title, campaign_metrics(table), made_with,
-        None if None in reasons else next(iter(reasons)), bool(job.outline.simulated), str(job.path),
-    )  # fmt: skip
+    run = replace(run, table=table, campaign=name, title=title, simulated=bool(job.outline.simulated))
+    return RunNumbers("campaign", run, str(job.path))
 
 
 def rows_of(runs: Iterable[RunNumbers]) -> ResultTable:
@@ -560,7 +556,7 @@ def _against(run: RunNumbers, folder: Path) -> RunNumbers:
         run.baseline(f"{FILL_IN}: why these numbers are right", {}).write(candidate)
         how = f"to make them one: {run.acceptance(folder)}"
         words = f"no baseline ({path}); the numbers of this run are in {candidate}; {how}"
-    names = (run.owner, "baseline", run.name, run.kind, "baseline")
+    names = (run.owner, "baseline", run.run.campaign, run.kind, "baseline")
     return replace(run, rows=ResultTable([Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=words)]))
 
 
@@ -571,11 +567,11 @@ def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
         path = run.path(baselines)
         inputs = [{"reference": path.name, "sha256": sha256_of(path)}] if path.is_file() else []
         reports.append(Run(
-            campaign=run.owner, title=f"{run.title}: against the accepted numbers",
+            run.rows, {"command": command_without_output(), "versions": run.versions, "inputs": inputs},
+            campaign=run.owner, title=f"{run.run.title}: against the accepted numbers", simulated=run.run.simulated,
             description="Each number of this run beside the accepted one; it fails beyond its tolerance.",
-            simulated=run.simulated, kind="Accepted numbers of", table=run.rows,
+            kind="Accepted numbers of",
             sentence=accepted_words(run.rows) if run.before else next(row.reason for row in run.rows),
-            provenance={"command": command_without_output(), "versions": dict(run.versions), "inputs": inputs},
         ))  # fmt: skip
     folders = file_stems(report.campaign for report in reports)
     for report in reports:

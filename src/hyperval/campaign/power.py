@@ -36,7 +36,7 @@ from hyperval.metrics import Evidence
 from hyperval.model import Truth, predict
 from hyperval.products import PredictedProducts
 from hyperval.progress import track
-from hyperval.results import Outcome, Result
+from hyperval.results import Outcome, Result, ResultTable, paired
 from hyperval.storage import POWER, whole_folder, write_text
 
 SEED, WORLDS = 34, 20  # worlds for each kind of cause
@@ -205,17 +205,12 @@ def _calibrated(causes: Causes) -> Reasons:
 
 def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
     """What disagrees after and did not before."""
-    disagreed = {_key(row) for row in before if row.outcome is Outcome.DISAGREES}
-    new = [row for row in after if row.outcome is Outcome.DISAGREES and _key(row) not in disagreed]
+    wrong, pairs = Outcome.DISAGREES, paired(ResultTable(before), ResultTable(after))
+    new = [p.b for p in pairs if p.b and p.b.outcome is wrong and not (p.a and p.a.outcome is wrong)]
     return Injected(
-        gates=tuple(dict.fromkeys(power_file.gate_name(row) for row in new if row.gates)),
+        gates=tuple(dict.fromkeys(row.key for row in new if row.gates)),
         informing=dict(Counter(row.product for row in new if not row.gates)),
     )
-
-
-def _key(row: Result) -> tuple[str, ...]:
-    names = ("product", "subject", "method", "metric", "role", "band_nm", "limit_low", "limit_high")
-    return tuple(str(getattr(row, name)) for name in names)
 
 
 def _csv(table: Sequence[Power]) -> str:

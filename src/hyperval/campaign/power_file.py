@@ -154,13 +154,7 @@ class PowerTable(Model):
 def gate_values(rows: Iterable[Result]) -> dict[str, float]:
     """Gate of the model -> its value, as a power table keeps it; without those that have none."""
     gates = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and math.isfinite(row.value)]
-    return {gate_name(row): float(f"{row.value:.{DIGITS}g}") for row in gates}
-
-
-def gate_name(row: Result) -> str:
-    """ "product | subject | method | metric", and the band where there is one."""
-    band = [f"{row.band_nm:g} nm"] if row.per_band else []
-    return " | ".join([row.product, row.subject, row.method, row.metric, *band])
+    return {row.key: float(f"{row.value:.{DIGITS}g}") for row in gates}
 
 
 def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:

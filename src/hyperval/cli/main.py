@@ -200,7 +200,7 @@ def _cells(row: Result) -> tuple[str, ...]:
     accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
     numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
     outcome = row.reason or str(row.outcome)
-    return (row.campaign, baseline.key_of(row), *("-" if "nan" in text else text for text in numbers), outcome)
+    return (row.campaign, row.key, *("-" if "nan" in text else text for text in numbers), outcome)
 
 
 def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
