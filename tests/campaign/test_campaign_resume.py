@@ -106,8 +106,8 @@ def quick(monkeypatch) -> list[str]:
         ran.append(own.name)
         outcome = Outcome.SKIPPED if "nowhere" in own.title else Outcome.NONE
         table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)])
-        read = {"inputs": log.entries()}
-        return Run(table, read, title=own.title, campaign=own.name, simulated=bool(own.simulated))
+        names = {"title": own.title, "campaign": own.name, "simulated": own.simulated}
+        return Run(table, {"inputs": log.entries()}, **names)
 
     def write(run, folder):
         write_table(run.table, folder)

@@ -523,13 +523,12 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         yield from named([row("probability", r.probability[name], n=r.dof)], "attribution", r.group, name)
     for place, item in enumerate(r.fits, start=1):
         assert item.candidate is not None  # noqa: S101 - of a candidate
-        unit, cause = item.candidate.unit, Cause.NONE
-        if not item.candidate.budgeted:
-            unit, cause = f"{unit} (none is stated)", Cause.NO_UNCERTAINTY
+        none, cause = ("", Cause.NONE) if item.candidate.budgeted else (" (none is stated)", Cause.NO_UNCERTAINTY)
+        unit = f"in units of the {item.candidate.unit}{none}"
         own = [
             row("probability", r.probability[item.name], reason=f"rank {place}: {item.in_words}", n=r.dof),
             row("likelihood_gain", max(2.0 * item.evidence, 0.0), reason=f"rank {place}: {item.in_words}", n=r.dof),
-            row("needed_uncertainty", abs(item.units), cause=cause, reason=f"in units of the {unit}"),
+            row("needed_uncertainty", abs(item.units), cause=cause, reason=unit),
         ]
         yield from named(own, "attribution", r.group, item.name)
 
