@@ -46,10 +46,12 @@ from xml.etree import ElementTree
 import h5netcdf
 import h5py
 import numpy as np
+import numpy.typing as npt
 import yaml
 
 import hyperval
 import hyperval.products as product_types
+from hyperval.data import Mask
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
@@ -59,9 +61,7 @@ from hyperval.products import (
     ObservedProducts,
     PredictedProducts,
     Products,
-    Quicklook,
     RocCurve,
-    ScoreMap,
     SpectralEstimate,
 )
 from hyperval.results import COLUMNS, OUTCOMES, Cause, Outcome, Result, ResultTable, Role, row_name
@@ -77,6 +77,80 @@ MOST_JOINED = 200_000  # rows that the results.json of several campaigns repeats
 TABLE, PRODUCTS, PROVENANCE, PAGE, JUNIT, CSV = (
     "results.json", "products.nc", "provenance.json", "report.html", "junit.xml", "results.csv",
 )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ExpectedScores:
+    """The score that the model expects of each pixel of which the collection says what lies there.
+
+    Attributes
+    ----------
+    content : (lines, samples) number of what lies there, -1 where that is not known; maps of one scene share it
+    scores : (K + 1,) of each number [1]; the last, which -1 finds, is NaN
+    """
+
+    content: npt.NDArray[np.int16]
+    scores: npt.NDArray[np.float32]
+
+    def of(self, part: tuple[slice, slice]) -> npt.NDArray[np.float32]:
+        """Some lines and samples as a map [1]; NaN where nothing is expected."""
+        return self.scores[self.content[part]]
+
+
+@dataclass(frozen=True)
+class ScoreMap:
+    """A detector's score for every pixel.
+
+    Attributes
+    ----------
+    values : (lines, samples) score [1]; NaN where there is none
+    transform : affine pixel-to-map transform (six numbers a, b, c, d, e, f, or an object that yields them
+        first), None for an image without georeference
+    crs : coordinate reference system as text (EPSG:32618 or WKT), None when unknown
+    outlines : name of a target -> (lines, samples) mask of its pixels
+    pixel_size_m : ground sampling distance for the scale [m], None when unknown
+    expected : what the model expects in its place, None where it says nothing
+    influence : predicted over measured P_FA without the part of the image that each pixel lies in (lines, samples),
+        above which score a pixel is an alarm, and this in words; None without a law of these pixels
+    """
+
+    values: npt.NDArray[Any]
+    transform: Sequence[float] | None = None
+    crs: str | None = None
+    outlines: Mapping[str, Mask] = field(default_factory=dict)
+    pixel_size_m: float | None = None
+    expected: ExpectedScores | None = None
+    influence: tuple[npt.NDArray[Any], float, str] | None = None
+
+    def to_xarray(self) -> Any:
+        """As an array of xarray (line, sample) with its position."""
+        from hyperval.imagery import map_to_xarray
+
+        return map_to_xarray(self.values, self.transform, self.crs, "score")
+
+    def to_spy(self) -> Any:
+        """As an image of SPy with one band."""
+        from hyperval.imagery import map_to_spy
+
+        return map_to_spy(self.values, "score")
+
+
+@dataclass(frozen=True)
+class Quicklook:
+    """A picture of the scene with its regions of interest.
+
+    Attributes
+    ----------
+    rgb : (lines, samples, 3) uint8
+    regions : name -> (lines, samples) mask
+    band_nm : centres of the red, green and blue bands [nm]
+    pixel_size_m : ground sampling distance for the scale [m], None when unknown
+    """
+
+    rgb: npt.NDArray[np.uint8]
+    regions: Mapping[str, Mask] = field(default_factory=dict)
+    band_nm: tuple[float, ...] = ()
+    pixel_size_m: float | None = None
 
 
 @dataclass(frozen=True)

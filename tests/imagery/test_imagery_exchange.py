@@ -21,7 +21,7 @@ from small_files import write_raster
 from hyperval import api, cli
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import open_cube, open_raster, tiff, write_cube
-from hyperval.products import ScoreMap
+from hyperval.run import ScoreMap
 from hyperval.spectra import SpectralAxis, library_to_spy, library_to_xarray, read_records
 
 # GeoTIFFs: wavelengths in tags, what lies beside them, and what is refused.

@@ -6,9 +6,8 @@ import numpy as np
 from scipy.stats import beta, norm
 
 from hyperval import products
-from hyperval.products import Quicklook, ScoreMap
 from hyperval.results import Outcome, Result, ResultTable, Role
-from hyperval.run import Run
+from hyperval.run import Quicklook, Run, ScoreMap
 from hyperval.spectra import SpectralAxis
 
 NASTY = "<script>alert('x')</script> & $\\bad$"

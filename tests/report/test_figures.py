@@ -15,9 +15,10 @@ from PIL import Image
 from scipy.stats import norm
 from synthetic_run import axis, make_run
 
-from hyperval import figures, products
+from hyperval import figures
 from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, PixelDistribution, RocCurve
 from hyperval.results import Outcome, Result, ResultTable, Role
+from hyperval.run import Quicklook, ScoreMap
 
 LONG = "field spectrum of a target with a long name"
 
@@ -286,7 +287,7 @@ def test_many_objects_are_a_map_and_a_histogram_and_groups_are_judged_together_a
         predicted[subject, "cem"] = ObjectScores(draws)
         measured[subject, "cem"] = ObjectScores(np.full(25, np.median(draws) + 0.1), names)
     sides = [type(s)(axis(2), object_scores=x) for s, x in ((run.pair[0], predicted), (run.pair[1], measured))]
-    score_map = products.ScoreMap(np.zeros((9, 120)), outlines=outlines)
+    score_map = ScoreMap(np.zeros((9, 120)), outlines=outlines)
     place, scores = stated(figures.many_objects_figure({"planks-cem": score_map}, sides))[0]["parts"]
     (dots,) = place["marks"]
     np.testing.assert_allclose(dots["columns"]["value"], 0.1, atol=1e-6)
@@ -329,7 +330,7 @@ def test_a_map_has_the_colours_of_its_scores_and_says_where_it_is():
     """Pixels of the picture, each so many points wide: white for none, then from dark to bright."""
     values, outline = np.linspace(0.0, 1.0, 200).reshape(10, 20), np.zeros((10, 20), bool)
     values[0, 0], outline[4:6, 8:12] = np.nan, True
-    maps = (products.ScoreMap(values), products.ScoreMap(values, outlines={"panel": outline}, pixel_size_m=2.0))
+    maps = (ScoreMap(values), ScoreMap(values, outlines={"panel": outline}, pixel_size_m=2.0))
     plain, outlined = (figures.draw_pictures(None, {"a": one}, simulated=False)[0] for one in maps)
     picture, marked = pixels(plain), pixels(outlined)
     top, left = 80, 96
@@ -348,7 +349,7 @@ def test_a_target_of_one_pixel_is_seen_in_a_large_map():
     values = np.zeros((1700, 1700))
     values[5:900, 0:40] = np.nan
     values[1203, 704] = 9.0
-    (drawing,) = figures.draw_pictures(None, {"a": products.ScoreMap(values)}, simulated=False)
+    (drawing,) = figures.draw_pictures(None, {"a": ScoreMap(values)}, simulated=False)
     assert "each point is the largest score of 3 by 3 pixels" in drawing.title
     bright = np.abs(pixels(drawing) - [253, 231, 37]).max(axis=-1)[:, :-190] <= 2
     assert [place.tolist() for place in np.nonzero(bright)] == [[80 + 1203 // 3], [96 + 704 // 3]]
@@ -364,6 +365,6 @@ def test_a_long_strip_is_cut_to_its_regions(turned, shown):
     for own, cut in ((mask, shown), (mask & False, ""), (np.zeros((300, 200), bool), "")):
         own = own.T if turned else own
         (drawing,) = figures.draw_pictures(
-            products.Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own}), {}, simulated=False
+            Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own}), {}, simulated=False
         )
         assert drawing.title.partition("; ")[2] == cut

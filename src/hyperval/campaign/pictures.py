@@ -16,8 +16,9 @@ from hyperval.collection import Detection
 from hyperval.imagery import Cube, all_pixels
 from hyperval.observe import Observed, Place, map_name, scored_part, target_groups
 from hyperval.pixels import false_alarm_ratio
-from hyperval.products import ExpectedScores, PredictedProducts, Quicklook, ScoreMap, background_of
+from hyperval.products import PredictedProducts, background_of
 from hyperval.results import Result
+from hyperval.run import ExpectedScores, Quicklook, ScoreMap
 
 Expected = Mapping[tuple[str, str, str], float]
 # A region's name, or for each target that is looked for the subject that an object is in.

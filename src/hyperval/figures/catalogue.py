@@ -53,10 +53,10 @@ from hyperval.products import (
     Products,
     RocCurve,
     ScoreDistribution,
-    ScoreMap,
     SpectralEstimate,
 )
 from hyperval.results import WORST_FIRST, Result, ResultTable
+from hyperval.run import ScoreMap
 from hyperval.spectra.axis import SpectralAxis
 
 # Of a product: its axis, its title, and whether its difference is a ratio.

@@ -18,7 +18,7 @@ from skimage.measure import block_reduce
 
 from hyperval.data import Array, Mask
 from hyperval.figures.spec import VIRIDIS, Drawing, shortened, tones
-from hyperval.products import Quicklook, ScoreMap
+from hyperval.run import Quicklook, ScoreMap
 from hyperval.units import PLAUSIBLE_NM
 
 _MOST_PIXELS = 800  # along the longer side of a picture
