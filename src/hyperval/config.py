@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -292,18 +292,20 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
     return _SCALARS[kind][2](node.value) if kind in _SCALARS else node.value
 
 
-def placeholders(data: Any, lines: dict[Location, int], name: str, at: Location = ()) -> list[Placeholder]:
+def texts_of(data: Any, at: Location = ()) -> Iterator[tuple[Location, str]]:
+    """Every text of plain data, in the order of the file, and where it stands."""
+    if isinstance(data, str):
+        yield at, data
+    elif isinstance(data, dict | list):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from texts_of(value, (*at, key))
+
+
+def placeholders(data: Any, lines: dict[Location, int], name: str) -> list[Placeholder]:
     """Every value of ``data`` that is marked ``FILL_IN``, in the order of the file."""
-    if isinstance(data, dict):
-        inner: list[tuple[str | int, Any]] = list(data.items())
-    elif isinstance(data, list):
-        inner = list(enumerate(data))
-    elif isinstance(data, str) and data.startswith(FILL_IN):
-        what = data.removeprefix(FILL_IN).lstrip(": ")
-        return [Placeholder(".".join(str(p) for p in at), f"{name}:{lines.get(at, 1)}", what or "a value")]
-    else:
-        return []
-    return [entry for key, value in inner for entry in placeholders(value, lines, name, (*at, key))]
+    marked = [(at, text.removeprefix(FILL_IN)) for at, text in texts_of(data) if text.startswith(FILL_IN)]
+    where = {at: f"{name}:{lines.get(at, 1)}" for at, _ in marked}
+    return [Placeholder(".".join(map(str, at)), where[at], text.lstrip(": ") or "a value") for at, text in marked]
 
 
 def unfilled(entries: list[Placeholder]) -> UsageError:

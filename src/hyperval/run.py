@@ -241,13 +241,13 @@ class Run:
         given = (datetime.fromisoformat(text) for text in texts)
         return {t.replace(tzinfo=UTC) if t.tzinfo is None else t.astimezone(UTC) for t in given}
 
-    def write(self, folder: Path, page: str, figures: Mapping[str, bytes] | None = None) -> None:
+    def write(self, folder: Path, page: str, drawings: Iterable[Any] = ()) -> None:
         """Write the run into an existing folder.
 
         Parameters
         ----------
         page : HTML
-        figures : file name -> content
+        drawings : figures as files (:class:`hyperval.figures.Drawing`)
         """
         folder = Path(folder)
         write_table(self.table, folder)
@@ -261,8 +261,8 @@ class Run:
             record = json.dumps(json_value(dict(self.provenance)), indent=1, ensure_ascii=False)
             write_text(folder / PROVENANCE, record + "\n")
             (folder / "figures").mkdir(exist_ok=True)
-        for name, content in (figures or {}).items():
-            (folder / "figures" / name).write_bytes(content)
+        for one in drawings:
+            (folder / "figures" / one.file_name).write_bytes(one.content)
         write_text(folder / PAGE, page)
 
 

@@ -7,7 +7,7 @@ scenarios may be one for each half hour of a RadCalNet day, whose words in brace
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -21,7 +21,7 @@ from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
-from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, unfilled, validate
+from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, describe, resolve, set_on_request
 from hyperval.errors import HypervalError, UsageError, reader, refuse
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -254,7 +254,7 @@ class Campaign(Outline):
 
 FILE_KEYS = frozenset({
     "path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "image", "replicates",
-    "radcalnet",
+    "radcalnet", "solar_spectrum",
 })  # fmt: skip
 
 
@@ -359,7 +359,7 @@ class Job:
 def _named_in(path: Path, content: Any, lines: dict[Location, int], words: Mapping[str, str]) -> Job:
     """One run of a file with the files and values to fill in of its own text, then of its scenario files."""
     base = Path(path).resolve().parent
-    files = _files(content, base)
+    files = [*_files(content, base)]
     marks = placeholders(content, lines, str(path))
     scenarios = content.get("scenarios") if isinstance(content, dict) else None
     for entry in scenarios if isinstance(scenarios, list) else []:
@@ -379,24 +379,20 @@ def _named_in(path: Path, content: Any, lines: dict[Location, int], words: Mappi
     return Job(Path(path), words, content, lines, tuple(reversed(unique.values())), tuple(marks))
 
 
-def _files(content: Any, base: Path, at: tuple[str, ...] = ()) -> list[Reference]:
-    if isinstance(content, dict):
-        return [r for key, value in content.items() for r in _files(value, base, (*at, str(key)))]
-    if isinstance(content, list):
-        return [r for value in content for r in _files(value, base, at)]
-    if not isinstance(content, str) or content.startswith((SIMULATED, FILL_IN)):
-        return []
-    if at[-1] == "solar_spectrum":
-        content = reference_of(content)
-    is_file = (
-        at[-1] in FILE_KEYS
-        or at[-1] == "solar_spectrum"
-        or "materials" in at
-        or (at[-1] == "files" and "replicates" in at)
-        or (at[-1] == "sensor" and content.endswith((".yaml", ".yml")))
-        or content.startswith(PREFIX)
-    )
-    return [Reference(".".join(at), content, base)] if content and is_file else []
+def _files(content: Any, base: Path) -> Iterator[Reference]:
+    for location, text in texts_of(content):
+        at = [part for part in location if isinstance(part, str)]  # not the number of an entry of a list
+        key = at[-1] if at else ""
+        name = (reference_of(text) or "") if key == "solar_spectrum" else text
+        is_file = (
+            key in FILE_KEYS
+            or "materials" in at
+            or (key == "files" and "replicates" in at)
+            or (key == "sensor" and name.endswith((".yaml", ".yml")))
+            or name.startswith(PREFIX)
+        )
+        if name and is_file and not text.startswith((SIMULATED, FILL_IN)):
+            yield Reference(".".join(at), name, base)
 
 
 @reader

@@ -19,7 +19,7 @@ def write_outputs(run: Run, folder: Path) -> None:
 
         drawings = draw_pictures(run.quicklook, run.score_maps, simulated=run.simulated)
     told = replace(run, provenance={**run.provenance, "warnings": run.warnings})
-    told.write(folder, report_page(run, drawings), {d.file_name: d.content for d in drawings})
+    told.write(folder, report_page(run, drawings), drawings)
 
 
 def write_index(runs: Sequence[Run], folder: Path, title: str = "Validation", parts: Path | None = None) -> None:

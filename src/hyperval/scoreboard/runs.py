@@ -800,8 +800,7 @@ def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, f
     }
     figures, simulated = benchmark_figures(done), {d.name for d in done if d.simulated}
     drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
-    files = {one.file_name: one.content for one in drawings}
-    Run(ResultTable(row for d in done for row in d.rows), record).write(folder, benchmark_page(done, figures), files)
+    Run(ResultTable(row for d in done for row in d.rows), record).write(folder, benchmark_page(done, figures), drawings)
 
 
 _MOST_SUBJECTS = 30

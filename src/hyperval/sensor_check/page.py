@@ -349,8 +349,7 @@ def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
     record = _provenance(check, name_or_file)
     figures = datasheet_figures(check)
     run = Run(check.table, record, dict(check.predictions), title=f"sensor {check.sensor.name}")
-    files = {d.file_name: d.content for d in drawings_of(figures, simulated=False)}
-    run.write(folder, datasheet_page(check, figures, record), files)
+    run.write(folder, datasheet_page(check, figures, record), drawings_of(figures, simulated=False))
 
 
 def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:

@@ -140,7 +140,7 @@ def _write(plan: Plan, table: pd.DataFrame, folder: Path, show_progress: bool | 
     figures = stated_figures(study, table, knees)
     page = study_page(plan, table, figures, record, names, knees)
     run = Run(rows, record, {"predicted": prediction}, study.title or study.name)
-    run.write(folder, page, {d.file_name: d.content for d in drawings_of(figures, simulated=False)})
+    run.write(folder, page, drawings_of(figures, simulated=False))
 
 
 _CHUNK = "chunk"
