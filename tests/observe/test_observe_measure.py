@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_world import AXIS, BANDS, LINES, SAMPLES, background_spread, moments
 
-from hyperval.campaign import merged, with_measured_fractions, without_circles
+from hyperval.campaign import as_collected, merged, without_circles
 from hyperval.collection import Classification
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Sources
@@ -270,11 +270,11 @@ def test_fractions_are_those_of_the_pixels_that_count(world):
         {"name": "elsewhere", "fraction": 0.5, "spectrum": {"measured": "corner"}},
     ]
     stated = scenario(classes)
-    assert with_measured_fractions(stated, place) is stated
-    counted = with_measured_fractions(scenario(classes, fractions="measured"), place)
+    assert as_collected(stated, place, None) is stated
+    counted = as_collected(scenario(classes, fractions="measured"), place, None)
     pixels = np.array([200, 200 - 2 * 5])  # a guard of one pixel is a cross
     assert [c.fraction for c in counted.scene.classes] == pytest.approx(list(pixels / pixels.sum()), rel=1e-12)
     classes[0]["name"] = "nowhere"
     for where, message in ((place, "class 'nowhere' has no region"), (None, "the campaign has no image")):
         with pytest.raises(UsageError, match=message):
-            with_measured_fractions(scenario(classes, fractions="measured"), where)
+            as_collected(scenario(classes, fractions="measured"), where, None)

@@ -5,7 +5,7 @@ from .forward import predict_to_folder
 from .pictures import expected_maps, scene_content
 from .power import Power, campaign_power, power_table
 from .power_file import Injected, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
-from .products import Collected, collected, merged, with_fills_of_truth, with_measured_fractions, without_circles
+from .products import Collected, as_collected, collected, merged, without_circles
 from .provenance import command_without_output, package_versions, record_of, source_revision
 from .run import as_before, observe, run_campaign, validate
 from .schema import Campaign, DayScenarios, Job, day_scenarios, job_of, jobs_of, read_jobs
@@ -13,9 +13,9 @@ from .starter import StarterSources, starter_campaign
 
 __all__ = [
     "WRONG", "Campaign", "Collected", "DayScenarios", "Injected", "Item", "Job", "Power", "PowerTable", "Sight",
-    "StarterSources", "accepted_table", "as_before", "campaign_power", "collected", "command_without_output",
-    "day_scenarios", "dry_run", "expected_maps", "gate_values", "job_of", "jobs_of", "merged", "observe",
-    "overview", "own_files", "package_versions", "power_table", "predict_to_folder", "read_jobs", "record_of",
-    "run_campaign", "scene_content", "source_revision", "starter_campaign", "summary", "validate",
-    "with_fills_of_truth", "with_measured_fractions", "without_circles", "write_power_table",
+    "StarterSources", "accepted_table", "as_before", "as_collected", "campaign_power", "collected",
+    "command_without_output", "day_scenarios", "dry_run", "expected_maps", "gate_values", "job_of", "jobs_of", "merged",
+    "observe", "overview", "own_files", "package_versions", "power_table", "predict_to_folder", "read_jobs",
+    "record_of", "run_campaign", "scene_content", "source_revision", "starter_campaign", "summary", "validate",
+    "without_circles", "write_power_table",
 ]  # fmt: skip

@@ -46,24 +46,32 @@ from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
 
 
-def with_measured_fractions(scenario: Scenario, place: Place | None) -> Scenario:
-    """The scenario with the fractions of ``scene.fractions: measured``; as it is where they are stated.
+def as_collected(scenario: Scenario, place: Place | None, detection: Detection | None) -> Scenario:
+    """The scenario with what it leaves to the collection; as it is where everything is stated.
 
-    A class counts the pixels of the region of its name, else of the one that its statistics come from; targets,
-    their guard and what the collection leaves out do not count.
+    ``scene.fractions: measured``: a class counts the pixels of the region of its name, else of the one that its
+    statistics come from; targets, their guard and what the collection leaves out do not count.  ``fill: {truth:
+    true}``: the fills of the objects of the same subject.
 
     Raises
     ------
-    UsageError : no image, a class without a region, or no pixel in any.
+    UsageError : no image, a class without a region, or no pixel in any; a subject whose objects the truth does not
+        know, or not by the fill of their pixels.
     """
-    if scenario.scene.fractions == "stated":
-        return scenario
-    if place is None:
-        raise refusal("fractions.image", name=scenario.name)
-    counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
-    total = sum(counts)
-    refuse(total == 0, "fractions.none", name=scenario.name)
-    return with_settings(scenario, {f"scene.classes.{i}.fraction": n / total for i, n in enumerate(counts)})
+    told: dict[str, Any] = {}
+    if scenario.scene.fractions != "stated":
+        if place is None:
+            raise refusal("fractions.image", name=scenario.name)
+        counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
+        refuse(not any(counts), "fractions.none", name=scenario.name)
+        told = {f"scene.classes.{i}.fraction": n / sum(counts) for i, n in enumerate(counts)}
+    asked = {path: name for path, name, fill in _fills(scenario) if fill is not None and fill.truth is not None}
+    known = fills_of(_members(place, detection)) if asked else {}
+    for path, name in asked.items():
+        there = one_of(known, "targets from a finer image or from abundances")
+        refuse(name not in known, "fractions.fill", name=name, there=there)
+        told[path] = {"listed": known[name]}
+    return with_settings(scenario, told) if told else scenario
 
 
 def _region_of(surface: BackgroundClass, place: Place) -> str:
@@ -72,31 +80,6 @@ def _region_of(surface: BackgroundClass, place: Place) -> str:
         if name is not None and name in place.regions:
             return name
     raise refusal("fractions.region", name=surface.name, regions=one_of(place.regions, "a region of its name"))
-
-
-def with_fills_of_truth(
-    scenarios: Sequence[Scenario], place: Place | None, detection: Detection | None
-) -> list[Scenario]:
-    """The scenarios with ``fill: {truth: true}`` replaced by the fills of the objects of the same subject.
-
-    Raises
-    ------
-    UsageError : a subject whose objects the truth does not know, or not by the fill of their pixels.
-    """
-    asked = [
-        {path: subject for path, subject, fill in _fills(scenario) if fill is not None and fill.truth is not None}
-        for scenario in scenarios
-    ]
-    known = fills_of(_members(place, detection)) if any(asked) else {}
-    there = one_of(known, "targets from a finer image or from abundances")
-    for subject in (subject for own in asked for subject in own.values()):
-        refuse(subject not in known, "fractions.fill", name=subject, there=there)
-    return [
-        with_settings(scenario, {path: {"listed": known[subject]} for path, subject in own.items()})
-        if own
-        else scenario
-        for scenario, own in zip(scenarios, asked, strict=True)
-    ]
 
 
 def _fills(scenario: Scenario) -> Iterator[tuple[str, str, Fill | None]]:
@@ -269,8 +252,7 @@ def collected(
         if observed.place is not None:
             for path in observed.place.source_files:  # such as a cube's header
                 inputs.add(path)
-        scenarios = [with_measured_fractions(scenario, observed.place) for scenario in scenarios]
-        scenarios = with_fills_of_truth(scenarios, observed.place, campaign.detection)
+        scenarios = [as_collected(scenario, observed.place, campaign.detection) for scenario in scenarios]
         yield Collected(campaign, inputs, scenarios, observed, seed)
 
 

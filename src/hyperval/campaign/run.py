@@ -69,7 +69,7 @@ def run_campaign(
     HypervalError : anything else that the user can mend.
     """
     if job.waits is not None:
-        return replace(unfinished(job, Outcome.SKIPPED, job.waits[0]), remedy=job.waits[1])
+        return unfinished(job, Outcome.SKIPPED, *job.waits)
     name = job.campaign.name
     try:
         with ExitStack() as stack:
@@ -89,7 +89,7 @@ def run_campaign(
         sets = job.missing_sets  # all that the campaign lacks, and not the first that was asked for
         remedy = f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
         reason = f"{error.where}: {error.what}\n  to fix it: {remedy}"
-        return replace(unfinished(job, Outcome.SKIPPED, reason), remedy=remedy)
+        return unfinished(job, Outcome.SKIPPED, reason, remedy)
 
 
 def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
@@ -125,43 +125,41 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     power = accepted_table(campaign.name, side.inputs.base) if predicted else None
-    return replace(
-        report_of(campaign, rows),
+    return report_of(
+        campaign,
+        rows,
         given={"predicted": prediction, "observed": observed.observation},
         score_maps=score_maps(observed, campaign.detection, prediction, rows),
         quicklook=quicklook(observed),
         provenance=provenance,
         power=(power, power.stale(provenance["inputs"], rows)) if power else None,
         notes=list(dict.fromkeys(notes)),
-        references=campaign.references,
         chosen_after=campaign.every_choice(),
         **more,
     )
 
 
-def report_of(campaign: Outline, rows: Iterable[Result]) -> Run:
-    """What a campaign's file and its rows alone say."""
+def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
+    """What a campaign's file and its rows alone say; ``more`` : other fields of :class:`hyperval.run.Run`."""
     return Run(
         campaign=campaign.name,
         title=campaign.title,
         description=campaign.description,
         simulated=bool(campaign.simulated),
         computed=campaign.computed,
+        references=campaign.references,
         table=ResultTable(of_campaign(rows, campaign.name)),
+        **more,
     )
 
 
-def unfinished(job: Job, outcome: Outcome, reason: str) -> Run:
+def unfinished(job: Job, outcome: Outcome, reason: str, remedy: str = "") -> Run:
     """The planned comparisons of a campaign that could not be made, each as a row."""
     campaign = job.outline
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     rows = [gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects]
-    return replace(
-        report_of(campaign, rows),
-        provenance=record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, []),
-        notes=[reason, *campaign.assumptions],
-        references=campaign.references,
-    )
+    record = record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, [])
+    return report_of(campaign, rows, provenance=record, notes=[reason, *campaign.assumptions], remedy=remedy)
 
 
 def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:

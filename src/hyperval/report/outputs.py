@@ -18,7 +18,8 @@ def write_outputs(run: Run, folder: Path) -> None:
         from hyperval.figures.pictures import draw_pictures
 
         drawings = draw_pictures(run.quicklook, run.score_maps, simulated=run.simulated)
-    told = replace(run, provenance={**run.provenance, "warnings": run.warnings})
+    # Its products.nc has a title, if nothing else.
+    told = replace(run, provenance={**run.provenance, "warnings": run.warnings}, given=run.given or {"observed": None})
     told.write(folder, report_page(run, drawings), drawings)
 
 
