@@ -233,10 +233,7 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         inside = int(np.sum((measured >= low) & (measured <= high)))
         words = f"{subject}: first eigenvalue predicted {mean[0]:.3g}, measured {measured[0]:.3g}; "
         words += f"{inside} of {measured.size} inside"
-        x, name = (
-            Axis("number of the eigenvalue", ends=(0.0, number[-1] + 1.0)),
-            f"{subject} (n = {count_text(spread.n)})",
-        )
+        x, name = _number_of_eigenvalue(measured.size), f"{subject} (n = {count_text(spread.n)})"
         return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name), words
 
     return a_view_each(
@@ -247,6 +244,10 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         "circles, with the 95 % band of samples of as many pixels) and measured (squares); below, predicted over "
         "measured with that band.", list(spreads), view,
     )  # fmt: skip
+
+
+def _number_of_eigenvalue(most: int) -> Axis:
+    return Axis("number of the eigenvalue", ends=(0.0, most + 1.0))
 
 
 def _eigenvalues_alone(sides: Sides) -> Figure | None:
@@ -260,13 +261,9 @@ def _eigenvalues_alone(sides: Sides) -> Figure | None:
         factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
         columns = {"y": values, "low": values / factor, "high": values * factor}
         mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
-        x, part = (
-            Axis("number of the eigenvalue", ends=(0.0, MOST_EIGENVALUES + 1.0)),
-            Axis(_EIGENVALUES["radiance"], "log"),
-        )
-        return Panels(
-            x, (Part(part, (mark,)),), subject
-        ), f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
+        x, part = _number_of_eigenvalue(MOST_EIGENVALUES), Part(Axis(_EIGENVALUES["radiance"], "log"), (mark,))
+        words = f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
+        return Panels(x, (part,), subject), words
 
     return a_view_each(
         "radiance-eigenvalues", "covariance",

@@ -238,11 +238,8 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
             columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
             said = tuple(f"{row_label(row)}: {effect_text(row)}" for _, row in own)
             hollow = outcome is Outcome.UNDECIDED
-            marks.append(
-                Mark(
-                    "dots", columns, OUTCOMES[outcome].word, colour, marker=marker, hollow=hollow, along="x", words=said
-                )
-            )
+            look: Any = {"colour": colour, "marker": marker, "hollow": hollow}
+            marks.append(Mark("dots", columns, OUTCOMES[outcome].word, along="x", words=said, **look))
     found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
         x, y = np.array(found).T
