@@ -170,6 +170,8 @@ class RocCurve:
     background_area_km2 : ground area of the background pixels, for alarms per km2; None when unknown
     preset_pfa : (K,) greatest false-alarm probability of any one class at ``threshold``: the preset of (3.30) read
         as the curve's abscissa; None for a measurement
+    alarms : (K,) background samples above the threshold; None for a prediction
+    design_effect : (K,) how many times as large the variance of their number is as that of independent samples
     alarms_before_first : background pixels that score as high as the best target pixel or higher, where asked for
     """
 
@@ -183,6 +185,7 @@ class RocCurve:
     n_background: int | None = None
     background_area_km2: float | None = None
     alarms: Counts | None = field(default=None, compare=False, repr=False)
+    design_effect: Array | None = field(default=None, compare=False, repr=False)
     areas: Mapping[str, AreaEstimate] = field(default_factory=dict, compare=False)
     at_detection: tuple[AlarmsAtDetection, ...] = ()
     preset_pfa: Array | None = None

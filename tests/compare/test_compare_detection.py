@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from hyperval import compare, model
 from hyperval.errors import UsageError
-from hyperval.pixels import counts_of, empirical_roc, roc_area, with_summary
+from hyperval.pixels import AlarmBlocks, counts_of, empirical_roc, roc_area, with_summary
 from hyperval.products import (
     Abundance,
     AlarmsAtDetection,
@@ -174,6 +174,22 @@ def test_every_subject_of_either_side_has_rows():
         compare.compare_products(predicted, ObservedProducts(SpectralAxis(axis.centre_nm + 1.0, 10.0)))
 
 
+def test_alarms_in_clusters_widen_the_density_and_the_joint_region_as_they_do_at_a_stated_detection():
+    # Clusters of 49 pixels, correlation 0.9: the variance of the number of alarms is some 20 times that of single ones.
+    rng = np.random.default_rng(8)
+    common = rng.standard_normal((30, 30)).repeat(7, 0).repeat(7, 1)
+    scores = np.sqrt(0.9) * common + np.sqrt(0.1) * rng.standard_normal(common.shape)
+    blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
+    rows = []
+    for background in (scores, blocks):
+        curve = empirical_roc(rng.normal(2.0, 1.0, 200), background, [1e-1], background_area_km2=1.0)
+        rows.append(by_metric(compare.alarm_rows(None, curve, 1e-1)))
+    for name in ("far_measured@1e-1", "joint_pfa@1e-1"):
+        single, clustered = (found[name] for found in rows)
+        assert clustered.value == single.value
+        assert clustered.upper - clustered.lower > 2.0 * (single.upper - single.lower)
+
+
 def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
     rows = roc(model_curve(2.5, 0.1), measured_curve(2.5))
     for name in ("auc_{}", "partial_auc_{}@0..1e-1", "log_auc_{}@1e-3..1e-1", "far_{}@pd0.5", "far_{}@pd0.9"):
@@ -182,7 +198,7 @@ def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
         assert all(row.lower <= row.value <= row.upper and row.outcome is Outcome.NONE for row in (p, o, d))
         assert d.lower <= 0 <= d.upper
     assert rows["far_measured@pd0.5"].unit == "km-2"
-    assert rows["auc_measured"].reason == "bootstrap of 30 objects, 1000 draws"
+    assert rows["auc_measured"].reason == "DeLong"
     assert rows["far_predicted@pd0.5"].value == pytest.approx(norm.sf(2.5) * 20_000 / KM2, rel=0.01)
     for level in ("1e-1", "1e-2", "1e-3"):
         assert rows[f"pd_inside_joint_region@{level}"].value == 1.0

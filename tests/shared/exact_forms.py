@@ -3,7 +3,7 @@
 import numpy as np
 
 from hyperval.model import WHOLE
-from hyperval.pixels import area_estimates, counts_of, roc_area
+from hyperval.pixels import AlarmBlocks, area_estimates, counts_of, roc_area
 from hyperval.products import AreaEstimate
 
 
@@ -24,4 +24,4 @@ def auc(target, background):
 def auc_estimate(target, background) -> AreaEstimate:
     """Production's area of single pixels with its interval."""
     counts = counts_of(target, background)
-    return area_estimates(counts, {"auc": WHOLE}, "pixel", 0, np.random.default_rng(0))["auc"]
+    return area_estimates(counts, {"auc": WHOLE}, "pixel", AlarmBlocks.of_scores(background))["auc"]

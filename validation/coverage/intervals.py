@@ -79,7 +79,7 @@ def detection(rng: np.random.Generator, clustered: bool) -> Intervals:
             rate = empirical_roc(target, blocks, level)
             yield f"P_D at {level:g}, {count} targets", bool(rate.pd_lower[0] <= true <= rate.pd_upper[0])
         counts = counts_of(target, blocks.scores)
-        estimates = area_estimates(counts, AREAS, "object" if count < 50 else "pixel", 200, rng, blocks)
+        estimates = area_estimates(counts, AREAS, "object" if count < 50 else "pixel", blocks)
         for name, area in estimates.items():
             yield f"{name}, {count} targets", bool(area.lower <= true_areas[name] <= area.upper)
 

@@ -142,7 +142,7 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
     count = min(most, drawn)
     spaces = tuple(k for k in SPACES if k <= count and k < size)
     full = pixels.full_rank(independent, size)
-    measured = pixels.statistics_of_covariance(directions, directions.of_other(second), count, spaces, full_rank=full)
+    measured = pixels.statistics_of_covariance(directions, directions.factor_of(second), count, spaces, full_rank=full)
     band = _band(directions.values.tobytes(), independent.tobytes(), drawn, spaces, kurtosis)
     band = band._replace(eigenvalues=band.eigenvalues[:, :count])
     fewest = float(independent.min()) + 1.0

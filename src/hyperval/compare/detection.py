@@ -504,7 +504,8 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     ``far_measured@1e-2``: alarms per km2.  The interval is that of Clopper & Pearson on the alarms, times the samples
     per km2; for rare alarms it is the exact Poisson interval.  The share of the background above its own (k + 1)-th
     greatest score follows a beta distribution whose quantiles lie inside it, so it holds although the threshold was
-    set by the same background.
+    set by the same background.  Alarms that come in clusters count as fewer: they and the samples are divided by the
+    design effect of the curve.
 
     ``joint_pfa``, ``joint_pd`` and ``pd_inside_joint_region`` ``@1e-2``: the rectangle of the first two intervals
     holds the true (P_FA, P_D) of the measured threshold with 95 % probability: two independent statements at level
@@ -524,17 +525,19 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     if observed.alarms is None or pfa * n < LEAST_EXPECTED_ALARMS or not at.size:
         return
     label, alarms, density = scientific(pfa), int(observed.alarms[at[-1]]), samples_per_km2(observed)
+    effect = 1.0 if observed.design_effect is None else float(observed.design_effect[at[-1]])
     if math.isnan(density):
         yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, f"far_measured@{label}")
     else:
         area = observed.background_area_km2 or math.nan
-        ends = tuple(float(x) * density for x in clopper_pearson(alarms, n))
+        ends = tuple(float(x) * density for x in clopper_pearson(alarms / effect, n / effect))
         yield row(f"far_measured@{label}", alarms / area, ends, n=n, reason=f"{alarms} alarms in {area:.4g} km2")
     if not m:
         return
     detected = round(float(observed.pd[at[-1]]) * m)
     span, (least, most) = (
-        tuple(map(float, clopper_pearson(k, of, math.sqrt(0.95)))) for k, of in ((alarms, n), (detected, m))
+        tuple(map(float, clopper_pearson(k, of, math.sqrt(0.95))))
+        for k, of in ((alarms / effect, n / effect), (detected, m))
     )
     why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
     yield row(f"joint_pfa@{label}", alarms / n, span, n=n, reason=why)

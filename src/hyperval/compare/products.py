@@ -14,7 +14,7 @@ from hyperval.compare import covariance, detection, joint, spectra
 from hyperval.compare.rows import named, row, scientific, skipped
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95
-from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS
+from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS, nearest_point
 from hyperval.products import ANOMALIES, SPECTRA, ExceedanceCurve, Products, RocCurve, background_of
 from hyperval.results import Cause, Outcome, Result
 
@@ -72,7 +72,7 @@ def _thresholds(curve: ExceedanceCurve, n: int) -> Iterator[Result]:
     """``anomaly_threshold@1e-3``: score that this part of the background exceeds."""
     for level in sorted(ANOMALY_LEVELS, reverse=True):
         if level * n >= LEAST_EXPECTED_ALARMS:
-            at = int(np.argmin(np.abs(np.log(curve.probability.clip(1e-300)) - np.log(level))))
+            at = nearest_point(curve, level)
             why = f"{curve.probability[at]:.3g} of {n} background pixels lie above"
             yield row(f"anomaly_threshold@{scientific(level)}", curve.threshold[at], n=n, reason=why)
 

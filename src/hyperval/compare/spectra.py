@@ -77,7 +77,8 @@ def size_intervals(ratio: Array, covariance: Array) -> tuple[Interval, Interval]
     if not np.any(covariance):
         return (math.nan, math.nan), (math.nan, math.nan)
     values, vectors = np.linalg.eigh(covariance)
-    drawn = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ _standard_normal(values.size)
+    # By the symmetric root: it stays where rounding turns eigenvectors of nearly equal values.
+    drawn = (vectors * np.sqrt(np.clip(values, 0.0, None))) @ (vectors.T @ _standard_normal(values.size))
     drawn -= ratio[:, None]
     # One sort costs a quarter of the selection of a median.
     ordered = np.sort(np.abs(drawn, out=drawn), axis=0)

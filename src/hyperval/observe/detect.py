@@ -25,9 +25,9 @@ from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, cut_out
 from hyperval.model import PositiveDefinite, Sources, UnmixedSubject, fully_constrained, labelled, own_mean_sampling
 from hyperval.model.filters import whitened
-from hyperval.observe.open import IMAGE, SCENE, Place, number_rows
+from hyperval.observe.open import IMAGE, Place, number_rows
 from hyperval.paths import Resolve
-from hyperval.products import ANOMALIES, Abundance, ObjectScores, ScoreDistribution, background_of
+from hyperval.products import ANOMALIES, Abundance, ExceedanceCurve, ObjectScores, ScoreDistribution, background_of
 from hyperval.progress import track, watch_lines
 from hyperval.spectra import in_window
 
@@ -157,7 +157,8 @@ def detect(place: Place, detection: Detection, resolve: Resolve, *, show_progres
     for name, scores in maps.items() if not detection.targets else ():
         noise = curves.background(scores, ANOMALIES, name)
         curves.products["scores"][background_of(ANOMALIES), name] = _moments(noise.scores)
-        notes.append(_anomaly_note(place, name, scores, curves.alarms))
+        curve = curves.products["exceedance"].get((ANOMALIES, name))
+        notes.append(_anomaly_note(place, name, scores, curve, noise.scores.size))
     _add_pools(curves.products["roc"], detection)
     if detection.halo_pixels:
         notes.append(
@@ -282,7 +283,7 @@ def _score_maps(
         maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=whitener, scenes=scenes, **common)
         return maps, []
     window = local.outer_pixels, local.inner_pixels
-    around = place.pixels_of(IMAGE if IMAGE in detection.background else SCENE)
+    around = place.pixels_of(IMAGE if IMAGE in detection.background else px.SCENE)
     maps, lonely = px.score_cube_locally(cube, bank.forms, whitener, window, around, line, bank.bands, **common)
     return maps, [
         f"background means from windows of {window[0]} less {window[1]} pixels; "
@@ -409,17 +410,16 @@ def _moments(values: Array) -> ScoreDistribution:
     return ScoreDistribution(float(np.mean(values)), sd, int(values.size), greatest=np.sort(tail)[::-1])
 
 
-def _anomaly_note(place: Place, detector: str, scores: Array, background: Mask) -> str:
+def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceCurve | None, n: int) -> str:
     """The strongest groups of touching pixels above the threshold that the background passes at a low rate.
 
     The rate is the lowest of 1e-4, 1e-3 and 1e-2 at which the background leaves ten pixels or more: they fix the
     threshold, and belong to the groups themselves where the background is the whole scene.
     """
-    noise = scores[background & np.isfinite(scores)]
-    level = next((p for p in px.ANOMALY_LEVELS if p * noise.size >= px.LEAST_EXPECTED_ALARMS), None)
-    if level is None:
-        return f"{detector}: {noise.size} background pixels are too few for a threshold of anomalies"
-    threshold = float(np.sort(noise)[noise.size - 1 - int(level * noise.size)])
+    level = next((p for p in px.ANOMALY_LEVELS if p * n >= px.LEAST_EXPECTED_ALARMS), None)
+    if level is None or curve is None:
+        return f"{detector}: {n} background pixels are too few for a threshold of anomalies"
+    threshold = float(curve.threshold[px.nearest_point(curve, level)])
     labels, count = objects(np.nan_to_num(scores, nan=-np.inf) > threshold)
     if not count:
         return f"{detector}: no pixel beyond {threshold:.4g}, which {level:g} of the background exceeds"

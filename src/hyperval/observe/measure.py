@@ -345,10 +345,8 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
         return projected
 
     windows = _projected_windows(place, region, bands, rng, project, centred)
-    correlation = px.lag_correlation(windows, REACH).significant()
-    near = px.neighbour_shares(region, REACH, rng)
-    shares = px.independent_values(n, correlation[count:], near) / n
-    independent = px.independent_values(n, correlation[:count] ** 2, near)
+    reach = min(REACH, max(*region.shape) - 1)
+    of_mean, of_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
     lines, samples = px.drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
     order, dimensions = np.lexsort((samples, lines)), (dimension, leading)
     parts = [
@@ -359,13 +357,13 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
     if distances[0].size < FEWEST_PIXELS:
         return None
     whole, lead = (
-        px.fit_tail_dof(d, k, estimated_on=n, independent=share * d.size)
-        for d, k, share in zip(distances, dimensions, shares, strict=True)
+        px.fit_tail_dof(d, k, estimated_on=n, independent=independent / n * d.size)
+        for d, k, independent in zip(distances, dimensions, of_mean[count:], strict=True)
     )
     distance, exceedance = _exceedance_curve(px.left_out_distances(distances[1], n))
     return PixelDistribution(
         whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
-        leading, whole.n, independent, distance, exceedance, int(np.count_nonzero(region.any(axis=0))),
+        leading, whole.n, of_variance[:count], distance, exceedance, int(np.count_nonzero(region.any(axis=0))),
         leading_scale=lead.scale,
     )  # fmt: skip
 

@@ -49,12 +49,11 @@ from hyperval.imagery.regions import outside_error, patches
 from hyperval.imagery.truth import cut_out
 from hyperval.model.fill import aperture_weights
 from hyperval.paths import Resolve, checked_file
-from hyperval.pixels import EmpiricalLine, Labels
+from hyperval.pixels import SCENE, EmpiricalLine, Labels
 from hyperval.progress import track
 from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table
 from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
 
-SCENE = "scene"
 IMAGE = "image"
 MAX_TABLE_BYTES = 10 << 20
 _TOGETHER = 1024  # pixels whose spectra are read at once
@@ -543,7 +542,7 @@ def image_targets(
         blur = truth.psf_fwhm_pixels
         both = blur if isinstance(blur, tuple) else (blur, blur)
         grid = replace(_grid(truth, raster, cube, str(path)), blur=both, shifts=registration_shifts(error))
-        images = _class_cells(truth, raster, path)
+        images = _cells(raster, path, truth.classes)
     else:
         grid, error = FinerGrid(0.0, 0.0, 1.0, 1.0), 0.0
         images = _abundances(truth, imagery.raster_of_size(path, cube.shape), path)
@@ -593,19 +592,24 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGri
     return grid
 
 
-def _class_cells(truth: FinerTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Mask]]:
-    """Material -> which cells it fills; a class is a value of the first band, or a range of a band."""
+def _cells(
+    raster: Raster, path: Path, classes: Mapping[str, int | BandRange], first: int | str = 1
+) -> Iterator[tuple[str, Mask]]:
+    """Class -> (lines, samples) which cells are of it: a value of the ``first`` band, or a range of another."""
     if raster.lines * raster.samples > MAX_CELLS:
         raise InputError(f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}")
-    for material, chosen in truth.classes.items():
-        one = chosen if isinstance(chosen, BandRange) else BandRange(band=1, above=chosen, below=chosen)
+    for name, chosen in classes.items():
+        one = chosen if isinstance(chosen, BandRange) else BandRange(above=chosen, below=chosen)
+        band = _band(raster, one.band if one is chosen else first, path)
         low, high = -np.inf if one.above is None else one.above, np.inf if one.below is None else one.below
         mask = np.empty((raster.lines, raster.samples), bool)
-        for rows, values in _rows(raster, _band(raster, one.band, path)):
+        for rows, values in _rows(raster, band):
             mask[rows] = (values >= low) & (values <= high)
         if not mask.any():
-            raise InputError(f"no cell of {material!r}", where=str(path), expected="a value that the image holds")
-        yield material, mask
+            present = np.unique(np.concatenate([np.unique(values) for _, values in _rows(raster, band)]))
+            known = ", ".join(f"{v:g}" for v in present[np.isfinite(present)][:20])
+            raise InputError(f"no cell of {name!r}, {chosen}", where=str(path), expected=f"one of {known}")
+        yield name, mask
 
 
 def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Array]]:
@@ -680,17 +684,8 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
     ------
     InputError : another size than the cube's, no such band, or a number that no pixel has.
     """
-    raster = imagery.raster_of_size(path, cube.shape)
-    band = _band(raster, source.band if source.band is not None else 1, path)
-    values = _values(raster, band)
-    regions = {}
-    for name, number in source.classes.items():
-        mask = values == number
-        if not mask.any():
-            present = ", ".join(f"{v:g}" for v in np.unique(values[np.isfinite(values)])[:20])
-            raise InputError(f"no pixel of material {number} ({name!r})", where=str(path), expected=f"one of {present}")
-        regions[name] = Region(name, mask, str(path))
-    return regions
+    raster, first = imagery.raster_of_size(path, cube.shape), 1 if source.band is None else source.band
+    return {name: Region(name, mask, str(path)) for name, mask in _cells(raster, path, source.classes, first)}
 
 
 def _band(raster: Raster, wanted: int | str, path: Path) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,6 @@ from hyperval.collection import (
     PanelReference,
     PathRadiance,
     RadCalNetSource,
-    SpectrumCollection,
 )
 from hyperval.data import Array
 from hyperval.errors import InputError, UsageError, one_of, refusal
@@ -273,14 +272,6 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     return ["wavelengths as labelled less those of known features: " + "; ".join(parts), *warnings]
 
 
-class Site(NamedTuple):
-    """A collected site: its entry in the collection, mean radiance (B,), and (B, B) parts of its error by name."""
-
-    source: SpectrumCollection
-    mean: Array
-    parts: Mapping[str, Array]
-
-
 def observe_spectra(collection: CollectionSection, resolve: Resolve) -> ObservedProducts:
     """Radiance of every site with the uncertainty of its calibration and of its detector's noise.
 
@@ -300,7 +291,6 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     if collection.bands.fwhm_column is None:
         notes.append("the band table's widths are not named (fwhm_column): band widths are taken as the band spacing")
     radiance: dict[str, SpectralEstimate] = {}
-    sites: dict[str, Site] = {}
     for site in collection.spectra:
         read = read_spectrum(
             resolve(site.path), record=site.record, quantity="radiance", unit=site.unit,
@@ -314,11 +304,11 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
         if detector is not None and site.pixels is not None:
             parts[NOISE] = detector_covariance(mean, axis, detector, site.pixels)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
-        sites[site.subject] = Site(site, mean, parts)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
     reflectance: dict[str, SpectralEstimate] = {}
     if collection.empirical_line is not None:
-        reflectance, more = _site_reflectance(collection.empirical_line, sites, axis, resolve)
+        flights = {site.subject: site.line for site in collection.spectra}
+        reflectance, more = _site_reflectance(collection.empirical_line, radiance, flights, axis, resolve)
         notes += more
     told = {"quantity": "radiance"}
     return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=tuple(notes), provenance=told)
@@ -344,7 +334,11 @@ def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str
 
 
 def _site_reflectance(
-    source: EmpiricalLineSource, sites: Mapping[str, Site], axis: SpectralAxis, resolve: Resolve
+    source: EmpiricalLineSource,
+    sites: Mapping[str, SpectralEstimate],
+    flights: Mapping[str, str | None],
+    axis: SpectralAxis,
+    resolve: Resolve,
 ) -> tuple[dict[str, SpectralEstimate], list[str]]:
     """Reflectance of every site by the line through the other panels of its flight line, and notes.
 
@@ -353,23 +347,22 @@ def _site_reflectance(
     flight line, and the note marks it as a one-point line.  Sites of one flight share their calibration, which
     cancels, but for the part of it in which a stated path radiance has none.
     """
-    lines, paths = {site.source.line for site in sites.values()}, {entry.line: entry for entry in source.path_radiance}
-    if lacking := [line for line in paths if line not in lines]:
-        what, known = f"path_radiance: no site of flight line {lacking[0]!r}", sorted(repr(line) for line in lines)
+    paths = {entry.line: entry for entry in source.path_radiance}
+    if lacking := [line for line in paths if line not in flights.values()]:
+        what, known = f"path_radiance: no site of flight line {lacking[0]!r}", sorted(map(repr, set(flights.values())))
         raise UsageError(what, where=WHERE, expected=one_of(known))
     panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
         if name not in sites:
             raise UsageError(f"empirical line: no site {name!r}", where=WHERE, expected=one_of(sites))
-        site = sites[name]
-        own, n = site.parts.get(NOISE, np.zeros(len(axis))), site.source.pixels or 1
-        panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), site.mean, own, n)
+        noise, n = sites[name].budget.get(NOISE, np.zeros(len(axis))), sites[name].n or 1
+        panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), sites[name].mean, noise**2, n)
     out: dict[str, SpectralEstimate] = {}
     notes: list[str] = []
     for name, site in sites.items():
-        flight = site.source.line
-        others = [p for n, p in panels.items() if n != name and sites[n].source.line == flight]
+        flight = flights[name]
+        others = [p for n, p in panels.items() if n != name and flights[n] == flight]
         how, lacks = "empirical line", "no other site is known"
         if source.intercept and len(others) == 1:
             lacks = "one other site makes a line only with its path_radiance"
@@ -384,21 +377,22 @@ def _site_reflectance(
             notes.append(f"{name}: no reflectance by other sites of its flight line: {error.what}")
             continue
         parts = {"empirical line": line.error_covariance(site.mean)}
-        if NOISE in site.parts:
-            parts[NOISE] = site.parts[NOISE] / np.outer(line.gain, line.gain)
-        out[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.source.pixels)
+        if NOISE in site.budget:
+            parts[NOISE] = np.diag((site.budget[NOISE] / line.gain) ** 2)
+        out[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.n)
         usable = f"usable in {int(line.usable.sum())} of {len(axis)} bands"
         words = [f"reflectance by the {how} through {' and '.join(line.names)}, {usable}", *line_warnings(line, axis)]
         notes += [f"{name}: {text}" for text in words]
     return out, notes
 
 
-def _black(stated: PathRadiance, site: Site, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
+def _black(stated: PathRadiance, site: SpectralEstimate, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
     """The path radiance as a panel that reflects nothing."""
     black, zero = path_estimate(stated, axis, resolve), np.zeros(len(axis))
     # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
     share = black.mean / np.where(site.mean == 0.0, np.inf, site.mean)
-    error = black.error_covariance + site.parts.get(CALIBRATION, 0.0) * np.outer(share, share)
+    shared = 0.0 if site.calibration is None else site.calibration
+    error = black.error_covariance + shared * np.outer(share, share)
     return MeasuredPanel("the path radiance of the engine", zero, zero, black.mean, error)
 
 

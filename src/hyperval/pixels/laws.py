@@ -311,7 +311,6 @@ DIMENSIONS = 6  # leading components of the class; clusters differ in what varie
 FEWEST_PIXELS = 200
 # The number of clusters is chosen on so many pixels, thinned evenly.
 MOST_CHOOSING = 5000
-_LEAST_VARIANCE = 1e-10  # of the greatest: below it a component is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,15 +396,14 @@ def class_mixture(
     mean = x.mean(axis=0)
     lead = np.arange(x.shape[1]) if lead is None else lead
     used = (x - mean)[:, lead]
-    values, vectors = np.linalg.eigh(used.T @ used / max(x.shape[0] - 1, 1))
-    values, vectors = values[::-1], vectors[:, ::-1]
-    keep = min(DIMENSIONS, int(np.count_nonzero(values > _LEAST_VARIANCE * values[0])))
+    every = EigenDirections.of(used.T @ used / max(x.shape[0] - 1, 1))
+    keep = min(DIMENSIONS, every.values.size)
     if keep == 0 or (count == "auto" and x.shape[0] < FEWEST_PIXELS):
         return None
     # The sign of an eigenvector is nobody's choice; the starts of the fit shall not depend on it.
-    vectors = vectors[:, :keep]
+    vectors = every.vectors[:, :keep]
     vectors = vectors * np.sign(vectors[np.argmax(np.abs(vectors), axis=0), np.arange(keep)])
-    directions = vectors / np.sqrt(values[:keep])
+    directions = vectors / np.sqrt(every.values[:keep])
     leading = used @ directions
     dof: float | None = None if tails else np.inf
     thin = slice(None, None, -(-x.shape[0] // MOST_CHOOSING))
@@ -436,9 +434,8 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
     """
     share = pixels / pixels.sum()
     pooled = np.tensordot(share, covariances, 1)
-    values, vectors = np.linalg.eigh(pooled)
-    used = values > _LEAST_VARIANCE * values[-1]
-    own = np.einsum("bp,kbc,cp->kp", vectors[:, used], covariances, vectors[:, used], optimize=True) / values[used]
+    along = EigenDirections.of(pooled)
+    own = np.einsum("bp,kbc,cp->kp", along.vectors, covariances, along.vectors, optimize=True) / along.values
     chance = 2.0 / pixels
     excess = max(float(share @ (np.mean((own - 1.0) ** 2, axis=1) - chance)), 0.0)
     part = (chance / (chance + excess))[:, None, None]

@@ -107,20 +107,25 @@ class AlarmBlocks:
         near = _bartlett(np.stack(np.divmod(key // many, width), axis=1))
         return cls(scores, block.astype(np.int64), near, _strata(np.bincount(block), key % many, near))
 
+    @classmethod
+    def of_scores(cls, scores: npt.ArrayLike) -> AlarmBlocks:
+        """Scores of any shape whose places are not known, each taken by itself; UsageError where some are NaN."""
+        from scipy import sparse
+
+        values = ascending(scores, "background")
+        out = cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
+        vars(out)["ascending"] = values  # sorted once
+        return out
+
     @cached_property
     def pixels(self) -> Counts:
         """(M,) pixels of each block."""
         return np.bincount(self.block, minlength=self.neighbours.shape[0])
 
     @cached_property
-    def order(self) -> Counts:
-        """(n,) places of the scores from the least to the greatest."""
-        return np.argsort(self.scores)
-
-    @cached_property
     def ascending(self) -> Array:
         """(n,) the scores in order."""
-        return self.scores[self.order]
+        return ascending(self.scores, "background")
 
     def counts(self, threshold: Array) -> Counts:
         """(T, M) scores above each of the thresholds (T,), which fall."""
@@ -160,15 +165,11 @@ class AlarmBlocks:
         """Alarms (T,) above thresholds (T,) that fall, and the 95 % limits (T,) of P_FA at each.
 
         Those by Jeffreys' prior (:func:`~hyperval.model.intervals.jeffreys_limits`) for the alarms and the
-        pixels over the design effect: how many times as large the variance of the number of alarms is as that of
-        independent pixels (Kish, Survey Sampling, 1965, 8.2).  Few alarms know their own clusters badly.  So what
-        the effect has beyond 1 is widened by (t/1.96)^2 (JCGM 100:2008, G.3), and the effects of all thresholds
-        count that let up to ten times as many pixels through: the greatest by three quarters, as rare alarms may
-        cluster more than the mean says, the mean by one, as chance raises the greatest.
+        pixels over the :meth:`design_effect`.
         """
-        k, effect = self._design_effects(threshold)
-        lower, upper = jeffreys_limits(k / effect, self.scores.size / effect)
-        return k, lower, upper
+        k = self.scores.size - np.searchsorted(self.ascending, threshold, side="right")
+        effect = self.design_effect(k)
+        return k, *jeffreys_limits(k / effect, self.scores.size / effect)
 
     def half_image_factor(self, threshold: Array) -> Array:
         """(T,) factor by which P_FA of one half of the image misses that of the other, above thresholds that fall.
@@ -191,10 +192,14 @@ class AlarmBlocks:
             factor = np.maximum(*rates) / np.minimum(*rates)
         return np.asarray(np.median(np.where(np.isnan(factor), 1.0, factor), axis=1))
 
-    def _design_effects(self, threshold: Array) -> tuple[Counts, Array]:
-        """Alarms (T,) above thresholds (T,) that fall, and the design effect at each."""
+    @cached_property
+    def _effects(self) -> tuple[Array, Array]:
+        """log(1 + alarms) and the design effect, at ranks from 0 to n, evenly in their logarithm."""
         n = self.scores.size
-        by_block = self.counts(threshold)
+        if self.stratum.size < 2:
+            return np.zeros(1), np.ones(1)
+        ranks = np.unique(np.append(0, np.geomspace(1, n, _RANKS).astype(np.int64)))
+        by_block = self.counts(np.append(self.ascending[n - 1 - ranks[ranks < n]], -np.inf))
         k = by_block.sum(axis=1)
         p = k / n
         independent = n * p * (1.0 - p)
@@ -203,18 +208,16 @@ class AlarmBlocks:
         effect = np.clip(1.0 + beyond * (special.stdtrit(dof, 0.975) / Z95) ** 2, 1.0, n)
         last = np.searchsorted(k, _DECADE * np.maximum(k, 1), side="right")
         decades = (effect[i : max(j, i + 1)] for i, j in enumerate(last))
-        return k, np.array([_GREATEST * near.max() + (1.0 - _GREATEST) * near.mean() for near in decades])
-
-    @cached_property
-    def _effects(self) -> tuple[Array, Array]:
-        """log(1 + alarms) and the design effect, at ranks from 0 to n, evenly in their logarithm."""
-        n = self.scores.size
-        ranks = np.unique(np.append(0, np.geomspace(1, n, _RANKS).astype(np.int64)))
-        k, effect = self._design_effects(np.append(self.ascending[n - 1 - ranks[ranks < n]], -np.inf))
-        return np.log1p(k), effect
+        return np.log1p(k), np.array([_GREATEST * x.max() + (1.0 - _GREATEST) * x.mean() for x in decades])
 
     def design_effect(self, alarms: npt.ArrayLike) -> Array:
-        """How many times as large the variance of a number of alarms is as that of independent pixels."""
+        """How many times as large the variance of a number of alarms is as that of independent pixels.
+
+        Few alarms know their own clusters badly.  So what the effect has beyond 1 is widened by (t/1.96)^2 (JCGM
+        100:2008, G.3), and the effects of all thresholds count that let up to ten times as many pixels through: the
+        greatest by three quarters, as rare alarms may cluster more than the mean says, the mean by one, as chance
+        raises the greatest.  1 where all lie in one block.  Source: Kish, Survey Sampling, 1965, 8.2.
+        """
         return np.interp(np.log1p(alarms), *self._effects)
 
     def rank_limits(self, pfa: Array) -> tuple[Counts, Counts]:
@@ -223,25 +226,21 @@ class AlarmBlocks:
         The thresholds whose interval of P_FA holds ``pfa``: those from the s-th to the r-th greatest score; r is 0
         where no score bounds it from above, s is n + 1 where none does from below.  Where there are fewer alarms
         than ``pfa`` expects, the image may lack the one cluster that would have held them: the design effect is that of
-        the geometric mean of both numbers.
+        the geometric mean of both numbers.  Of scores in one block the number above a threshold is binomial.
         """
         n = self.scores.size
-
-        def first(limit: int) -> Counts:
-            """Least number of alarms whose lower (0) or upper (1) limit lies beyond; n + 1 where none does."""
-            low, high = np.zeros(pfa.size, np.int64), np.full(pfa.size, n + 1)
-            while np.any(low < high):
-                middle = (low + high) // 2
-                expected = np.sqrt(np.maximum(middle, 1) * n * pfa)
-                effect = self.design_effect(np.maximum(middle, expected))
-                below, above = beyond_jeffreys_limits(middle / effect, n / effect, pfa)
-                there = ~above if limit else below
-                open_ = low < high
-                high = np.where(open_ & there, middle, high)
-                low = np.where(open_ & ~there, middle + 1, low)
-            return low
-
-        return first(1), first(0)
+        if self.stratum.size < 2:
+            return _ranks(n, pfa, LEVEL)
+        # Between these lies the least number of alarms whose upper (0), or lower (1), limit is beyond; n + 1 without.
+        low, high = np.zeros((2, pfa.size), np.int64), np.full((2, pfa.size), n + 1)
+        while np.any(low < high):
+            middle = (low + high) // 2
+            expected = np.sqrt(np.maximum(middle, 1) * n * pfa)
+            effect = self.design_effect(np.maximum(middle, expected))
+            below, above = beyond_jeffreys_limits(middle / effect, n / effect, pfa)
+            there = np.stack([~above[0], below[1]])
+            low, high = np.where(there | (low == high), low, middle + 1), np.where(there, middle, high)
+        return low[0], low[1]
 
 
 def _strata(pixels: Counts, of_class: Counts, neighbours: sparse.csr_array) -> Counts:
@@ -327,6 +326,11 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     return ExceedanceCurve(threshold, probability, lower, upper, n, half)
 
 
+def nearest_point(curve: ExceedanceCurve, level: float) -> int:
+    """The point of a curve whose P_FA is nearest to ``level`` in its logarithm."""
+    return int(np.argmin(np.abs(np.log(curve.probability.clip(1e-300)) - math.log(level))))
+
+
 def exceedance_at(curve: ExceedanceCurve, threshold: float, values: Array | None = None) -> float:
     """P(score > threshold), linear in log P between the points of a curve; that of its ends beyond them.
 
@@ -382,7 +386,7 @@ def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: n
 
 
 def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> FalseAlarmRatio:
-    """The ratio at the point of the measured curve whose P_FA is nearest to ``level`` in its logarithm.
+    """The ratio at the :func:`nearest_point` of the measured curve.
 
     The limits of both sides go together in quadrature, in the logarithm, less twice their product where both are of
     the same pixels and err together (Zou & Donner, Stat. Med. 27, 1693-1702, 2008; Zou, Psychol. Methods 12, 399-413,
@@ -397,7 +401,7 @@ def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, lev
     >>> [round(v, 2) for v in (ratio.value, ratio.upper / ratio.value, ratio.law_factor)]
     [1.52, 1.53, 1.3]
     """
-    at = int(np.argmin(np.abs(np.log(measured.probability.clip(1e-300)) - math.log(level))))
+    at = nearest_point(measured, level)
     threshold, m = float(measured.threshold[at]), float(measured.probability[at])
     p, together = exceedance_at(predicted, threshold), 0.0
     if predicted.correlation is not None:
@@ -418,22 +422,7 @@ STATED_PD = (0.5, 0.9)
 LEVEL = 0.95  # of every interval here
 _SAFE = 6.0  # how many times as often the limit without assumptions may be told to miss
 _LOST_ENOUGH = 8.0  # targets' worth of area that a variance can be estimated from
-_CHUNK = 2_000_000  # values of the largest array of a bootstrap
 _ROUNDING = 1.0 + 1e-12  # a share that is a whole number of scores is not taken for the next one
-
-
-def ascending(scores: Scores, side: str) -> Array:
-    """(n,) scores of any shape in order; UsageError where there are none or some are NaN."""
-    if isinstance(scores, AlarmBlocks):
-        values = scores.ascending
-    else:
-        values = np.sort(np.asarray(scores, dtype=float), axis=None)  # NaN last
-        missing = int(np.count_nonzero(np.isnan(values)))
-        if missing:
-            raise UsageError(f"{missing} of {values.size} {side} scores are NaN", mend="leave invalid pixels out")
-    if values.size == 0:
-        raise UsageError(f"there are no {side} scores", expected="at least one valid score on each side of a ROC")
-    return values
 
 
 def _ranks(n: int, p: npt.ArrayLike, level: float) -> tuple[Counts, Counts]:
@@ -447,6 +436,21 @@ def _ranks(n: int, p: npt.ArrayLike, level: float) -> tuple[Counts, Counts]:
 
     tail = (1.0 - level) / 2.0
     return stats.binom.ppf(tail, n, p).astype(np.int64), stats.binom.isf(tail, n, p).astype(np.int64) + 1
+
+
+def _placed(background: Scores) -> AlarmBlocks:
+    return background if isinstance(background, AlarmBlocks) else AlarmBlocks.of_scores(background)
+
+
+def ascending(scores: npt.ArrayLike, side: str) -> Array:
+    """(n,) scores of any shape in order; UsageError where there are none or some are NaN."""
+    values = np.sort(np.asarray(scores, dtype=float), axis=None)  # NaN last
+    missing = int(np.count_nonzero(np.isnan(values)))
+    if missing:
+        raise UsageError(f"{missing} of {values.size} {side} scores are NaN", mend="leave invalid pixels out")
+    if values.size == 0:
+        raise UsageError(f"there are no {side} scores", expected="at least one valid score on each side of a ROC")
+    return values
 
 
 @dataclass(frozen=True)
@@ -484,7 +488,7 @@ class RankCounts:
 def counts_of(target_scores: npt.ArrayLike, background_scores: Scores) -> RankCounts:
     """Counts of the background among the targets, scores of any shape; UsageError where a side is empty or has NaN."""
     value, targets = np.unique(ascending(target_scores, "target"), return_counts=True)
-    background = ascending(background_scores, "background")
+    background = _placed(background_scores).ascending
     first, last = (np.searchsorted(background, value, side) for side in ("left", "right"))
     between = np.append(first, background.size) - np.insert(last, 0, 0)
     return RankCounts(targets, last - first, between)
@@ -519,15 +523,15 @@ def alarms_at_detection(
     distributions.  Of a background whose places are known, alarms that come in clusters count as fewer: they and the
     pixels are divided by the design effect (:meth:`~hyperval.pixels.AlarmBlocks.design_effect`).
     """
-    t, b = ascending(target_scores, "target"), ascending(background_scores, "background")
-    m, n, each = t.size, b.size, float(np.sqrt(LEVEL))
+    t, background = ascending(target_scores, "target"), _placed(background_scores)
+    b, m, n, each = background.ascending, t.size, background.scores.size, math.sqrt(LEVEL)
 
     def alarms(rank: int, side: Literal["left", "right"] = "left") -> int:
         """Background scores that reach, or (``right``) exceed, the ``rank``-th greatest target."""
         return n - int(np.searchsorted(b, t[m - rank], side))
 
     def limits(count: int, confidence: float) -> list[float]:
-        effect = float(background_scores.design_effect(count)) if isinstance(background_scores, AlarmBlocks) else 1.0
+        effect = background.design_effect(count)
         return [float(x) for x in clopper_pearson(count / effect, n / effect, confidence)]
 
     out = []
@@ -576,7 +580,8 @@ def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -
     567-578, 1997 (clustered ROC data).
     """
     w = np.repeat(*_influence(counts, area))  # in the order of the scores
-    sums = np.asarray(np.bincount(blocks.block[blocks.order], w, minlength=blocks.pixels.size), dtype=float)
+    order = np.argsort(blocks.scores)
+    sums = np.asarray(np.bincount(blocks.block[order], w, minlength=blocks.pixels.size), dtype=float)
     variance, dof = blocks.variance_of_sum(sums[None, :])
     return float(variance[0]) / w.size**2, float(dof[0])
 
@@ -643,35 +648,19 @@ def interval_of_mean(
 
 
 def area_estimates(
-    counts: RankCounts,
-    areas: Mapping[str, RocArea],
-    unit: str,
-    draws: int,
-    rng: np.random.Generator,
-    blocks: AlarmBlocks | None = None,
+    counts: RankCounts, areas: Mapping[str, RocArea], unit: str, blocks: AlarmBlocks
 ) -> dict[str, AreaEstimate]:
-    """Areas by name with 95 % intervals: DeLong's variance by pixel, that of a bootstrap by object.
-
-    ``blocks``: the background with its places, which may come in clusters.
-    """
-    m, n = counts.m, counts.n
-    drawn, method = None, "DeLong" if m > 1 else f"one {unit}: the greatest variance there can be"
-    if unit == "object" and m > 1 and n > 1:
-        drawn = bootstrap_areas(counts, list(areas.values()), draws, rng).var(axis=0, ddof=1) * m / (m - 1)
-        method = f"bootstrap of {m} objects, {draws} draws"
+    """Areas by name with 95 % intervals, by DeLong's variance, of a background that may come in clusters."""
+    method = "DeLong" if counts.m > 1 else f"one {unit}: the greatest variance there can be"
     out = {}
-    for i, (name, area) in enumerate(areas.items()):
+    for name, area in areas.items():
         placed = np.repeat(area.averaged(*counts.shares), counts.targets)
         of_targets, of_background = area_variance(counts, area)
-        if drawn is not None:
-            of_targets = max(float(drawn[i]) - of_background, 0.0)
-        known_by = float(n)
-        if blocks is not None:
-            clustered, dof = clustered_variance(counts, area, blocks)
-            of_background = max(of_background, clustered)
-            # Few blocks know their scatter badly; by the part of the background in the whole (Satterthwaite).
-            share = of_background / max(of_targets + of_background, 1e-300)
-            known_by = min(known_by, 1.0 + dof / max(share, 1e-6) ** 2)
+        clustered, dof = clustered_variance(counts, area, blocks)
+        of_background = max(of_background, clustered)
+        # Few blocks know their scatter badly; by the part of the background in the whole (Satterthwaite).
+        share = clustered / max(of_targets + of_background, 1e-300)
+        known_by = min(float(counts.n), 1.0 + dof / max(share, 1e-6) ** 2)
         low, high = interval_of_mean(placed, of_targets, of_background, known_by)
         out[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, of_background)
     return out
@@ -698,27 +687,6 @@ def pooled_areas(parts: Sequence[Mapping[str, AreaEstimate]], n: int) -> dict[st
     return out
 
 
-def bootstrap_areas(counts: RankCounts, areas: list[RocArea], draws: int, rng: np.random.Generator) -> Array:
-    """(draws, A) areas of resampled data: targets and background drawn anew, with replacement.
-
-    The curve depends on the background through its counts between and on the target scores alone, and those of a
-    resample are multinomial; the n background scores themselves need not be drawn.
-    """
-    m, n = counts.m, counts.n
-    cells = np.insert(counts.between, np.arange(1, counts.between.size), counts.ties) / n
-    out = np.empty((draws, len(areas)))
-    step = max(1, _CHUNK // cells.size)
-    for first in range(0, draws, step):
-        count = min(step, draws - first)
-        background = rng.multinomial(n, cells / cells.sum(), size=count) / n
-        weight = rng.multinomial(m, counts.targets / m, size=count) / m
-        later = np.cumsum(background[:, ::-1], axis=1)[:, ::-1]  # share in this cell and those behind it
-        over, tie = np.clip(later[:, 2::2], 0.0, 1.0), background[:, 1::2]
-        for i, area in enumerate(areas):
-            out[first : first + count, i] = np.einsum("dk,dk->d", weight, area.averaged(over, tie))
-    return out
-
-
 def empirical_roc(
     target_scores: npt.ArrayLike,
     background_scores: Scores,
@@ -735,10 +703,10 @@ def empirical_roc(
     The interval joins two independent uncertainties.  (1) The share of targets above the threshold is binomial:
     mid-P limits (:func:`~hyperval.model.intervals.mid_p_limits`), since a level that is to hold for every P_D
     is void beside the second part anyhow.  (2) The threshold x that truly gives ``pfa`` is known only through the
-    background sample: the number of background scores above x is binomial, so x lies between two order
-    statistics of the background, at which P_D is read again; where n pfa is too small, no score bounds x from above
-    and the lower limit of P_D is 0.  Where the places of the background are known, alarms that come in clusters
-    widen that range (:meth:`~hyperval.pixels.AlarmBlocks.rank_limits`).  The distances of
+    background sample: x lies between two order statistics of the background
+    (:meth:`~hyperval.pixels.AlarmBlocks.rank_limits`), at which P_D is read again; where n pfa is too small, no score
+    bounds x from above and the lower limit of P_D is 0.  Where the places of the background are known, alarms that come
+    in clusters widen that range.  The distances of
     both from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  The true P_D
     rises with P_FA, so limits that do not are widened until they do.  Simulated coverage at 95 % is 0.95 to 0.99,
     tables in docs/statistics.md, and 0.92 where 300 targets stand on 44 alarms that come in clusters; with the first
@@ -756,8 +724,8 @@ def empirical_roc(
     ------
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
-    t, b = ascending(target_scores, "target"), ascending(background_scores, "background")
-    m, n = t.size, int(b.size)
+    t, background = ascending(target_scores, "target"), _placed(background_scores)
+    b, m, n = background.ascending, t.size, int(background.scores.size)
     if pfa is None:
         decades = int(np.ceil(np.log10(max(n, 10))))
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
@@ -765,8 +733,7 @@ def empirical_roc(
     p = np.sort(np.atleast_1d(np.asarray(pfa, dtype=float)))
     if not (np.all(p > 0) and np.all(p <= 1)):
         raise UsageError("a preset false-alarm probability must lie in (0, 1]")
-    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
-    r, s = _ranks(n, p, LEVEL) if blocks is None else blocks.rank_limits(p)
+    r, s = background.rank_limits(p)
     k = np.minimum(np.floor(p * n * _ROUNDING).astype(np.int64), n)
     # The scores of these ranks, from the greatest on; inf for rank 0, -inf beyond the last.
     threshold, greatest, least = (
@@ -784,7 +751,8 @@ def empirical_roc(
     few, many = above(greatest, every), above(least, np.isneginf(least))
     pd, (low, high) = detected / m, mid_p_limits(detected, m)
     lower, upper = _widened(pd, (np.where(every, 1.0, low), high), pd - few / m, many / m - pd)
-    return RocCurve(p, pd, lower, upper, threshold, unit, int(m), n, background_area_km2, alarms)
+    effect = background.design_effect(alarms)
+    return RocCurve(p, pd, lower, upper, threshold, unit, int(m), n, background_area_km2, alarms, effect)
 
 
 def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array) -> tuple[Array, Array]:
@@ -796,20 +764,13 @@ def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array)
     return np.minimum.accumulate(lower[::-1])[::-1], np.maximum.accumulate(upper)
 
 
-def with_summary(
-    curve: RocCurve,
-    target_scores: npt.ArrayLike,
-    background_scores: Scores,
-    *,
-    draws: int = 1000,
-) -> RocCurve:
-    """The curve of these scores with its areas, by so many ``draws`` of objects, and alarms at stated P_D."""
-    blocks = background_scores if isinstance(background_scores, AlarmBlocks) else None
-    counts, n = counts_of(target_scores, background_scores), int(curve.n_background or 0)
+def with_summary(curve: RocCurve, target_scores: npt.ArrayLike, background_scores: Scores) -> RocCurve:
+    """The curve of these scores with its areas and alarms at stated P_D."""
+    background, n = _placed(background_scores), int(curve.n_background or 0)
     # Those whose range the background reaches: the low end expects alarms enough.
     areas = {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
-    estimates = area_estimates(counts, areas, curve.unit, draws, np.random.default_rng(0), blocks)
-    return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background_scores))
+    estimates = area_estimates(counts_of(target_scores, background), areas, curve.unit, background)
+    return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background))
 
 
 def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:

@@ -339,36 +339,17 @@ def darkest_values(cube: Cube) -> Array:
     return np.asarray(lowest)
 
 
-# A correlation within so many standard errors of 0 counts as none: their squares would add up over many lags.
-_SIGNIFICANT = 3.5
-
-
-class LagCorrelation(NamedTuple):
-    """Correlation of pixels against their distance.
-
-    Attributes
-    ----------
-    value : (K, 2R + 1, 2R + 1) correlation of K quantities at lags of -R to R lines and samples
-    pairs : (2R + 1, 2R + 1) pairs of pixels behind it
-    """
-
-    value: Array
-    pairs: Array
-
-    def significant(self) -> Array:
-        """The correlation with 0 where it is not told from none: within 3.5 / sqrt(pairs)."""
-        with np.errstate(divide="ignore"):
-            noise = _SIGNIFICANT / np.sqrt(self.pairs)
-        return np.where(np.abs(self.value) > noise, self.value, 0.0)
-
-
-def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCorrelation:
+def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> tuple[Array, Array]:
     """Correlation by lag of centred quantities, pooled over windows of an image.
 
     Parameters
     ----------
     windows : values (K, lines, samples), of mean 0 over the region, with the mask of the pixels that count
     reach : greatest lag R [pixels]
+
+    Returns
+    -------
+    correlation (K, 2R + 1, 2R + 1) at lags of -R to R lines and samples, and the pairs of pixels behind it
     """
     power: dict[tuple[int, ...], Array | float] = {}
     for values, mask in windows:
@@ -384,7 +365,7 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> LagCor
     with np.errstate(divide="ignore", invalid="ignore"):
         covariance = np.where(counted > 0, total / counted, 0.0)
         value = covariance / covariance[:, reach, reach][:, None, None]
-    return LagCorrelation(np.nan_to_num(value), counted)
+    return np.nan_to_num(value), counted
 
 
 def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int = 2000) -> Array:
@@ -417,16 +398,6 @@ def nth_pixels(mask: Mask, numbers: Index, until: Index | None = None) -> tuple[
         before = int(until[line - 1]) if line else 0
         samples[some] = np.flatnonzero(mask[line])[numbers[some] - before]
     return lines, samples
-
-
-def independent_values(n: int, correlation: Array, shares: Array) -> Array:
-    """(K,) n / sum_h rho(h) share(h): independent values that give the mean of n the same variance; 1 to n.
-
-    With rho^2 in place of the ``correlation`` rho (K, 2R + 1, 2R + 1), those for the variance of normal values, as
-    cov(x^2, y^2) = 2 rho^2 sigma^4 takes the place of cov(x, y) = rho sigma^2.  Source: Cressie, Statistics for
-    Spatial Data, 1993, section 1.3.
-    """
-    return np.asarray(np.clip(n / np.maximum(np.sum(correlation * shares, axis=(1, 2)), 1.0), 1.0, n))
 
 
 COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one
@@ -467,13 +438,14 @@ def components(covariance: Array, rng: np.random.Generator, count: int = COMPONE
 def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: int, reach: int) -> tuple[Array, Array]:
     """(K,) independent pixels for the mean, and for the variance, of K quantities over a region of ``n`` pixels.
 
-    n / sum_h rho(h) share(h), and the same with rho^2 (Cressie, Statistics for Spatial Data, 1993, 1.3).  The
-    correlation is summed ring by ring outwards and stops at the first ring whose mean is not above two standard
-    errors of uncorrelated pixels: beyond it there is noise (the initial positive sequence of Geyer, Stat. Sci. 7,
-    473-483, 1992, is the same on a line).  The mean of a correlated region takes a part of its own variance away,
-    1 of so many independent pixels: the number for the mean is less by it.  It takes the same part from the
-    correlation at every lag, rho = (1 - q) rho_found + q with q = total/n, which is put back: with S the sum found
-    and M the sum of shares, total = S + (total/n) (M - S).
+    n / sum_h rho(h) share(h), and the same with rho^2, as cov(x^2, y^2) = 2 rho^2 sigma^4 of normal values takes
+    the place of cov(x, y) = rho sigma^2 (Cressie, Statistics for Spatial Data, 1993, 1.3).  The correlation is
+    summed ring by ring outwards and stops at the first ring whose mean is not above two standard errors of
+    uncorrelated pixels: beyond it there is noise (the initial positive sequence of Geyer, Stat. Sci. 7, 473-483,
+    1992, is the same on a line).  The mean of a correlated region takes a part of its own variance away, 1 of so
+    many independent pixels: the number for the mean is less by it.  It takes the same part from the correlation at
+    every lag, rho = (1 - q) rho_found + q with q = total/n, which is put back: with S the sum found and M the sum
+    of shares, total = S + (total/n) (M - S).
 
     Parameters
     ----------
@@ -481,15 +453,15 @@ def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: 
     shares : (2R + 1, 2R + 1) share of the region's pixels whose neighbour at each lag belongs to it
     reach : R [pixels]
     """
-    correlation = lag_correlation(windows, reach)
+    correlation, counted = lag_correlation(windows, reach)
     steps = np.arange(-reach, reach + 1)
     ring = np.rint(np.hypot(steps[:, None], steps)).astype(int).ravel()
 
     def by_ring(values: Array) -> Array:
         return np.asarray(np.bincount(ring, values.ravel()), dtype=float)[: reach + 1]
 
-    pairs, near = np.maximum(by_ring(correlation.pairs), 1e-12), by_ring(shares)
-    mean = np.array([by_ring(correlation.pairs * rho) for rho in correlation.value]) / pairs
+    pairs, near = np.maximum(by_ring(counted), 1e-12), by_ring(shares)
+    mean = np.array([by_ring(counted * rho) for rho in correlation]) / pairs
     noise = mean <= _RING_NOISE / np.sqrt(0.5 * pairs)  # every pair of pixels stands there twice
     noise[:, 0] = False
     share = np.where(np.logical_or.accumulate(noise, axis=1), 0.0, near)
@@ -650,10 +622,10 @@ class EigenDirections:
         keep = values > SMALLEST_PART * max(float(values[0]), 0.0)
         return cls(np.ascontiguousarray(vectors[:, keep]), values[keep])
 
-    def of_other(self, covariance: npt.ArrayLike) -> Array:
-        """Another covariance (B, B) in these directions, scaled to the identity where it is the same: (P, P)."""
-        scaled = self.vectors / np.sqrt(self.values)
-        return np.asarray(scaled.T @ np.asarray(covariance, dtype=float) @ scaled)
+    def factor_of(self, covariance: npt.ArrayLike) -> Array:
+        """F (P, m) with F F^T another covariance (B, B) in these directions, the identity where it is the same."""
+        other = EigenDirections.of(covariance)
+        return np.asarray((self.vectors / np.sqrt(self.values)).T @ (other.vectors * np.sqrt(other.values)))
 
 
 class Statistics(NamedTuple):
@@ -675,36 +647,19 @@ class Statistics(NamedTuple):
 
 
 def statistics_of_covariance(
-    directions: EigenDirections, whitened: Array, count: int, spaces: tuple[int, ...], *, full_rank: bool = True
-) -> Statistics:
-    """The statistics of S, given as W = D^-1/2 V^T S V D^-1/2 (P, P) in the predicted ``directions``.
-
-    ``count`` leading eigenvalues, and the angles of ``spaces``.
-    """
-    root = np.sqrt(directions.values)
-    covariance = whitened * root[:, None] * root
-    values, vectors = (x[..., ::-1] for x in np.linalg.eigh(covariance))
-    distance = covariance_distance(whitened) if full_rank else np.nan
-    angles = principal_angles_deg(vectors, spaces)
-    return Statistics(values[:count], np.asarray(np.trace(covariance)), np.asarray(distance), angles)
-
-
-def statistics_of_factor(
     directions: EigenDirections, factor: Array, count: int, spaces: tuple[int, ...], *, full_rank: bool = True
 ) -> Statistics:
-    """:func:`statistics_of_covariance` of W = F F^T with F (P, m).
+    """The statistics of S = V D^1/2 F F^T D^1/2 V^T with F (P, m) in the predicted ``directions``.
 
-    Of fewer pixels m than directions P, the m eigenvalues are those of the Gram matrix (m, m) of the scaled factor.
+    ``count`` leading eigenvalues, and the angles of ``spaces``, by the Gram matrix (m, m) of D^1/2 F.
     """
-    size, pixels = factor.shape
-    most = max(spaces, default=0)
-    if not max(count, most) <= pixels < size:
-        return statistics_of_covariance(directions, factor @ factor.T, count, spaces, full_rank=full_rank)
-    scaled = np.sqrt(directions.values)[:, None] * factor
+    (size, pixels), most = factor.shape, max(spaces, default=0)
+    scaled = np.sqrt(directions.values)[:, None] * np.pad(factor, [(0, 0), (0, max(count - pixels, 0))])
     values, turned = (x[..., ::-1] for x in np.linalg.eigh(scaled.T @ scaled))
-    angles = principal_angles_deg(scaled[:most] @ turned[:, :most] / np.sqrt(values[:most]), spaces)
-    distance = np.inf if full_rank else np.nan
-    return Statistics(values[:count], np.asarray(np.vdot(scaled, scaled)), np.asarray(distance), angles)
+    overlap = scaled[:most] @ turned[:, :most] / np.sqrt(np.maximum(values[:most], 1e-300))
+    distance = np.nan if not full_rank else covariance_distance(factor @ factor.T) if pixels >= size else np.inf
+    total = np.vdot(scaled, scaled)
+    return Statistics(values[:count], np.asarray(total), np.asarray(distance), principal_angles_deg(overlap, spaces))
 
 
 def covariance_distance(whitened: npt.ArrayLike) -> float:
@@ -798,7 +753,7 @@ def sampling_band(
     full = full_rank(independent, size)
     with single_blas_thread():
         factors = (drawn_factor(size, independent, rng, kurtosis) for _ in range(draws))
-        sampled = [statistics_of_factor(directions, f, count, spaces, full_rank=full) for f in factors]
+        sampled = [statistics_of_covariance(directions, f, count, spaces, full_rank=full) for f in factors]
     return Statistics(*(np.stack(part) for part in zip(*sampled, strict=True)))
 
 
