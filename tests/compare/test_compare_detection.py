@@ -175,19 +175,13 @@ def test_every_subject_of_either_side_has_rows():
 
 
 def test_alarms_in_clusters_widen_the_density_and_the_joint_region_as_they_do_at_a_stated_detection():
-    # Clusters of 49 pixels, correlation 0.9: the variance of the number of alarms is some 20 times that of single ones.
-    rng = np.random.default_rng(8)
-    common = rng.standard_normal((30, 30)).repeat(7, 0).repeat(7, 1)
-    scores = np.sqrt(0.9) * common + np.sqrt(0.1) * rng.standard_normal(common.shape)
+    # Clusters of 49 equal pixels: the interval is some seven times as wide as that of as many single ones.
+    scores = np.random.default_rng(8).standard_normal((30, 30)).repeat(7, 0).repeat(7, 1)
     blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
-    rows = []
-    for background in (scores, blocks):
-        curve = empirical_roc(rng.normal(2.0, 1.0, 200), background, [1e-1], background_area_km2=1.0)
-        rows.append(by_metric(compare.alarm_rows(None, curve, 1e-1)))
-    for name in ("far_measured@1e-1", "joint_pfa@1e-1"):
-        single, clustered = (found[name] for found in rows)
-        assert clustered.value == single.value
-        assert clustered.upper - clustered.lower > 2.0 * (single.upper - single.lower)
+    rows = by_metric(compare.alarm_rows(None, empirical_roc([2.0], blocks, [1e-1], background_area_km2=1.0), 1e-1))
+    single = np.diff(model.clopper_pearson(4410, 44_100))
+    for found, unit in ((rows["far_measured@1e-1"], 44_100.0), (rows["joint_pfa@1e-1"], 1.0)):
+        assert found.upper - found.lower > 3.0 * unit * single
 
 
 def test_every_row_of_a_true_prediction_and_of_a_wrong_one():

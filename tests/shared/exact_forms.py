@@ -23,5 +23,5 @@ def auc(target, background):
 
 def auc_estimate(target, background) -> AreaEstimate:
     """Production's area of single pixels with its interval."""
-    counts = counts_of(target, background)
-    return area_estimates(counts, {"auc": WHOLE}, "pixel", AlarmBlocks.of_scores(background))["auc"]
+    blocks = AlarmBlocks.of_scores(background)
+    return area_estimates(counts_of(target, blocks), {"auc": WHOLE}, "pixel", blocks)["auc"]

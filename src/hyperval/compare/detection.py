@@ -56,13 +56,12 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
     ('score_sd_ratio', 0.8)]
     """
     n, half = observed.n, math.nan
-    bias = 0.0 if math.isnan(observed.mean_bias) else observed.mean_bias
     if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
         error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
         half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
     yield row("score_mean_predicted", predicted.mean, n=predicted.n)
     yield row("score_mean_observed", observed.mean, half=half, n=n)
-    yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=half, n=n)
+    yield row("score_mean_difference", predicted.mean - (observed.mean - np.nan_to_num(observed.mean_bias)), half=half, n=n)
     if observed.sd > 0 and n is not None and n >= 2:
         ratio = predicted.sd / observed.sd
         ends = ratio * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
@@ -525,19 +524,18 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     if observed.alarms is None or pfa * n < LEAST_EXPECTED_ALARMS or not at.size:
         return
     label, alarms, density = scientific(pfa), int(observed.alarms[at[-1]]), samples_per_km2(observed)
-    effect = 1.0 if observed.design_effect is None else float(observed.design_effect[at[-1]])
+    counted = np.array([alarms, n]) / (1.0 if observed.design_effect is None else observed.design_effect[at[-1]])
     if math.isnan(density):
         yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, f"far_measured@{label}")
     else:
         area = observed.background_area_km2 or math.nan
-        ends = tuple(float(x) * density for x in clopper_pearson(alarms / effect, n / effect))
+        ends = tuple(float(x) * density for x in clopper_pearson(*counted))
         yield row(f"far_measured@{label}", alarms / area, ends, n=n, reason=f"{alarms} alarms in {area:.4g} km2")
     if not m:
         return
     detected = round(float(observed.pd[at[-1]]) * m)
     span, (least, most) = (
-        tuple(map(float, clopper_pearson(k, of, math.sqrt(0.95))))
-        for k, of in ((alarms / effect, n / effect), (detected, m))
+        tuple(map(float, clopper_pearson(k, of, math.sqrt(0.95)))) for k, of in (counted, (detected, m))
     )
     why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
     yield row(f"joint_pfa@{label}", alarms / n, span, n=n, reason=why)
