@@ -14,7 +14,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.data import Array, Counts, Errors, Mask
+from hyperval.data import Array, Counts, Errors
 from hyperval.spectra.axis import SpectralAxis
 
 
@@ -35,10 +35,6 @@ class EstimatedPart(NamedTuple):
     model: Array | None = None
     sample: Array | None = None
     sample_dof: float = math.nan
-
-    def bands(self, use: Mask) -> EstimatedPart:
-        """The same in some of the bands."""
-        return self.of_each(lambda c: c[np.ix_(use, use)])
 
     def of_each(self, change: Callable[[Array], Array]) -> EstimatedPart:
         """With its covariances changed alike."""

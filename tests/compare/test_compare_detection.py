@@ -179,9 +179,8 @@ def test_alarms_in_clusters_widen_the_density_and_the_joint_region_as_they_do_at
     scores = np.random.default_rng(8).standard_normal((30, 30)).repeat(7, 0).repeat(7, 1)
     blocks = AlarmBlocks.of_map(scores, np.ones(scores.shape, bool))
     rows = by_metric(compare.alarm_rows(None, empirical_roc([2.0], blocks, [1e-1], background_area_km2=1.0), 1e-1))
-    single = np.diff(model.clopper_pearson(4410, 44_100))
     for found, unit in ((rows["far_measured@1e-1"], 44_100.0), (rows["joint_pfa@1e-1"], 1.0)):
-        assert found.upper - found.lower > 3.0 * unit * single
+        assert found.upper - found.lower > 3.0 * unit * np.diff(model.clopper_pearson(4410, 44_100))
 
 
 def test_every_row_of_a_true_prediction_and_of_a_wrong_one():

@@ -298,7 +298,7 @@ def sampled_covariance(estimate: SpectralEstimate, use: Mask, floor: Array) -> A
     """
     out = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)]) + floor
     whole = out
-    for part in (p.bands(use).of_each(np.nan_to_num) for p in estimate.estimated):
+    for part in (p.of_each(lambda c: np.nan_to_num(c[np.ix_(use, use)])) for p in estimate.estimated):
         share = linalg.solve(whole, part.covariance)
         trace, squares = float(np.trace(share)), float(np.sum(share * share.T))
         if trace > 0.0 and not part.dof > part.sample_dof:

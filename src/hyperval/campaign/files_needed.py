@@ -23,9 +23,8 @@ from hyperval.errors import HypervalError, InputError
 from hyperval.imagery import needs_header
 from hyperval.metrics import foreign
 from hyperval.model import Sources
-from hyperval.observe import IMAGE, Place, check_line_for_detection, observe_radcalnet, open_place, target_groups
+from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe_radcalnet, open_place, target_groups
 from hyperval.paths import matching
-from hyperval.pixels import SCENE
 from hyperval.products import SPECTRA
 from hyperval.results import Outcome, Result, row_name
 from hyperval.run import is_run, read_rows

@@ -55,13 +55,13 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
     [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
     ('score_sd_ratio', 0.8)]
     """
-    n, half = observed.n, math.nan
+    n, half, bias = observed.n, math.nan, float(np.nan_to_num(observed.mean_bias))
     if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
         error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
         half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
     yield row("score_mean_predicted", predicted.mean, n=predicted.n)
     yield row("score_mean_observed", observed.mean, half=half, n=n)
-    yield row("score_mean_difference", predicted.mean - (observed.mean - np.nan_to_num(observed.mean_bias)), half=half, n=n)
+    yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=half, n=n)
     if observed.sd > 0 and n is not None and n >= 2:
         ratio = predicted.sd / observed.sd
         ends = ratio * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))

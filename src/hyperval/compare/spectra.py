@@ -618,7 +618,7 @@ def _consistency(
         why = "both sides are equal to rounding: one was derived from the other"
         yield from skipped(Cause.CIRCULAR, why, *_TESTS)
     else:
-        tested = whitening(cov, [part.bands(window) for part in (*predicted.estimated, *observed.estimated)])
+        tested = whitening(cov, [e.of_each(lambda c: c[here]) for e in (*predicted.estimated, *observed.estimated)])
         tilts, full = detectable_tilts(o, centre_nm[window], tested), chi_square_full(r, tested)
         parts = shares(predicted, observed, window)
         known = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"

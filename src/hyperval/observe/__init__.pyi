@@ -4,6 +4,7 @@ from .detect import map_name, scored_part, target_areas, target_groups
 from .measure import Observed, RegionLaws, class_sets, observe
 from .open import (
     IMAGE,
+    SCENE,
     FinerGrid,
     Place,
     check_line_for_detection,
@@ -29,7 +30,7 @@ from .sites import (
 from .write import NO_DATA, SCALE, write_reflectance
 
 __all__ = [
-    "IMAGE", "NO_DATA", "SCALE", "FinerGrid", "Observed", "Place", "RegionLaws", "calibration_covariance",
+    "IMAGE", "NO_DATA", "SCALE", "SCENE", "FinerGrid", "Observed", "Place", "RegionLaws", "calibration_covariance",
     "check_line_for_detection", "class_sets", "detector_covariance", "fills_of", "image_targets", "map_name",
     "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source", "path_estimate",
     "read_band_table", "registration_shifts", "rounding_variance", "scored_part", "spectral_estimate", "target_areas",

@@ -49,7 +49,8 @@ from hyperval.imagery.regions import outside_error, patches
 from hyperval.imagery.truth import cut_out
 from hyperval.model.fill import aperture_weights
 from hyperval.paths import Resolve, checked_file
-from hyperval.pixels import SCENE, EmpiricalLine, Labels
+from hyperval.pixels import SCENE as SCENE
+from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
 from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table
 from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
