@@ -38,8 +38,7 @@ def test_noise_of_the_detector_goes_with_the_pixels_averaged(lawn):
     sensor, level = load_sensor("aviris-ng"), np.full(BANDS, 5.0)
     one, many = (detector_covariance(level, AXIS, sensor, n) for n in (1, 100))
     assert many * 100 == pytest.approx(one)
-    known = sensor.noise(AXIS)
-    g, fixed, c = (x[3] for x in (known.electrons_per_radiance, known.fixed_noise, known.constant))
+    g, fixed, c = (getattr(sensor.noise(AXIS), k)[3] for k in ("electrons_per_radiance", "fixed_noise", "constant"))
     assert np.sqrt(one[3, 3]) == pytest.approx(abs(np.sqrt(5.0 / g + (fixed / g) ** 2) + c))
     lawn.collection["detector"] = "aviris-ng"
     found = lawn.observe().observation
