@@ -470,8 +470,8 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: b
         first, last = np.searchsorted(NODES_NM, (low, high + _STEP_NM), "right")
         there, each = NODES_NM[first:last], aerosols[first:last]
         as_table = there.size >= _FEWEST_OF_A_TABLE and len(set(each)) == 1
-        table = f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}", each[0], there
-        runs += [table] if as_table else singly(there, each)
+        table = f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}"
+        runs += [(table, each[0], there)] if as_table else singly(there, each)
     hazy = cached(folder, "haze", air | {"aerosol": [list(a) for a in aerosols]}, lambda: solved(runs, "haze"))
     molecular = clear["reflectance"]
     if height is not None:
