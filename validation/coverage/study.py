@@ -100,7 +100,7 @@ def observed(c: Collection) -> ObservedProducts:
     if c.background.size:
         scores = [_scores(line.reflectance(x), line.reflectance(c.background)) for x in (c.targets, c.background)]
         curve = empirical_roc(*scores)
-        roc["plank", "cem", "pixel"] = with_summary(curve, *scores, draws=200)
+        roc["plank", "cem", "pixel"] = with_summary(curve, *scores)
         objects["plank", "cem"] = ObjectScores(scores[0], tuple(str(i) for i in range(scores[0].size)))
     snr = {"bright": snr_decorrelated(c.bright)}
     return ObservedProducts(AXIS, radiance, snr, reflectance, roc=roc, object_scores=objects)

@@ -595,8 +595,8 @@ def open_matrix(
         listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
         wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
         raise refusal("array.none", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
-    several, names = "array.maps" if plane else "array.images", ", ".join(called[n] for n in fits)
-    refuse(len(fits) > 1, several, path, count=len(fits), names=names)
+    names = ", ".join(called[n] for n in fits)
+    refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=names)
     name = fits[0]
     size = 8 * int(np.prod(shapes[name]))
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):

@@ -232,9 +232,9 @@ def _check_size(data: Path, header: EnviHeader) -> None:
     packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
     sides = f"{header.samples} samples x {header.lines} lines x {header.bands} bands x {header.dtype.itemsize} bytes"
     described = f"{header.header_offset} + {sides} = {expected} bytes ({header.path})"
-    counts = {"size": size, "more": size - expected, "missing": 100.0 * (expected - size) / expected}
-    kind = "image.packed" if packed else "image.short" if size < expected else "image.long"
-    raise refusal(kind, data, packed=packed, described=described, **counts)
+    told: dict[str, object] = {"size": size, "more": size - expected, "missing": 100.0 * (1.0 - size / expected)}
+    told |= {"packed": packed, "described": described}
+    raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **told)
 
 
 @dataclass(eq=False)
