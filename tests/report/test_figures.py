@@ -74,7 +74,7 @@ def reasons() -> list[Result]:
     told = [("attribution", "lawn", LONG, "likelihood_gain", 104.0, math.nan)]
     told += [("attribution", "radiance of lawn", "sensor gain", "reduced_chi_square", 1.1, 9.3)]
     told += [
-        ("sensitivity", f"all of the materials {i} m", f"{LONG} / cem/pixel", "roc_pd@1e-2_change", 0.01 * i, 0.2)
+        ("sensitivity", f"all of the materials {i} m", f"{LONG} / cem/pixel", "roc_pd@1e-2_change", 0.01 * i, -0.2)
         for i in range(1, 5)
     ]
     told += [("what-if", "all", name, "reduced_chi_square", x, 1.5) for name, x in (("near", 1.2), ("far", 2.2))]
@@ -269,7 +269,7 @@ def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(charts, drawin
     assert {"after, closer", "after, farther"} <= set(words_of(drawings["what-ifs"]))
     assert "104" in words_of(drawings["attribution-subjects"])
     # Labels stay inside: each is a group that is moved to where its first letter stands.
-    assert "all of the materials 4 m, P_D 1e-2 cem (gap 0.2)" in words_of(drawings["attribution-effects"])
+    assert "all of the materials 4 m, P_D 1e-2 cem (gap -0.2)" in words_of(drawings["attribution-effects"])
     text = drawings["attribution-effects"].content.decode()
     assert min(float(x) for x in re.findall(r'<g transform="translate\((-?[\d.]+) ', text)) >= 0.0
 

@@ -288,11 +288,10 @@ def reason_figures(table: ResultTable) -> list[Figure]:
     gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
     whole = sorted((r for r in gains if r.subject == _ALL), key=lambda r: -r.value)
     others = [r for r in gains if r.subject != _ALL]
-    moves = [r for r in table.where(product="sensitivity") if r.metric.endswith("_change")]
-    outcomes = [r for r in table.where(product="what-if") if r.metric == "reduced_chi_square"]
-    left = [
-        r for r in table.where(product="attribution") if r.metric == "reduced_chi_square" and r.method != "every input"
-    ]
+    told = [r for r in table if math.isfinite(r.before)]  # older tables say it in words alone
+    moves = [r for r in told if r.product == "sensitivity"]
+    tests = [r for r in told if r.metric == "reduced_chi_square"]
+    outcomes, left = ([r for r in tests if r.product == name] for name in ("what-if", "attribution"))
     left = sorted(left, key=lambda r: -r.before)[:_MOST_QUANTITIES]
     first = next((f"Residuals before and after: {r.method}" for r in left), "")
     made = (
@@ -397,8 +396,8 @@ def _effects(rows: Sequence[Result]) -> Figure:
         return f"{r.subject}, {what}" + (f" {way}" if way else "")
 
     every = list(dict.fromkeys(label(r) for r in rows))
-    gaps = {label(r): abs(r.before) for r in rows}
-    shown = sorted(every, key=lambda q: -gaps[q])[:_MOST_QUANTITIES]
+    gaps = {label(r): r.before for r in rows}
+    shown = sorted(every, key=lambda q: -abs(gaps[q]))[:_MOST_QUANTITIES]
     by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
     names = list(dict.fromkeys(r.method.partition(" / ")[0] for r in rows))
     names = sorted(names, key=lambda n: -max(abs(by.get((q, n), 0.0)) for q in shown))[:_MOST_INPUTS]
@@ -415,9 +414,9 @@ def _effects(rows: Sequence[Result]) -> Figure:
     alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
     alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
     legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
-    legend += "gap: predicted minus measured; spectra relative to the measured mean, P_D as a difference; "
+    legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
-    quantities = [f"{q} (gap {gaps[q]:.2g})" for q in shown]
+    quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
     ways = row_names(names, _LONGEST), row_names(quantities, 56)
     title = "Change by one unit of each input"
     return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)

@@ -90,7 +90,6 @@ let stream = null;
 async function curve() {
   stream?.abort();
   const own = (stream = new AbortController());
-  delete at("trade").dataset.ready;
   at("left").textContent = "Computing …";
   try {
     const answer = await asked(`/trade/curve?${query()}`, own.signal);
@@ -101,6 +100,7 @@ async function curve() {
       rest = lines.pop();
       for (const told of lines.map(JSON.parse)) {
         if (told.figure) await draw("trade", told.figure);
+        own.signal.throwIfAborted();
         at("needed").textContent = (told.needed ?? []).map((words) => `${words}.`).join(" ");
         at("left").textContent = told.error ?? (told.left > 0 ? "Computing …" : "");
         if (told.left === 0) at("trade").dataset.ready = "yes";
@@ -120,6 +120,7 @@ function remember() {
 let rest = null;
 function changed() {
   stream?.abort();
+  delete at("trade").dataset.ready;
   clearTimeout(rest);
   rest = setTimeout(async () => {
     remember();
