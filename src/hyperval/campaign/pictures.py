@@ -146,12 +146,12 @@ def quicklook(observed: Observed) -> Quicklook | None:
     thinned = (picture[:: max(1, picture[..., 0].size // STRETCH_PIXELS)] - offset) / gain
     high = max(float(np.nanpercentile(thinned, 99.0)), np.finfo(float).tiny)
     colours = np.empty(picture.shape, np.uint8)
-    for i in range(3):  # the whole picture in float64 would be the run's peak
-        part = np.nan_to_num((picture[..., i] - offset[i]) / gain[i])
-        colours[..., i] = np.rint(255.0 * np.clip(part / high, 0.0, 1.0) ** GAMMA)
+    for row, values in zip(colours, picture, strict=True):  # the whole picture in float64 would be the run's peak
+        row[:] = np.rint(255.0 * np.clip(np.nan_to_num((values - offset) / gain) / high, 0.0, 1.0) ** GAMMA)
     size = observed.place.pixel_area_m2
     shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]
-    outlines = {name: observed.place.region(name)[::step, ::step].copy() for name in shown_regions}
+    number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members
+    outlines = {name: members[name][number] for name in shown_regions}
     if observed.place.targets:
         outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
     return Quicklook(
