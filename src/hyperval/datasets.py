@@ -22,11 +22,10 @@ from functools import cache
 from importlib import resources
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import quote
 
 import platformdirs
-from pydantic import model_validator
 
 from hyperval.config import Model, parse_yaml, validate
 from hyperval.errors import HypervalError, MissingDataError, refusal, refuse
@@ -162,11 +161,11 @@ class DataSet(Model):
         """Whether it can be fetched."""
         return not self.holder
 
-    @model_validator(mode="after")
-    def _has_a_place(self) -> DataSet:
-        if bool(self.repository and self.commit) == bool(self.holder and self.obtain):
-            raise ValueError("give either repository and commit, or holder and obtain")
-        return self
+    refused: ClassVar = {
+        "give either repository and commit, or holder and obtain": lambda s: (
+            bool(s.repository and s.commit) == bool(s.holder and s.obtain)
+        )
+    }
 
 
 @cache

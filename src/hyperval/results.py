@@ -328,9 +328,7 @@ class Pair:
     @property
     def verdict_changed(self) -> bool:
         """Whether the outcome differs; a gating row that one run lacks has changed too."""
-        if self.a and self.b:
-            return self.a.outcome != self.b.outcome
-        return self.gates
+        return self.a.outcome != self.b.outcome if self.a and self.b else self.gates
 
     @property
     def size(self) -> float:

@@ -277,11 +277,6 @@ def provenance_of(folder: Path) -> dict[str, Any]:
     return _json(path) if path.is_file() else {}
 
 
-def junit_of(folder: Path) -> str:
-    """The text of its junit.xml."""
-    return (Path(folder) / JUNIT).read_text("utf-8")
-
-
 def runs_in(folders: Iterable[Path]) -> list[Path]:
     """The folders of single runs: those named, or where one joins several campaigns those inside it.
 

@@ -92,16 +92,9 @@ class ClassStatistics:
 
 
 def statistics_of_samples(
-    name: str,
-    axis: SpectralAxis,
-    samples: npt.ArrayLike,
-    source: str = "samples",
-    tail_dof: float | None = None,
-    components: Components | None = None,
+    name: str, axis: SpectralAxis, samples: npt.ArrayLike, source: str = "samples"
 ) -> ClassStatistics:
     """Mean and sample covariance of spectra (N, B) on ``axis`` (rho_m, Sigma_m of 3.8-3.12).
-
-    ``components`` : clusters of the samples, those of ``hyperval.pixels.laws.class_mixture``.
 
     Raises
     ------
@@ -111,7 +104,7 @@ def statistics_of_samples(
     wrong = x.ndim != 2 or x.shape[0] < 2 or x.shape[1] != len(axis)
     refuse(wrong, "class.samples", name=name, shape=x.shape, bands=len(axis))
     sample = statistics_of(x)
-    return ClassStatistics(name, axis, sample.mean, sample.covariance, sample.n, source, tail_dof, components)
+    return ClassStatistics(name, axis, sample.mean, sample.covariance, sample.n, source)
 
 
 def write_statistics_library(path: Path, classes: Sequence[ClassStatistics]) -> None:

@@ -588,14 +588,14 @@ def validate(
     if output is None:
         raise UsageError("no folder for the results", mend="name one with --output (-o)")
 
-    from hyperval.run import junit_of
+    from hyperval.run import JUNIT
     from hyperval.storage import write_text
 
     code = campaign.validate(
         campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note,
     )  # fmt: skip
     if junit is not None:
-        write_text(junit, junit_of(output))
+        write_text(junit, (output / JUNIT).read_text("utf-8"))
     finished(code, output)
     say_warnings(output)
     say_verdicts(output)
