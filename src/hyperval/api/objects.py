@@ -39,13 +39,11 @@ if TYPE_CHECKING:
     import pandas
     import xarray as xr
     from matplotlib.axes import Axes
-else:  # which take a second, when they are used
-    pandas, xr = lazy_loader.load("pandas"), lazy_loader.load("xarray")
 
-if TYPE_CHECKING:
     from hyperval.campaign import Job
     from hyperval.simulate.schema import SceneFile
-
+else:  # which take a second, when they are used
+    pandas, xr = lazy_loader.load("pandas"), lazy_loader.load("xarray")
 
 _DASHES: tuple[Dash, ...] = ("solid", "dashed", "dotted")
 _RGB_NM = (660.0, 550.0, 470.0)
@@ -165,8 +163,7 @@ def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
     for name, values in facts.items():
         words = ", ".join(map(str, values))
         if words:
-            lines.append(textwrap.shorten(f"  {name}: {words}", _WIDTH, placeholder=" ..."))
-            lines[-1] = "  " + lines[-1].lstrip()
+            lines.append("  " + textwrap.shorten(f"{name}: {words}", _WIDTH, placeholder=" ..."))
     if len(lines) > _LINES + 1:
         lines = [*lines[:_LINES], "  ..."]
     return "\n".join(lines)
@@ -750,10 +747,8 @@ def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress
     UsageError, InputError, EngineError : of the scene.
     """
     from hyperval.simulate import simulate as simulate_scene
-    from hyperval.simulate.schema import SceneFile
 
-    known = scene if isinstance(scene, SceneFile) else Path(scene)
-    return Collection(**simulate_scene(known, Path(output), show_progress=show_progress))
+    return Collection(**simulate_scene(scene, Path(output), show_progress=show_progress))
 
 
 def open(folder: Path | str) -> Validation | Study:

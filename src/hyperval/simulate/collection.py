@@ -299,7 +299,7 @@ def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | 
 
 
 def simulate(
-    scene: SceneFile | Path,
+    scene: SceneFile | Path | str,
     folder: Path,
     *,
     inputs: SimulationInputs | None = None,
