@@ -141,6 +141,13 @@ def _is_endless(path: str | Path) -> bool:
     return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
 
 
+def words_and_code(error: Exception) -> tuple[str, int]:
+    """What is said of an error that ended a run, and the exit code; anything but ours is an internal error."""
+    if isinstance(error, HypervalError):
+        return str(error), error.exit_code
+    return internal_error(error), HypervalError.exit_code
+
+
 def internal_error(error: Exception) -> str:
     """Words for an internal error: what it is, and where it arose, the innermost place first."""
     places = []

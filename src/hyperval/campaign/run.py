@@ -28,7 +28,7 @@ from hyperval.campaign.schema import Job, Outline, job_of, jobs_of
 from hyperval.compare import compare_products, judged, product_rows, told_apart, would_decide
 from hyperval.data import NUMERICAL_DETECTORS
 from hyperval.datasets import SIMULATED, InputLog
-from hyperval.errors import HypervalError, MissingDataError, internal_error, refuse
+from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import Truth, World, predict, predictions, read
 from hyperval.observe import Observed
@@ -47,7 +47,6 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 OBJECT_DRAWS = 1600
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
-INTERNAL_ERROR = 4
 UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
 Done = tuple[Run, int | None]
 Form = Literal["envi", "cog"]
@@ -363,9 +362,7 @@ class CampaignRun(NamedTuple):
 
     def failed(self, error: Exception) -> Done:
         """What stopped it, as its rows."""
-        known = isinstance(error, HypervalError)
-        words = str(error) if known else internal_error(error)
-        code = error.exit_code if isinstance(error, HypervalError) else INTERNAL_ERROR
+        words, code = words_and_code(error)
         return self.written(unfinished(self.job, Outcome.ERROR, words), code)
 
     def written(self, run: Run, code: int | None) -> Done:

@@ -23,7 +23,7 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__, baseline, campaign, scoreboard
-from hyperval.errors import HypervalError, InputError, UsageError, as_typed, internal_error
+from hyperval.errors import HypervalError, InputError, UsageError, as_typed, words_and_code
 from hyperval.progress import set_listener
 
 if TYPE_CHECKING:
@@ -763,7 +763,6 @@ def keep_caches(place: Path) -> None:
         os.environ.setdefault("MPLCONFIGDIR", str(place / "cache" / "matplotlib"))
 
 
-INTERNAL_ERROR = 4
 INTERRUPTED = 130
 TERMINATED = 143
 OUTPUT_CLOSED = 141
@@ -801,12 +800,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return OUTPUT_CLOSED
     except TyperException as error:
         return _usage(error)
-    except HypervalError as error:
-        if settings.debug:
-            traceback.print_exc()
-        return _error(str(error), error.exit_code)
     except Exception as error:
-        return _internal(error)
+        return _stopped(error)
     if code in (INTERRUPTED, TERMINATED):
         _error("interrupted" if code == INTERRUPTED else "terminated", code)
     return code if isinstance(code, int) else 0
@@ -833,8 +828,8 @@ def _usage(error: TyperException) -> int:
     return _error(f"{text}\n  to fix it: see {command} --help", 2)
 
 
-def _internal(error: Exception) -> int:
-    what, code = internal_error(error), INTERNAL_ERROR
+def _stopped(error: Exception) -> int:
+    what, code = words_and_code(error)
     if settings.debug:
         traceback.print_exc()
     elif isinstance(error, OSError) and error.errno in _PLACES and error.filename:
@@ -843,7 +838,7 @@ def _internal(error: Exception) -> int:
     elif isinstance(error, OSError) and error.errno in _FULL:
         what = f"{error}\n  to fix it: free space there, or name another folder with --output; "
         what += f"temporary files are in {tempfile.gettempdir()} (TMPDIR)"
-    else:
+    elif not isinstance(error, HypervalError):
         try:
             handle, name = tempfile.mkstemp(prefix="hyperval-", suffix=".log")
             with open(handle, "w", encoding="utf-8") as log:

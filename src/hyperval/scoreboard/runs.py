@@ -30,7 +30,7 @@ from hyperval.collection import Detection
 from hyperval.compare import named, product_rows, row, skipped
 from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
-from hyperval.errors import HypervalError, MissingDataError, UsageError, internal_error, refusal, refuse
+from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark, row_names
 from hyperval.imagery import TargetObject, raster_of_size
@@ -622,9 +622,6 @@ def load_extensions(paths: Iterable[Path]) -> None:
         _LOADED.add(place)
 
 
-INTERNAL_ERROR = 4
-
-
 @dataclass(frozen=True)
 class Benchmarked:
     """What one campaign gives to the page.
@@ -689,8 +686,7 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
     except MissingDataError as error:
         return _stopped(job, Outcome.SKIPPED, str(error))
     except Exception as error:  # one broken campaign must not hide what the others say
-        words = str(error) if isinstance(error, HypervalError) else internal_error(error)
-        return _stopped(job, Outcome.ERROR, words, getattr(error, "exit_code", INTERNAL_ERROR))
+        return _stopped(job, Outcome.ERROR, *words_and_code(error))
 
 
 @contextmanager
