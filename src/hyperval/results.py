@@ -287,9 +287,7 @@ class ResultTable:
 
 def row_name(row: Result) -> str:
     """Subject, method, metric and band in one line."""
-    parts = [row.subject, row.method, row.metric]
-    if math.isfinite(row.band_nm):
-        parts.append(f"{row.band_nm:g} nm")
+    parts = [row.subject, row.method, row.metric, f"{row.band_nm:g} nm" if row.per_band else ""]
     return " ".join(part for part in parts if part)
 
 
