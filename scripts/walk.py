@@ -43,7 +43,7 @@ def job(name: str) -> Callable[[], object]:
     if Path(name).name.startswith("campaign"):
         from hyperval.campaign import jobs_of, run_campaign
 
-        return lambda: [run_campaign(one, show_progress=False) for one in jobs_of(Path(name))]
+        return lambda: [run_campaign(one) for one in jobs_of(Path(name))]
     from hyperval.model import predict
     from hyperval.scenario import load_scenario
 

@@ -14,7 +14,7 @@ import pytest
 import hyperval
 from hyperval import cli
 from hyperval.errors import EngineError, InputError, MissingDataError, UsageError, internal_error
-from hyperval.progress import step, track, watch_lines, working
+from hyperval.progress import bars, step, track, watch_lines, working
 from hyperval.results import Outcome, Result, Role
 from hyperval.run import results_json
 
@@ -252,11 +252,11 @@ def said(capsys) -> str:
 def test_bars_name_campaign_step_and_count(capsys, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "120")
-    with step("hysu", 3, 4, "compare"):
-        assert list(track([1, 2, 3], "inputs", show=True)) == [1, 2, 3]
-        with working("figures", show=True):
+    with step("hysu", 3, 4, "compare"), bars(True):
+        assert list(track([1, 2, 3], "inputs")) == [1, 2, 3]
+        with working("figures"):
             pass
-        assert len(list(watch_lines("scores", 10, 2, show=True)(iter([(range(1), 0), (range(1, 2), 0)])))) == 2
+        assert len(list(watch_lines("scores", 10, 2)(iter([(range(1), 0), (range(1, 2), 0)])))) == 2
     words = said(capsys)
     assert "hysu 3/4 compare: inputs" in words
     assert "3/3" in words
@@ -264,8 +264,8 @@ def test_bars_name_campaign_step_and_count(capsys, monkeypatch):
     assert "hysu 3/4 compare: scores" in words
     assert list(track([1], "alone", show=True)) == [1]
     assert "hysu" not in said(capsys)
-    with step("hysu", 3, 4, "compare"), working("figures", show=False):  # where nobody watches
-        assert list(track(iter([1, 2]), "inputs", show=False)) == [1, 2]
+    with step("hysu", 3, 4, "compare"), bars(False), bars(None), working("figures"):  # where nobody watches
+        assert list(track(iter([1, 2]), "inputs")) == [1, 2]
     assert said(capsys) == ""
 
 

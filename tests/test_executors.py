@@ -15,10 +15,11 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from hyperval import executors
 from hyperval.errors import UsageError
+from hyperval.progress import track
 
 
 def square(x):
-    return x * x
+    return next(track([x * x], "squares"))
 
 
 def fails_at_three(x):
@@ -43,9 +44,11 @@ def dies(_):
     os._exit(9)
 
 
-def test_results_come_in_the_order_of_the_pieces():
+def test_results_come_in_the_order_of_the_pieces(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with ThreadPoolExecutor(3) as pool:
         assert list(executors.in_order(pool, square, range(50))) == [k * k for k in range(50)]
+        assert capsys.readouterr().err == ""  # who hands pieces out draws the bars
         results = executors.in_order(pool, fails_at_three, range(6))
         assert [next(results) for _ in range(3)] == [0, 1, 2]
         with pytest.raises(ValueError, match="three"):

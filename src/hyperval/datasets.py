@@ -261,7 +261,7 @@ def missing(name: str) -> list[str]:
     return [PREFIX + file.path for file in dataset(name).files if _find(file.path) is None]
 
 
-def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
+def fetch(name: str) -> list[Path]:
     """Bring every file of a set that is not at hand, or that differs, into the cache; return the new paths.
 
     Each appears under its name only when its SHA-256 is right; a repeated call goes on where the first stopped.
@@ -283,7 +283,7 @@ def fetch(name: str, *, show_progress: bool | None = None) -> list[Path]:
     again = f"check the connection and repeat: hyperval data fetch {name}; or name a copy with HYPERVAL_DATA"
     return [
         download(f.address, cache_dir() / f.path, size=f.size, digest=f.digest, pack=f.packed, mend=again)
-        for f in track(needed, f"fetching {name}", show=show_progress)
+        for f in track(needed, f"fetching {name}")
     ]
 
 

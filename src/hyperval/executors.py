@@ -36,7 +36,7 @@ import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are c
 from threadpoolctl import ThreadpoolController
 
 from hyperval.errors import HypervalError, refusal, refuse
-from hyperval.progress import set_listener
+from hyperval.progress import bars, set_listener
 from hyperval.storage import scratch_folder
 
 T = TypeVar("T")
@@ -326,7 +326,7 @@ class Workers:
         assert self.executor is not None  # noqa: S101
         if isinstance(self.executor, TaskPool):
             return self.executor.submit(WorkerTask(function, piece)).future
-        return self.executor.submit(_single_threaded, function, piece)
+        return self.executor.submit(_elsewhere, function, piece)
 
 
 # What all pieces need, packed: itself, or the file that processes of this machine read it from.
@@ -451,6 +451,11 @@ def in_order(
 def _single_threaded(function: Callable[[T], R], piece: T) -> R:
     with single_blas_thread():
         return function(piece)
+
+
+@bars(False)
+def _elsewhere(function: Callable[[T], R], piece: T) -> R:
+    return _single_threaded(function, piece)
 
 
 def _dask(address: str) -> Iterator[Workers]:

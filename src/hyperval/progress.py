@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, _GeneratorContextManager, contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _step: ContextVar[str] = ContextVar("step", default="")
+_wanted: ContextVar[bool | None] = ContextVar("wanted", default=None)
+Parts = Iterator[tuple[range, Any]]  # of a pass over an image: the lines of each, and what they hold
 Listener = Callable[[str, int, int | None], None]
 _listener: Listener | None = None
 
@@ -39,21 +41,30 @@ def _with_listener(
 
 
 @contextmanager
-def step(of: str, number: int, count: int, what: str) -> Iterator[None]:
-    """Bars within the block say that they are step ``number`` of ``count`` of the job ``of``."""
-    token = _step.set(f"{of} {number}/{count} {what}: ")
+def _within(variable: ContextVar[T], value: T | None) -> Iterator[None]:
+    token = variable.set(variable.get() if value is None else value)
     try:
         yield
     finally:
-        _step.reset(token)
+        variable.reset(token)
+
+
+def step(of: str, number: int, count: int, what: str) -> AbstractContextManager[None]:
+    """Bars within the block say that they are step ``number`` of ``count`` of the job ``of``."""
+    return _within(_step, f"{of} {number}/{count} {what}: ")
+
+
+def bars(show: bool | None) -> _GeneratorContextManager[None]:
+    """Whether bars are drawn within the block, or the function that this decorates; None: as outside of it."""
+    return _within(_wanted, show)
 
 
 @contextmanager
-def working(what: str, *, show: bool | None = None) -> Iterator[None]:
+def working(what: str) -> Iterator[None]:
     """A bar that moves and counts the time while the block works on what has no parts to count."""
     if _listener is not None:
         _listener(_step.get() + what, 0, None)
-    if not _shown(show):
+    if not _shown():
         yield
         return
     with _bar("TimeElapsed") as bar:
@@ -61,7 +72,8 @@ def working(what: str, *, show: bool | None = None) -> Iterator[None]:
         yield
 
 
-def _shown(show: bool | None) -> bool:
+def _shown(show: bool | None = None) -> bool:
+    show = _wanted.get() if show is None else show
     return _listener is None and sys.stderr.isatty() if show is None else show
 
 
@@ -79,7 +91,8 @@ def _bar(*columns: str) -> Progress:
 def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool | None = None) -> Iterator[T]:
     """Yield ``items`` while a progress bar named ``what`` is drawn on standard error.
 
-    ``show`` defaults to whether standard error is a terminal.  The bar is removed when done.
+    ``show`` defaults to what :func:`bars` says, else to whether standard error is a terminal.  The bar is removed when
+    done.
     """
     if total is None and hasattr(items, "__len__"):
         total = len(items)  # type: ignore[arg-type]
@@ -91,22 +104,17 @@ def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool
         yield from bar.track(items, description=_step.get() + what, total=total)
 
 
-def watch_lines(
-    what: str, bytes_per_line: int, lines: int, *, show: bool | None = None
-) -> Callable[[Iterator[tuple[range, Any]]], Iterator[tuple[range, Any]]]:
-    """A wrapper of the parts of a pass over an image: bytes done, rate and time left on standard error.
+def watch_lines(what: str, bytes_per_line: int, lines: int) -> Callable[[Parts], Parts]:
+    """A wrapper of the parts of a pass over an image: bytes done, rate and time left on standard error."""
 
-    Each part begins with the range of its lines; ``show`` as for :func:`track`.
-    """
-
-    def counted(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
+    def counted(parts: Parts) -> Parts:
         return _with_listener(parts, what, lines, lambda part: len(part[0]))
 
-    def watched(parts: Iterator[tuple[range, Any]]) -> Iterator[tuple[range, Any]]:
+    def watched(parts: Parts) -> Parts:
         with _bar("Download", "TransferSpeed", "TimeRemaining") as bar:
             task = bar.add_task(_step.get() + what, total=lines * bytes_per_line)
             for part in counted(parts):
                 bar.advance(task, len(part[0]) * bytes_per_line)
                 yield part
 
-    return watched if _shown(show) else counted
+    return watched if _shown() else counted

@@ -55,9 +55,7 @@ def test_a_slider_goes_on_without_a_step(place):
 @pytest.mark.parametrize("place", [{}, {"sensor_altitude_km": 700.0, "model": "us-standard-1962"}])
 def test_radiance_is_that_of_6s_within_what_is_stated(engine_cache, place):
     ours = terms(**place)
-    theirs = atmospheric_terms(
-        AtmosphericState(**{**STATE, **place, "engine": "sixs"}), cache_dir=engine_cache, show_progress=False
-    )
+    theirs = atmospheric_terms(AtmosphericState(**{**STATE, **place, "engine": "sixs"}), cache_dir=engine_cache)
     off = np.abs(radiance(ours, 0.3) - radiance(theirs, 0.3))
     seen = theirs.gas_transmittance > 0.1
     assert np.sqrt(np.mean((off / ours.path_uncertainty)[seen] ** 2)) < 2.0
@@ -73,9 +71,9 @@ MOVED = ("aot550", "water_vapour_g_cm2", "solar_zenith_deg")
 def test_a_step_from_a_run_of_6s_is_that_of_6s_to_a_fifth_of_itself_and_none_is_none(engine_cache, place, monkeypatch):
     stated = AtmosphericState(**{**STATE, **place, "engine": "sixs"})
     states = [stated] + [stated.model_copy(update={n: 1.1 * getattr(stated, n)}) for n in MOVED]
-    exact = [sixs.sixs_terms(state, engine_cache, False) for state in states]
+    exact = [sixs.sixs_terms(state, engine_cache) for state in states]
     monkeypatch.setattr(sixs, "run_sixs", None)  # no run but that of the stated state, which is in the cache
-    near = [sixs.terms_near(stated, state, engine_cache, False) for state in states]
+    near = [sixs.terms_near(stated, state, engine_cache) for state in states]
     seen = exact[0].gas_transmittance > 0.3
     true, found = ([radiance(t, 0.15)[seen] - radiance(exact[0], 0.15)[seen] for t in each] for each in (exact, near))
     assert all(np.linalg.norm(b - a) <= 0.2 * np.linalg.norm(a) for a, b in zip(true, found, strict=True))

@@ -80,7 +80,7 @@ def engine(monkeypatch, tmp_path):
     monkeypatch.setattr(sixs, "_scattering", scattering)
     monkeypatch.setattr(sixs, "_gas", lambda *_: {k: np.full(sixs.GRID_NM.size, v) for k, v in gas.items()})
     monkeypatch.setattr(sixs, "sixs_fingerprint", lambda: "none")
-    return lambda state, ratio="shipped": sixs.sixs_terms(state, tmp_path, False, ratio=ratio)
+    return lambda state, ratio="shipped": sixs.sixs_terms(state, tmp_path, ratio=ratio)
 
 
 def test_the_engine_dims_each_part_of_the_light_by_its_own_way(engine):
@@ -156,9 +156,9 @@ def test_air_has_the_columns_of_its_closed_forms():
 def test_terms_are_dimmed_by_beers_law_along_the_slanted_paths(engine_cache, monkeypatch):
     fields = {"model": "us-standard-1962", "view_zenith_deg": 30.0, "solar_zenith_deg": 40.0, **CLEAR}
     off_nadir = AtmosphericState(**{**STATE.model_dump(), **fields})
-    with_it = air.sixs_terms(off_nadir, engine_cache, False, ratio=None)
+    with_it = air.sixs_terms(off_nadir, engine_cache, ratio=None)
     monkeypatch.setattr(sixs, "continuum_depth", lambda nm, *_: 0.0 * nm)
-    without = air.sixs_terms(off_nadir, engine_cache, False, ratio=None)
+    without = air.sixs_terms(off_nadir, engine_cache, ratio=None)
     nm = with_it.wavelength_nm
 
     def squared(z):

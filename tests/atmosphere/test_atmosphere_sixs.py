@@ -52,7 +52,7 @@ def as_the_solver(st, folder):
     """Terms without what the solver does not have: absorption by colliding oxygen, the ratio of MODTRAN to it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sixs, "continuum_depth", lambda nm, *_: 0.0 * nm)
-        return sixs.sixs_terms(st, folder, False, ratio=None)
+        return sixs.sixs_terms(st, folder, ratio=None)
 
 
 @pytest.mark.slow

@@ -395,9 +395,7 @@ def test_a_slanted_template_is_refused_unless_the_files_are_named_after_the_dire
 def test_a_table_of_the_embedded_engine_meets_it_at_the_nodes(engine_cache, tmp_path):
     # Without aerosol 6S runs a third as often.
     base = state(engine="sixs", table=None, aerosol="none", aot550=None)
-    made = air.build_table(
-        base, {"water_vapour_g_cm2": [0.8, 1.2, 1.8, 2.7]}, cache_dir=engine_cache, show_progress=False
-    )
+    made = air.build_table(base, {"water_vapour_g_cm2": [0.8, 1.2, 1.8, 2.7]}, cache_dir=engine_cache)
     air.write_table(made, tmp_path / "table.nc")
     there = air.read_table(tmp_path / "table.nc")
 

@@ -188,7 +188,7 @@ def _state_surroundings(small):
 
 
 def _reasons(small):
-    table = run_campaign(jobs_of(small.write())[0], show_progress=False).table
+    table = run_campaign(jobs_of(small.write())[0]).table
     gains = {
         r.method: r.value
         for r in table

@@ -61,7 +61,7 @@ def test_expected_maps_of_a_closure_campaign(small):
     small.data["comparisons"] = small.data["comparisons"][:1]
     path, seen = small.write(), []
     job = job_of(path)
-    run = run_campaign(job, show_progress=False, with_observed=seen.append)
+    run = run_campaign(job, with_observed=seen.append)
     (score_map,) = run.score_maps.values()
     place, detection = seen[0].place, job.campaign.detection
     whole = slice(None), slice(None)

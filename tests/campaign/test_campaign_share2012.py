@@ -61,7 +61,7 @@ def test_stand_in_lines_close(name, tmp_path, data_dir, monkeypatch):
             text = re.sub(r"(?ms)^attribution:.*\Z", "", path.read_text())
             path.write_text(text.replace("cem, ace]", "cem]").replace("  psf_fwhm_pixels: 0.3\n", ""))
         (job,) = jobs_of(folder / "campaign.yaml")
-        table = run_campaign(job, show_progress=False).table
+        table = run_campaign(job).table
     rows = {(r.subject, r.method, r.metric): r for r in table}
     for felt, (objects, sizes, pixels) in LINES[name]["holds"].items():
         by_pixel = rows[felt, "matched-filter/pixel", "pd_difference@1e-3"]
@@ -245,7 +245,7 @@ def test_filled_in_it_runs_through(line, tmp_path, monkeypatch):
     assert "FILL_IN" not in "".join(str(yaml.safe_load(p.read_text())) for p in path.parent.glob("*.yaml"))
     assert [i for i in dry_run([path]) if i.lacking] == []
     (job,) = jobs_of(path)
-    run = run_campaign(job, show_progress=False)
+    run = run_campaign(job)
     rows = list(run.table)
     compared = [r for r in rows if r.product == "radiance" and "median_abs" in r.metric]
     decided = {r.subject: r for r in compared if math.isfinite(r.limit_high)}
@@ -284,7 +284,7 @@ def test_the_polished_reflectance_whole_and_divided(line, tmp_path, monkeypatch)
     for name in ("campaign-reflectance.yaml", "campaign-divided.yaml"):
         path = folder / name
         for job in jobs_of(path):
-            table = run_campaign(job, show_progress=False).table
+            table = run_campaign(job).table
             part = job.campaign.name.removeprefix(f"share2012-avon-{RUN}-")
             rows |= {(part, r.subject, r.method, r.metric): r for r in table}
     assert {part for part, *_ in rows} == {"reflectance", "asphalt-court", "grass-field"}

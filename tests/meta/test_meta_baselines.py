@@ -31,7 +31,7 @@ def campaign_numbers(small: SmallCampaign) -> dict[str, Result]:
         mean = subject["fill"].get("fixed", subject["fill"].get("mean"))
         subject["fill"] = {"mean": mean, "sd": 0.02}
     path = small.write()
-    return baseline.campaign_metrics(run_campaign(job_of(path), show_progress=False).table)
+    return baseline.campaign_metrics(run_campaign(job_of(path)).table)
 
 
 def sensor_numbers() -> dict[str, Result]:

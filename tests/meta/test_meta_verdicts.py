@@ -20,7 +20,7 @@ CLASSES = ["field", "court"]
 
 def table_of(small: SmallCampaign) -> ResultTable:
     path = small.write()
-    return run_campaign(job_of(path), show_progress=False).table
+    return run_campaign(job_of(path)).table
 
 
 def failing(table: ResultTable) -> set[tuple[str, str]]:

@@ -135,7 +135,7 @@ class World:
         """Run the pipeline on the settings as they stand."""
         detection = None if self.detection is None else Detection.model_validate(self.detection)
         collection = CollectionSection.model_validate(self.collection)
-        return observe(collection, detection, self.resolve, show_progress=False, **options)
+        return observe(collection, detection, self.resolve, **options)
 
 
 @dataclass

@@ -50,7 +50,7 @@ def test_the_pages_campaign_runs_from_the_delivered_folder(tmp_path):
 
     def observed(**more):
         section = CollectionSection.model_validate(collection | more)
-        return observe(section, None, tmp_path.joinpath, show_progress=False).observation
+        return observe(section, None, tmp_path.joinpath).observation
 
     found = observed()
     want = values[:, 4:16, 4:16].reshape(BANDS, -1).mean(axis=1)

@@ -180,7 +180,7 @@ def test_axe_sees_nothing_serious(page, scheme, pages):
 
 def test_charts_of_a_page_are_all_drawn_and_folded_ones_when_they_are_unfolded(browser, atmosphere, tmp_path):
     """Those that nobody has scrolled to too: the page may be printed."""
-    predict_to_folder("panels", tmp_path / "out", show_progress=False)
+    predict_to_folder("panels", tmp_path / "out")
     one = browser.new_context(viewport={"width": 1280, "height": 300})
     one.set_default_timeout(20_000)
     with careful_page(one, tmp_path.as_uri()) as page:

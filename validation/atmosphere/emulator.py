@@ -25,7 +25,7 @@ from hyperval.atmosphere import AtmosphericState, sixs
 from hyperval.atmosphere.physics import amounts
 from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.atmosphere.terms import cache_folder
-from hyperval.progress import track
+from hyperval.progress import bars, track
 
 MODELS = get_args(AtmosphereModel)
 MADE_FROM, CLEAR_FROM, OF_A_MODEL = 256, 128, 48  # clear air follows three inputs alone
@@ -64,8 +64,8 @@ def states(count: int, seed: int) -> list[AtmosphericState]:
 def quantities(state: AtmosphericState, folder: Path) -> dict[str, np.ndarray]:
     """What 6S scatters at the nodes, of clear air and of what haze adds to it, for the haze that it was run with."""
     air, setting = sixs.air_of(state), sixs.setting_of(state)
-    hazy = sixs._scattering(state, setting, folder, False)
-    clear = sixs._scattering(state.model_copy(update={"aerosol": "none", "aot550": None}), setting, folder, False)
+    hazy = sixs._scattering(state, setting, folder)
+    clear = sixs._scattering(state.model_copy(update={"aerosol": "none", "aot550": None}), setting, folder)
     return {
         "clear_reflectance": clear["reflectance_rayleigh"], "clear_down": clear["down"], "clear_up": clear["up"],
         "clear_albedo": clear["spherical_albedo"], "reflectance": hazy["reflectance_aerosol"] / air.part,
@@ -78,7 +78,7 @@ def quantities(state: AtmosphericState, folder: Path) -> dict[str, np.ndarray]:
 
 def fitted_scattering(made_from: list[AtmosphericState], folder: Path) -> dict[str, np.ndarray]:
     """Parabola and weights of a Gaussian process for each quantity over its form."""
-    runs = [quantities(state, folder) for state in track(made_from, "scattering", total=len(made_from))]
+    runs = [bars(False)(quantities)(state, folder) for state in track(made_from, "scattering", total=len(made_from))]
     airs = [sixs.air_of(state) for state in made_from]
     held = {"molecules": np.mean([run["molecules"] for run in runs], axis=0)}
     held["features"] = np.array([air.features()[0] for air in airs]).astype("f4").astype(float)
@@ -127,13 +127,13 @@ def fitted_gas(model: str, folder: Path) -> dict[str, np.ndarray]:
     """Numbers of the band model of each gas in one standard atmosphere."""
 
     def tables(state: AtmosphericState) -> dict[str, np.ndarray]:
-        return sixs._gas(state, sixs.setting_of(state), folder, False)
+        return sixs._gas(state, sixs.setting_of(state), folder)
 
     of = [state.model_copy(update={"model": model}) for state in states(OF_A_MODEL, 7)]
     space = {"solar_zenith_deg": 60.0, "sensor_altitude_km": 700.0, "ground_altitude_km": 0.0}
     thin, thick = (tables(of[0].model_copy(update={**space, "ozone_atm_cm": u}))["dry"] for u in (0.05, 0.95))
     ozone = np.maximum(-np.log(thick / thin) / (0.9 * 3.0), 0.0)
-    printed = [tables(state) for state in track(of, f"gases, {model}", total=len(of))]
+    printed = [bars(False)(tables)(state) for state in track(of, f"gases, {model}", total=len(of))]
     both = np.array([amounts(state)[1] for state in of])
     dry = np.array([t["dry"] for t in printed])
     alone = np.minimum(dry * np.exp(ozone * both[:, 2, :1]), 1.0)
@@ -171,7 +171,7 @@ def fitted_band(amount: np.ndarray, t: np.ndarray, middle: float, seen: np.ndarr
 def beside(count: int, seed: int, held: dict[str, np.ndarray], folder: Path) -> tuple[list, list, list]:
     """States that the engine takes, and their terms by 6S and by the numbers."""
     apart = [s for s in states(count, seed) if s.sun[0] <= 75.0 and s.aot550 <= 0.8]
-    theirs = [sixs.sixs_terms(state, folder, False) for state in track(apart, "beside 6S", total=len(apart))]
+    theirs = [bars(False)(sixs.sixs_terms)(state, folder) for state in track(apart, "beside 6S", total=len(apart))]
     return apart, theirs, [sixs.emulated(state, held) for state in apart]
 
 

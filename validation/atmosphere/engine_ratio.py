@@ -55,14 +55,14 @@ class Pair:
 
     def ours(self, ratio: EngineRatio | None) -> AtmosphericTerms:
         """The embedded engine at MODTRAN's channels, under its sun."""
-        return matched(self.case, sixs_terms(self.case.state, cache_folder(None), False, ratio=ratio))[0]
+        return matched(self.case, sixs_terms(self.case.state, cache_folder(None), ratio=ratio))[0]
 
 
 def pairs_of(locate: Callable[[str], Path]) -> list[Pair]:
     """All states."""
     pairs = []
     for case in cases(locate):
-        _, theirs = matched(case, sixs_terms(case.state, cache_folder(None), False, ratio=None))
+        _, theirs = matched(case, sixs_terms(case.state, cache_folder(None), ratio=None))
         air_atm, water_g_cm2, _ = amounts(case.state)[1][:, 0]
         pairs.append(Pair(case, theirs, air_atm, water_g_cm2))
     return pairs

@@ -38,7 +38,7 @@ def run_twin(name: str, seed: int, folder: Path) -> ResultTable:
     scene = folder / data["collection"]["simulate"]
     scene.write_text(re.sub(r"(?m)^seed: .*$", f"seed: {seed}", scene.read_text("utf-8")), "utf-8")
     write_yaml(folder / name, {key: value for key, value in data.items() if key != "attribution"})
-    return run_campaign(job_of(folder / name), show_progress=False).table
+    return run_campaign(job_of(folder / name)).table
 
 
 def detection(table: ResultTable, metric: str) -> list[Result]:

@@ -164,11 +164,11 @@ def rows_of(number: int, seed: int) -> list[Result]:
         for stem, data in files.items():
             write_yaml(folder / f"{stem}.yaml", data)
         scene = SceneFile.model_validate(files["scene"])
-        simulate(scene, folder / "collection", inputs=load_inputs(scene, folder, terms), show_progress=False)
+        simulate(scene, folder / "collection", inputs=load_inputs(scene, folder, terms))
         stack.enter_context(patch("hyperval.model.stated.atmospheric_terms", lambda state, **_: terms(state)))
         stack.enter_context(patch.multiple(detection, REPLICATES=1000, POWER_DRAWS=20))
         stack.enter_context(patch.object(covariance, "compare_covariance", of_classes))
-        report = run_campaign(job_of(folder / "campaign.yaml"), show_progress=False)
+        report = run_campaign(job_of(folder / "campaign.yaml"))
     return list(report.table)
 
 

@@ -40,7 +40,7 @@ class Image:
     def __init__(self) -> None:
         job = jobs_of(CAMPAIGN)[0]
         detection = job.campaign.detection.model_copy(update={"unmixing": None})
-        observed = observe(job.campaign.collection, detection, InputLog.of_file(job.path).resolve, show_progress=False)
+        observed = observe(job.campaign.collection, detection, InputLog.of_file(job.path).resolve)
         place, detected = observed.place, observed.detected
         counted = place.pixels_of(*detection.false_alarms)
         self.lines, self.samples = np.nonzero(counted)

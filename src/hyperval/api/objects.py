@@ -28,6 +28,7 @@ from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
 from hyperval.model import Z95, detection_at
 from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, Products
+from hyperval.progress import bars
 from hyperval.results import ResultTable, of_campaign
 from hyperval.run import Run, to_xarray
 from hyperval.scenario import Scenario
@@ -639,7 +640,7 @@ def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) ->
     InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
     """
 
-    with campaigns.collected(_job(campaign, compares=False), show_progress=show_progress) as collection:
+    with bars(show_progress), campaigns.collected(_job(campaign, compares=False)) as collection:
         return Observation(collection.observed.observation)
 
 
@@ -686,7 +687,8 @@ def validate(
     """
     from hyperval.report.outputs import write_outputs
 
-    report = campaigns.run_campaign(_job(campaign), show_progress=show_progress)
+    with bars(show_progress):
+        report = campaigns.run_campaign(_job(campaign))
     if output is not None:
         with whole_folder(Path(output)) as folder:
             write_outputs(report, folder)
@@ -706,9 +708,9 @@ def study(path: Path | str, *, output: Path | str | None = None, show_progress: 
     """
     from hyperval.study import study_to_folder
 
-    with TemporaryDirectory(prefix="hyperval-study-") as scratch:
+    with TemporaryDirectory(prefix="hyperval-study-") as scratch, bars(show_progress):
         folder = Path(scratch) / "study" if output is None else Path(output)
-        study_to_folder(Path(path), folder, show_progress=show_progress)
+        study_to_folder(Path(path), folder)
         return _study(folder)
 
 
@@ -732,7 +734,8 @@ def check(
     files = [campaigns] if isinstance(campaigns, Path | str) else list(campaigns)
     names = [sensors] if isinstance(sensors, str) else list(sensors)
     folder = Path(baselines or baseline.DEFAULT_FOLDER)
-    runs = baseline.check([Path(f) for f in files], names, baselines=folder, show_progress=show_progress)
+    with bars(show_progress):
+        runs = baseline.check([Path(f) for f in files], names, baselines=folder)
     return Results(baseline.rows_of(runs))
 
 
@@ -748,7 +751,8 @@ def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress
     """
     from hyperval.simulate import simulate as simulate_scene
 
-    return Collection(**simulate_scene(scene, Path(output), show_progress=show_progress))
+    with bars(show_progress):
+        return Collection(**simulate_scene(scene, Path(output)))
 
 
 def open(folder: Path | str) -> Validation | Study:

@@ -11,9 +11,10 @@ from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table import read_table
 from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder
 from hyperval.errors import InputError, refuse
+from hyperval.progress import bars
 
-# State, cache folder and whether to draw progress: what computes the terms when they are asked for.
-ENGINES: dict[str, Callable[[AtmosphericState, Path, bool | None], AtmosphericTerms]] = {
+# State and cache folder: what computes the terms when they are asked for.
+ENGINES: dict[str, Callable[[AtmosphericState, Path], AtmosphericTerms]] = {
     "sixs": sixs_terms,
     "modtran": modtran_terms,
     "emulator": emulator_terms,
@@ -57,6 +58,7 @@ def atmospheric_terms(
             name = str(state.table).rstrip("/")
             refuse("a folder" in error.what, "table.folder", name, name=name)
             raise
-    if near is not None and near.engine == state.engine == "sixs":
-        return terms_near(near, state, cache_folder(cache_dir), show_progress)
-    return ENGINES[state.engine](state, cache_folder(cache_dir), show_progress)
+    with bars(show_progress):
+        if near is not None and near.engine == state.engine == "sixs":
+            return terms_near(near, state, cache_folder(cache_dir))
+        return ENGINES[state.engine](state, cache_folder(cache_dir))

@@ -643,7 +643,7 @@ def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TI
     return left[0]
 
 
-def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | None = None) -> AtmosphericTerms:
+def modtran_terms(state: AtmosphericState, folder: Path) -> AtmosphericTerms:
     """The terms of a state by the configured MODTRAN: runs over ground of 0, 0.1 and 0.5, solved and cached.
 
     Raises
@@ -660,7 +660,7 @@ def modtran_terms(state: AtmosphericState, folder: Path, show_progress: bool | N
 
     def compute() -> Arrays:
         with scratch_folder("modtran") as scratch:
-            for _ in track([0], f"MODTRAN {modtran.version}", total=1, show=show_progress):
+            for _ in track([0], f"MODTRAN {modtran.version}", total=1):
                 output = run_modtran(deck, modtran, Path(scratch))
             terms = read_modtran_runs([output], ALBEDOS)
         widths = {} if terms.fwhm_nm is None else {"fwhm_nm": terms.fwhm_nm}

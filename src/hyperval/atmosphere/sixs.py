@@ -331,7 +331,6 @@ _MIXES = {  # rural tuned to the radiances that MODTRAN 6 gives with its own, th
 def sixs_terms(
     state: AtmosphericState,
     folder: Path,
-    show_progress: bool | None = None,
     *,
     ratio: EngineRatio | Literal["shipped"] | None = "shipped",
 ) -> AtmosphericTerms:
@@ -341,7 +340,6 @@ def sixs_terms(
     ----------
     state : what is asked
     folder : cache folder
-    show_progress : None follows the terminal
     ratio : what MODTRAN has over 6S; None leaves it out
 
     Raises
@@ -349,8 +347,8 @@ def sixs_terms(
     EngineError : 6S cannot be started or printed no numbers.
     """
     setting = setting_of(state)
-    scattering = _scattering(state, setting, folder, show_progress)
-    gas = _gas(state, setting, folder, show_progress)
+    scattering = _scattering(state, setting, folder)
+    gas = _gas(state, setting, folder)
     return assembled(state, setting, scattering, gas, ratio=ratio)
 
 
@@ -435,7 +433,7 @@ def in_standard_air(state: AtmosphericState, setting: Setting) -> Setting:
     return setting._replace(ground_km=ground, height_km=height)
 
 
-def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
+def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arrays:
     """Scattering quantities at the nodes, without gas: path reflectance, transmittances, albedo, depths.
 
     Clear air is run node by node, haze as a table of each part of the spectrum, from which its values at the nodes are
@@ -452,7 +450,7 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path, show: b
         return [(_one_wavelength(nm), one, np.array([nm])) for nm, one in zip(nodes_nm, aerosols, strict=True)]
 
     def solved(runs: Sequence[Run], what: str, names: Sequence[str] = SCATTERED) -> Arrays:
-        texts = _run_all([deck(setting, GAS_FREE, *run[:2]) for run in runs], folder, f"6S {what}", show)
+        texts = _run_all([deck(setting, GAS_FREE, *run[:2]) for run in runs], folder, f"6S {what}")
         found = [solved_at(text, nodes_nm) for text, (*_, nodes_nm) in zip(texts, runs, strict=True)]
         return {name: np.concatenate([part[name] for part in found]) for name in names}
 
@@ -575,7 +573,7 @@ def trusted_stand_ins(
     return used, share, typed / used, typed * fraction / (used * share)
 
 
-def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | None) -> Arrays:
+def _gas(state: AtmosphericState, setting: Setting, folder: Path) -> Arrays:
     """Gas transmittance on the grid: full water, half water and dry two-way, and sun to ground."""
     profile = scaled_profile(state.model, setting.ground_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
     spectral, above = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}", setting.height_km
@@ -586,7 +584,7 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path, show: bool | N
     inputs = {"binary": sixs_fingerprint(), "scheme": SCHEME, "decks": decks}
 
     def compute() -> Arrays:
-        printed = map(parse_steps, _run_all(list(decks.values()), folder, "6S gas", show))
+        printed = map(parse_steps, _run_all(list(decks.values()), folder, "6S gas"))
         grids = (np.interp(GRID_NM, *steps) for steps in printed)
         return {name: np.maximum(grid, LEAST_GAS) for name, grid in zip(decks, grids, strict=True)}
 
@@ -613,11 +611,11 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
     return {name: gas[name] * here.gas(*way[name]) for name in way}
 
 
-def _run_all(decks: list[str], folder: Path, what: str, show: bool | None) -> list[str]:
+def _run_all(decks: list[str], folder: Path, what: str) -> list[str]:
     """Outputs of all decks in their order; one process per processor at a time."""
     with ThreadPoolExecutor(max_workers=cpu_count() or 1) as pool:
         try:
-            return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks), show=show))
+            return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks)))
         except BaseException:
             pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
             raise
@@ -789,9 +787,7 @@ def emulated(state: AtmosphericState, held: Arrays) -> AtmosphericTerms:
     return assembled(state, setting_of(state), scattering(state, held), gas(state, held), engine=engine)
 
 
-def emulator_terms(
-    state: AtmosphericState, folder: Path | None = None, show_progress: bool | None = None
-) -> AtmosphericTerms:
+def emulator_terms(state: AtmosphericState, folder: Path | None = None) -> AtmosphericTerms:
     """The terms of a state in some milliseconds, with how far they may be from those of 6S.
 
     Raises
@@ -803,9 +799,7 @@ def emulator_terms(
     return replace(terms, path_uncertainty=np.hypot(path, direct))
 
 
-def terms_near(
-    stated: AtmosphericState, state: AtmosphericState, folder: Path, show_progress: bool | None = None
-) -> AtmosphericTerms:
+def terms_near(stated: AtmosphericState, state: AtmosphericState, folder: Path) -> AtmosphericTerms:
     """The terms of a state beside a stated one: those of 6S there times the change that the emulator says.
 
     What the emulator is off by is nearly the same in both: a step of an input is known to about a tenth of itself
@@ -815,7 +809,7 @@ def terms_near(
     ----------
     stated : where 6S is run
     state : what is asked
-    folder, show_progress : as of :func:`sixs_terms`
+    folder : as of :func:`sixs_terms`
 
     Raises
     ------
@@ -824,8 +818,8 @@ def terms_near(
     try:
         before, after = _emulated_inside(stated), _emulated_inside(state)
     except UsageError:
-        return sixs_terms(state, folder, show_progress)
-    known, without = sixs_terms(stated, folder, show_progress).spectra(), before.spectra()
+        return sixs_terms(state, folder)
+    known, without = sixs_terms(stated, folder).spectra(), before.spectra()
     changed = {name: values / np.maximum(without[name], 1e-300) for name, values in after.spectra().items()}
     terms: dict[str, Any] = {
         name: np.where(without[name] > 0.0, change, 1.0) * known[name] for name, change in changed.items()

@@ -30,7 +30,7 @@ from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder, lit_by
 from hyperval.data import Array
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
-from hyperval.progress import track
+from hyperval.progress import bars, track
 from hyperval.storage import sha256_of, whole_file
 from hyperval.units import PLAUSIBLE_NM
 
@@ -440,7 +440,6 @@ def build_table(
     axes: Mapping[str, Sequence[float]],
     *,
     cache_dir: Path | None = None,
-    show_progress: bool | None = None,
 ) -> AtmosphericTable:
     """Run the embedded engine at every node of a grid.
 
@@ -448,7 +447,7 @@ def build_table(
     ----------
     base : the state that all nodes share but for the axes
     axes : field of the state -> increasing nodes; fields of the sun need a ``base`` whose sun is given by angles
-    cache_dir, show_progress : of the engine; what it computed before is not computed again
+    cache_dir : of the engine; what it computed before is not computed again
 
     Returns
     -------
@@ -469,8 +468,9 @@ def build_table(
     grid = product(*(n.tolist() for n in nodes.values()))
     states = [_at_node(base, dict(zip(order, c, strict=True))) for c in grid]
     folder, rows = cache_folder(cache_dir), []
-    for state in track(states, "atmosphere table", total=len(states), show=show_progress):
-        terms = sixs_terms(state, folder, False)
+    for state in track(states, "atmosphere table", total=len(states)):
+        with bars(False):
+            terms = sixs_terms(state, folder)
         sun = solar.extraterrestrial_irradiance(state.solar_spectrum, terms.wavelength_nm, state.distance_au)
         rows.append(_quantities(terms, np.cos(np.deg2rad(state.sun[0])) * sun / np.pi))
     of_all = {k: v for k, v in terms.provenance.items() if k not in ("state", "solar_spectrum")}

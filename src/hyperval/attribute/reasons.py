@@ -307,9 +307,7 @@ def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Ar
         return [*_asked(evaluate, truths[:half]), *_asked(evaluate, truths[half:])] if half else [None]
 
 
-def causes_of(
-    model: ScenarioModel, observed: Products, worlds: Sequence[World], budgeted: Products, show_progress: bool | None
-) -> Causes:
+def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World], budgeted: Products) -> Causes:
     """Everything that may have made a difference, each as a change of what is compared.
 
     Parameters
@@ -329,7 +327,7 @@ def causes_of(
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
 
     def evaluate(truths: Sequence[Truths], title: str, budgeted: bool = False) -> list[tuple[Array, Array]]:
-        predictions = track(model.predict(model.scenarios, truths, budgeted), title, len(truths), show=show_progress)
+        predictions = track(model.predict(model.scenarios, truths, budgeted), title, len(truths))
         return [(stack.predicted(p), np.array([q.read(p) for q in numbers])) for p in predictions]
 
     moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
@@ -410,7 +408,6 @@ def attribute(
     budgeted: Products,
     accepted: Mapping[str, Sequence[str]] | None = None,
     simulated: bool = False,
-    show_progress: bool | None = None,
 ) -> list[Result]:
     """Move every input, run every what-if, say how likely each is the reason.
 
@@ -434,12 +431,12 @@ def attribute(
     ------
     UsageError : nothing that both sides hold, or a what-if that fits no scenario.
     """
-    causes = causes_of(model, observed, worlds, budgeted, show_progress)
+    causes = causes_of(model, observed, worlds, budgeted)
     stack, numbers, values, ends = causes.stack, causes.numbers, causes.values, causes.ends
     stated = [c for c in ends if c.budgeted]
     shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
     sides = (model.assuming(model.scenarios), observed)
-    outcomes = _what_ifs(model, stack, numbers, causes.covariance, sides, options.what_ifs, show_progress)
+    outcomes = _what_ifs(model, stack, numbers, causes.covariance, sides, options.what_ifs)
     columns, _ = causes.standing()
     ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
     if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
@@ -596,7 +593,6 @@ def _what_ifs(
     covariance: Array,
     sides: tuple[Products, Products],
     what_ifs: Sequence[WhatIf],
-    show_progress: bool | None,
 ) -> list[Result]:
     """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
 
@@ -622,7 +618,7 @@ def _what_ifs(
     if not what_ifs:
         return []
     before = left(what_ifs[0], *sides)
-    outcomes = [tried(item) for item in track(what_ifs, "attribution: what-ifs", show=show_progress)]
+    outcomes = [tried(item) for item in track(what_ifs, "attribution: what-ifs")]
     outcomes.sort(key=lambda o: o.reduced)
     rows = [one for o in outcomes for one in named(o.rows(before), "what-if", "all", o.item.name)]
     return [*rows, *_alarm_rows(before.alarms, outcomes)]

@@ -455,7 +455,6 @@ def all_runs(
     source: Path | None = None,
     keep: Path | None = None,
     engine: Engine | None = None,
-    show_progress: bool | None = None,
 ) -> list[RunNumbers]:
     """The numbers of campaigns and sensors.
 
@@ -480,9 +479,9 @@ def all_runs(
         jobs = jobs_of(*campaigns) if campaigns else []
         folder = source or keep or stack.enter_context(scratch_folder("check")) / RUNS
         if jobs and source is None:
-            validate(campaigns, folder, show_progress=show_progress)
+            validate(campaigns, folder)
         runs = [_read(job, folder, finished=source is not None) for job in jobs]
-    for name, sensor in track(chosen.items(), "sensors", len(chosen), show=show_progress):
+    for name, sensor in track(chosen.items(), "sensors", len(chosen)):
         numbers = ResultTable(sensor_metrics(sensor, engine).values())
         runs.append(RunNumbers("sensor", Run(numbers, campaign=sensor.name, title=sensor.specification.title), name))
     return runs
@@ -514,7 +513,6 @@ def check(
     output: Path | None = None,
     junit: Path | None = None,
     engine: Engine | None = None,
-    show_progress: bool | None = None,
 ) -> list[RunNumbers]:
     """Compare campaigns and sensors with what was accepted.
 
@@ -534,7 +532,7 @@ def check(
     """
     with whole_folder(output) if output is not None else nullcontext() as folder:
         keep = folder / RUNS if folder is not None else None
-        runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine, show_progress=show_progress)
+        runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine)
         runs = [_against(run, baselines) for run in runs]
         if folder is not None:
             _write(runs, baselines, folder)
@@ -589,7 +587,6 @@ def accept(
     baselines: Path,
     source: Path | None = None,
     engine: Engine | None = None,
-    show_progress: bool | None = None,
 ) -> list[RunNumbers]:
     """Store the numbers of campaigns and sensors as accepted, with the reason.
 
@@ -605,7 +602,7 @@ def accept(
     """
     words = " ".join(reason.split())
     refuse(not words, "baseline.reason")
-    runs = all_runs(campaigns, sensors, source=source, engine=engine, show_progress=show_progress)
+    runs = all_runs(campaigns, sensors, source=source, engine=engine)
     for run in runs:
         refuse(run.broken, "baseline.broken", owner=run.owner, why="; ".join(run.broken[:1]))
     before = {run.owner: run.stored(baselines) for run in runs}  # all are read before one is written

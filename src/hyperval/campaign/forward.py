@@ -15,12 +15,12 @@ from hyperval.scenario import load_scenario
 from hyperval.storage import whole_folder
 
 
-def predict_to_folder(name_or_path: str, output: Path, *, show_progress: bool | None = None) -> int:
+def predict_to_folder(name_or_path: str, output: Path) -> int:
     """Run the forward model alone and write its products."""
     scenario = load_scenario(name_or_path)
     log = InputLog(scenario.folder or Path())
     with whole_folder(output) as folder:  # first of all: it may not be writable
-        prediction = predict(scenario, Origins(resolve=log.resolve, show_progress=show_progress))
+        prediction = predict(scenario, Origins(resolve=log.resolve))
         run = Run(
             campaign=scenario.name,
             title=scenario.title or scenario.name,

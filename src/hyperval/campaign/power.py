@@ -35,7 +35,7 @@ from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import Evidence
 from hyperval.model import Truth, predict
 from hyperval.products import PredictedProducts
-from hyperval.progress import track
+from hyperval.progress import bars, track
 from hyperval.results import Outcome, Result, ResultTable, paired
 from hyperval.storage import POWER, whole_folder, write_text
 
@@ -78,7 +78,6 @@ def campaign_power(
     output: Path | None = None,
     accept: bool = False,
     own: Path | None = None,
-    show_progress: bool | None = None,
 ) -> list[Power]:
     """The power table of every campaign whose data are at hand; campaigns run side by side.
 
@@ -96,7 +95,7 @@ def campaign_power(
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         with workers(worker_count(len(jobs))) as where:
             results = in_order(where, partial(_power, own=own), jobs)
-            tables = list(track(results, "campaigns", len(jobs), show=show_progress))
+            tables = list(track(results, "campaigns", len(jobs)))
         for place in (*([folder] if folder is not None else []), *([power_file.ACCEPTED] if accept else [])):
             for item in tables:
                 if item.table is not None:
@@ -106,21 +105,20 @@ def campaign_power(
     return tables
 
 
+@bars(False)
 def _power(job: Job, own: Path | None) -> Power:
     errors = errors_of_file(own) if own is not None else None
     name = job.outline.name
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table = power_table(job, errors=errors, show_progress=False)
+        table = power_table(job, errors=errors)
         return Power(name, table, accepted=power_file.accepted_table(name, job.folder))
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 
 
-def power_table(
-    job: Job, *, errors: Mapping[str, Family] | None = None, show_progress: bool | None = None
-) -> PowerTable:
+def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> PowerTable:
     """Observe once, predict with each of ``errors`` (default: the standard ones), and compare each time.
 
     Raises
@@ -129,9 +127,9 @@ def power_table(
     HypervalError : anything else that the user can mend.
     """
     errors = injected_errors() if errors is None else errors
-    with collected(job, show_progress=show_progress) as here:
+    with collected(job) as here:
         scenarios = here.scenarios
-        origins = [here.origins(scenario, show_progress) for scenario in scenarios]
+        origins = [here.origins(scenario) for scenario in scenarios]
         stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
 
         def injected(error: Family) -> Injected:
@@ -151,9 +149,9 @@ def power_table(
             return found.model_copy(update={"reason": _reason(causes, truths)})
 
         before = outcomes(here, predicted_side(here, stated))
-        model, worlds = scenario_model(here, False), worlds_of(here, False)
-        causes = causes_of(model, here.observed.observation, worlds, predicted_side(here, stated), False)
-        named = track(errors.items(), "injected errors", len(errors), show=show_progress)
+        model, worlds = scenario_model(here), worlds_of(here)
+        causes = causes_of(model, here.observed.observation, worlds, predicted_side(here, stated))
+        named = track(errors.items(), "injected errors", len(errors))
         rows = {name: injected(error) for name, error in named}
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)

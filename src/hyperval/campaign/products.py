@@ -185,13 +185,13 @@ class Collected:
     seed: int | None
     read: Read = field(default_factory=dict)  # what scenarios read is kept here
 
-    def origins(self, scenario: Scenario, show_progress: bool | None) -> Origins:
+    def origins(self, scenario: Scenario) -> Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
         observed = self.observed
         return Origins(
             observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
-            show_progress=show_progress, left_out=lambda: self._laws.left_out(scenario), read=self.read,
+            left_out=lambda: self._laws.left_out(scenario), read=self.read,
         )  # fmt: skip
 
     @cached_property
@@ -220,7 +220,6 @@ def collected(
     job: Job,
     *,
     question: Callable[[Sequence[Scenario], InputLog], Campaign] | None = None,
-    show_progress: bool | None = None,
 ) -> Iterator[Collected]:
     """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
 
@@ -239,7 +238,7 @@ def collected(
         seed = None
         if campaign.collection.simulate:
             scratch = stack.enter_context(scratch_folder("simulated"))
-            seed = _simulate(campaign.collection.simulate, inputs, scratch, show_progress)
+            seed = _simulate(campaign.collection.simulate, inputs, scratch)
         if question is not None:
             campaign = question(scenarios, inputs)
         observed = observe_collection(
@@ -247,7 +246,6 @@ def collected(
             campaign.detection,
             inputs.resolve,
             classification=campaign.classification,
-            show_progress=show_progress,
         )
         if observed.place is not None:
             for path in observed.place.source_files:  # such as a cube's header
@@ -256,12 +254,12 @@ def collected(
         yield Collected(campaign, inputs, scenarios, observed, seed)
 
 
-def _simulate(reference: str, inputs: InputLog, scratch: Path, show_progress: bool | None) -> int:
+def _simulate(reference: str, inputs: InputLog, scratch: Path) -> int:
     from hyperval.simulate import load_inputs, load_scene, simulate
 
     path = inputs.resolve(reference)
     scene = load_scene(path)
-    simulate(scene, scratch, inputs=load_inputs(scene, path.parent), show_progress=show_progress)
+    simulate(scene, scratch, inputs=load_inputs(scene, path.parent))
     inputs.simulated = scratch
     return scene.seed
 
@@ -384,6 +382,6 @@ def _areas(
     truths, task = truths or [{} for _ in side.scenarios], detection.unmixing
     known = unmixed.subjects, unmixed.bands, unmixed.covariances, unmixed.pixel_area_m2
     for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
-        own = scenario, side.origins(scenario, None), truth, prediction
+        own = scenario, side.origins(scenario), truth, prediction
         out |= predicted_areas(*own, *known, draws=task.draws, seed=task.seed)
     return out

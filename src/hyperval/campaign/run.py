@@ -35,7 +35,7 @@ from hyperval.observe import Observed
 from hyperval.observe import observe as observe_collection
 from hyperval.observe import write_reflectance as reflectance_cube
 from hyperval.products import PredictedProducts, Products
-from hyperval.progress import step, track, working
+from hyperval.progress import bars, step, track, working
 from hyperval.report import write_index, write_outputs
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.run import Run, read_rows
@@ -52,13 +52,7 @@ Done = tuple[Run, int | None]
 Form = Literal["envi", "cog"]
 
 
-def run_campaign(
-    job: Job,
-    *,
-    predicts: bool = True,
-    show_progress: bool | None = None,
-    with_observed: Callable[[Observed], None] | None = None,
-) -> Run:
+def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Observed], None] | None = None) -> Run:
     """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
 
     ``with_observed`` is called while the files of the collection, simulated ones too, are still there.
@@ -73,15 +67,15 @@ def run_campaign(
     try:
         with ExitStack() as stack:
             with step_of(name, "observe", predicts):
-                side = stack.enter_context(collected(job, show_progress=show_progress))
+                side = stack.enter_context(collected(job))
                 if with_observed is not None:
                     with_observed(side.observed)
             sides = []
             if predicts:
                 with step_of(name, "predict"):
-                    sides = [predict(s, side.origins(s, show_progress), objects=True) for s in side.scenarios]
+                    sides = [predict(s, side.origins(s), objects=True) for s in side.scenarios]
             with step_of(name, "compare" if predicts else "summarise", predicts):
-                return _report(side, sides, show_progress)
+                return _report(side, sides)
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
@@ -97,7 +91,7 @@ def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextM
     return step(campaign, steps.index(what) + 1, len(steps), what)
 
 
-def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progress: bool | None) -> Run:
+def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
     """What both sides say, compared and judged; what the collection says where nothing was predicted."""
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
     more: dict[str, Any] = {"kind": "Collection of campaign"}
@@ -108,7 +102,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts], show_progre
         deciding = undecided(side, rows, prediction)
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
-        rows += reasons(side, prediction, show_progress=show_progress)
+        rows += reasons(side, prediction)
         more = {"kind": "Campaign", "deciding": deciding}
     else:
         rows = list(product_rows(observed.observation, "observed"))
@@ -188,14 +182,15 @@ def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> 
     return [(row, words) for row, words in found if words]
 
 
+@bars(False)
 def undecided_by(job: Job) -> list[tuple[Result, str]]:
     """Those of a campaign whose collection takes no time to look at."""
-    with collected(job, show_progress=False) as side:
-        prediction = predicted_side(side, [predict(s, side.origins(s, False)) for s in side.scenarios])
+    with collected(job) as side:
+        prediction = predicted_side(side, [predict(s, side.origins(s)) for s in side.scenarios])
         return undecided(side, outcomes(side, prediction), prediction)
 
 
-def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bool | None = None) -> list[Result]:
+def reasons(side: Collected, prediction: PredictedProducts) -> list[Result]:
     """Why the two sides differ: rows of the model asked again with inputs moved, and of the what-ifs.
 
     None where the campaign does not ask for them; ``prediction`` as it was compared.
@@ -204,19 +199,19 @@ def reasons(side: Collected, prediction: PredictedProducts, *, show_progress: bo
         return []
     accepted = accepted_table(side.campaign.name, side.inputs.base)
     return attribute(
-        scenario_model(side, show_progress), side.observed.observation, worlds_of(side, show_progress),
-        side.campaign.attribution, budgeted=prediction, show_progress=show_progress,
+        scenario_model(side), side.observed.observation, worlds_of(side), side.campaign.attribution,
+        budgeted=prediction,
         accepted=accepted.reasons.sides if accepted and accepted.reasons else {},
         simulated=bool(side.campaign.simulated),
     )  # fmt: skip
 
 
-def worlds_of(side: Collected, show_progress: bool | None) -> list[World]:
+def worlds_of(side: Collected) -> list[World]:
     """What each scenario states."""
-    return [read(scenario, side.origins(scenario, show_progress)) for scenario in side.scenarios]
+    return [read(scenario, side.origins(scenario)) for scenario in side.scenarios]
 
 
-def scenario_model(side: Collected, show_progress: bool | None) -> ScenarioModel:
+def scenario_model(side: Collected) -> ScenarioModel:
     """The scenarios of a campaign, to be asked with something moved, and its collection, to be measured again."""
     observation = side.observed.observation
     # Where every object is one pixel, the scores of pixels say the same.
@@ -229,7 +224,7 @@ def scenario_model(side: Collected, show_progress: bool | None) -> ScenarioModel
         closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
         processing = scenario.processing.model_copy(update={"detectors": closed})
         lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
-        origins = replace(side.origins(scenario, show_progress), emulated_steps=not budgeted)
+        origins = replace(side.origins(scenario), emulated_steps=not budgeted)
         return predictions(lighter, truths, origins, objects=draws, object_curves=False)
 
     # Predicted once, however often nothing is moved in it; the scenario is kept, whose number another would get.
@@ -254,9 +249,7 @@ def scenario_model(side: Collected, show_progress: bool | None) -> ScenarioModel
         before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
             before = replace(before, place=before.place.mistaken(mistake), sampling={})
-        return observe_collection(
-            changed.collection, detection, side.inputs.resolve, before=before, show_progress=show_progress
-        ).observation
+        return observe_collection(changed.collection, detection, side.inputs.resolve, before=before).observation
 
     return ScenarioModel(side.scenarios, predicted, measured_again)
 
@@ -327,7 +320,6 @@ class CampaignRun(NamedTuple):
     folder: Path
     earlier: Path | None
     raises: bool
-    show_progress: bool | None = None
 
     def unchanged(self) -> Run | None:
         """The report of a campaign that stands whole, without its arrays; what does not is removed.
@@ -353,7 +345,7 @@ class CampaignRun(NamedTuple):
     def run(self) -> Done:
         """Run it into its folder; its report without the arrays, and the exit code of the error that stopped it."""
         try:
-            run, code = run_campaign(self.job, show_progress=self.show_progress), None
+            run, code = run_campaign(self.job), None
         except Exception as error:  # one broken campaign must not hide what the others say
             if self.raises:
                 raise
@@ -367,7 +359,7 @@ class CampaignRun(NamedTuple):
 
     def written(self, run: Run, code: int | None) -> Done:
         """Write its folder, and what it was made of where nothing was skipped or went wrong."""
-        with step_of(run.campaign, "report"), working("figures and report", show=self.show_progress):
+        with step_of(run.campaign, "report"), working("figures and report"):
             write_outputs(run, self.folder)
         if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
             write_record(self.job, run, self.folder)
@@ -404,11 +396,9 @@ def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callabl
     left = [i for i in range(len(pieces)) if i not in done]
     with workers(worker_count(len(left)), scheduler if left else None) as where:
         here = where.executor is None  # one after the other, each with its own bars
-        show = pieces[0].show_progress
-        handed = [pieces[i] if here else pieces[i]._replace(show_progress=False) for i in left]
-        results = in_order(where, CampaignRun.run, handed, ahead=max(1, len(left)))
+        results = in_order(where, CampaignRun.run, [pieces[i] for i in left], ahead=max(1, len(left)))
         try:
-            done |= zip(left, track(results, "campaigns", len(left), show=False if here else show), strict=False)
+            done |= zip(left, track(results, "campaigns", len(left), show=False if here else None), strict=False)
         except WorkersLostError as error:  # the campaigns whose results are not there yet
             done |= {i: pieces[i].failed(error) for i in left if i not in done}
     return [done[i] for i in range(len(pieces))]
@@ -422,7 +412,6 @@ def validate(
     strict: bool = False,
     again: bool = False,
     tell: Callable[[str], None] = lambda _: None,
-    show_progress: bool | None = None,
 ) -> int:
     """Predict, observe and compare every campaign; write one folder, or one for each and an index.
 
@@ -446,11 +435,11 @@ def validate(
     with whole_folder(output) as folder:
         earlier = None if again else output.resolve()
         if len(jobs) == 1:
-            done = _run_all([CampaignRun(jobs[0], folder, earlier, True, show_progress)], None, tell)
+            done = _run_all([CampaignRun(jobs[0], folder, earlier, True)], None, tell)
             return done[0][0].table.exit_code(strict=strict)
         kept, names = partial_folder(output) / "campaigns", [job.outline.name for job in jobs]
         pieces = [
-            CampaignRun(job, kept / name, earlier / name if earlier else None, False, show_progress)
+            CampaignRun(job, kept / name, earlier / name if earlier else None, False)
             for job, name in zip(jobs, names, strict=True)
         ]
         done = _run_all(pieces, scheduler, tell)
@@ -464,9 +453,7 @@ def validate(
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
 
 
-def observe(
-    path: Path, output: Path, *, write_reflectance: Form | None = None, show_progress: bool | None = None
-) -> int:
+def observe(path: Path, output: Path, *, write_reflectance: Form | None = None) -> int:
     """Run the empirical pipeline alone and write what the collection says.
 
     Parameters
@@ -484,12 +471,11 @@ def observe(
         def cube(observed: Observed) -> None:
             if observed.place is not None and write_reflectance:
                 written = reflectance_cube(
-                    folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance,
-                    show_progress=show_progress,
-                )  # fmt: skip
+                    folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance
+                )
                 notes.append(written[1])
 
-        run = run_campaign(job, predicts=False, show_progress=show_progress, with_observed=cube)
-        with step_of(run.campaign, "report", predicts=False), working("figures and report", show=show_progress):
+        run = run_campaign(job, predicts=False, with_observed=cube)
+        with step_of(run.campaign, "report", predicts=False), working("figures and report"):
             write_outputs(replace(run, notes=[*run.notes, *notes]), folder)
     return 0

@@ -127,7 +127,7 @@ class Detected:
     notes: tuple[str, ...] = ()
 
 
-def detect(place: Place, detection: Detection, resolve: Resolve, *, show_progress: bool | None = None) -> Detected:
+def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
     """Score the image with every detector and target, and count what is found.
 
     Parameters
@@ -146,7 +146,7 @@ def detect(place: Place, detection: Detection, resolve: Resolve, *, show_progres
         for name in detection.detectors
         if bank.detectors[map_name(t.name, name)].image is not None
     }
-    maps, notes = _score_maps(place, detection, bank, scenes, show_progress)
+    maps, notes = _score_maps(place, detection, bank, scenes)
     curves, outlined = _Curves(place, detection, bank), dict[str, dict[str, TargetObject]]()
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
@@ -272,12 +272,12 @@ def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.Im
 
 
 def _score_maps(
-    place: Place, detection: Detection, bank: FilterBank, scenes: Mapping[str, px.ImageTruth], show: bool | None
+    place: Place, detection: Detection, bank: FilterBank, scenes: Mapping[str, px.ImageTruth]
 ) -> tuple[dict[str, Array], list[str]]:
     """Score (lines, samples) by the keys of the bank, and what is to be said of it."""
     cube, local, line = place.cube, detection.local_window, place.line
     whitener = None if bank.background is None else px.whitener_of(*bank.background)
-    watch = watch_lines("scores", cube.bytes_per_line, cube.lines, show=show)
+    watch = watch_lines("scores", cube.bytes_per_line, cube.lines)
     common: dict[str, Any] = {"needed": cube.axis.good, "watch": watch}
     if local is None or whitener is None:
         maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=whitener, scenes=scenes, **common)
@@ -542,9 +542,7 @@ class _Footprints(NamedTuple):
     ring: int
 
 
-def unmix(
-    place: Place, detection: Detection, task: Unmixing, bands: Mask, resolve: Resolve, *, show: bool | None = None
-) -> Unmixed:
+def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resolve: Resolve) -> Unmixed:
     """Area of every target object from the sum of its abundances over the pixels that may hold a part of it.
 
     The uncertainty is the spread of the same sum over footprints laid at random on the background, which have
@@ -566,7 +564,7 @@ def unmix(
     footprints: dict[str, _Footprints] = {}
     areas: dict[tuple[str, str], Abundance] = {}
     subjects: list[UnmixedSubject] = []
-    for item in track(task.targets, "unmixing", show=show):
+    for item in track(task.targets, "unmixing"):
         target, whole = targets[item.target], sources.spectrum(targets[item.target].spectrum, item.target).mean
         # What the scenario's population is called that stands for each subject.
         stands = target.model_copy(update={"name": item.scenario_target or item.target})

@@ -85,7 +85,6 @@ def observe(
     *,
     classification: Classification | None = None,
     before: Observed | None = None,
-    show_progress: bool | None = None,
 ) -> Observed:
     """Measure what a collection holds.
 
@@ -105,18 +104,18 @@ def observe(
         return Observed(sites.observe_radcalnet(collection.radcalnet, resolve))
     if collection.spectra:
         return Observed(sites.observe_spectra(collection, resolve))
-    place = (before and before.place) or open_place(collection, resolve, show_progress=show_progress)
+    place = (before and before.place) or open_place(collection, resolve)
     cube = place.cube
     masks, populations = _labels(place, detection)
     kept = {} if before is None else before.sampling
     tails = {} if before is None else before.observation.distribution
     known = {n for n in kept if before and n in masks and np.array_equal(before.masks[n], masks[n])}
     sites.refuse_saturated(collection.empirical_line, masks, place)
-    watch = watch_lines("statistics", cube.bytes_per_line, cube.lines, show=show_progress)
+    watch = watch_lines("statistics", cube.bytes_per_line, cube.lines)
     measured = px.region_statistics(cube, masks, watch=watch)
     sampling = {
         n: kept[n] if n in known else _sampling_error(place, masks[n], measured[n])
-        for n in track([*place.regions, *populations], "sampling", show=show_progress)
+        for n in track([*place.regions, *populations], "sampling")
     }
     place = replace(place, statistics=measured)
     line = place.line or sites.empirical_line(collection.empirical_line, place, sampling, resolve)
@@ -125,15 +124,15 @@ def observe(
     if detection is not None:
         if detection.targets:  # anomalies are the same in radiance
             check_line_for_detection(place, collection)
-        detected = detect(place, detection, resolve, show_progress=show_progress)
+        detected = detect(place, detection, resolve)
         if detection.unmixing is not None:
-            unmixed = unmix(place, detection, detection.unmixing, detected.bank.bands, resolve, show=show_progress)
+            unmixed = unmix(place, detection, detection.unmixing, detected.bank.bands, resolve)
     products: dict[str, Any] = _spectra(place, collection, sampling, resolve)
     products |= {kind: dict(found) for kind, found in detected.products.items()} if detected else {}
     if unmixed is not None:
         products["abundance"] |= unmixed.areas
     distribution = {name: d for name, d in tails.items() if name in known}
-    for name in track([n for n in place.regions if n not in known], "tails", show=show_progress):
+    for name in track([n for n in place.regions if n not in known], "tails"):
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
     snr = {name: px.snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}

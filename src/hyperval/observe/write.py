@@ -37,9 +37,7 @@ _CACHE_MB = 64
 Write = Callable[[Stored], None]  # appends lines (lines, samples, B) in order
 
 
-def write_reflectance(
-    folder: Path, name: str, cube: Cube, elm: EmpiricalLine | None, form: Form, *, show_progress: bool | None = None
-) -> tuple[Path, str]:
+def write_reflectance(folder: Path, name: str, cube: Cube, elm: EmpiricalLine | None, form: Form) -> tuple[Path, str]:
     """Write (L - b)/k of every pixel as 16-bit integers of 1e-4; line by line, whole or not at all.
 
     No data stands where the pixel has none, in bands in which the line has no gain (marked bad), and where the
@@ -62,7 +60,7 @@ def write_reflectance(
     axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & elm.usable)
     what = f"reflectance by the empirical line through {', '.join(elm.names)}; stored value = {SCALE} x reflectance"
     path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"
-    watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines, show=show_progress)
+    watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines)
     outside = 0
     with _envi(path, cube, axis, what) if form == "envi" else _cog(path, cube, axis, what) as write:
         for _, (block, misfits) in watch(_blocks(cube, elm, axis.good)):

@@ -729,7 +729,7 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         rows = detector_rows(collection.observed, chosen, seed=seed)
         rows += peer_rows(collection.observed, chosen.campaign.detection)
         if chosen.campaign.detection is not None:
-            origins = ((scenario, collection.origins(scenario, None)) for scenario in collection.scenarios)
+            origins = ((scenario, collection.origins(scenario)) for scenario in collection.scenarios)
             rows += (row for one in origins for row in side_rows(predict(*one), "predicted"))
         observation, detection = collection.observed.observation, chosen.campaign.detection
         about = {"campaign": chosen.campaign}

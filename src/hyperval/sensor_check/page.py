@@ -332,14 +332,12 @@ def _sections(rows: Sequence[Result], drawn: Sequence[Figure]) -> list[dict[str,
     ]
 
 
-def check_to_folder(
-    name_or_file: str, output: Path | None, *, vary: float = 0.2, show_progress: bool | None = None
-) -> SensorCheck:
+def check_to_folder(name_or_file: str, output: Path | None, *, vary: float = 0.2) -> SensorCheck:
     """Run the acceptance suite and, where ``output`` is given, write its datasheet into that folder."""
     if output is None:
-        return check_sensor(name_or_file, vary=vary, show_progress=show_progress)
+        return check_sensor(name_or_file, vary=vary)
     with whole_folder(output) as folder:
-        check = check_sensor(name_or_file, vary=vary, show_progress=show_progress)
+        check = check_sensor(name_or_file, vary=vary)
         write_check(check, folder, name_or_file)
     return check
 

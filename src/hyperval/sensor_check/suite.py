@@ -252,7 +252,6 @@ class SensorCheck:
     sensor: Sensor
     vary: float = 0.2
     engine: Engine | None = None
-    show_progress: bool | None = None
     table: ResultTable = field(default_factory=ResultTable)
     usable: bool = True
     known: Mapping[str, str] = field(default_factory=dict)
@@ -342,7 +341,7 @@ class SensorCheck:
             (name, said) for name, said in movable(self.sensor.specification).items() if "assumed" in said.lower()
         ]
         swings = []
-        for name, source in track(assumed, "assumed numbers", show=self.show_progress):
+        for name, source in track(assumed, "assumed numbers"):
             factors = 1.0 - self.vary, 1.0 + self.vary
             swings.append(Swing(name, source, *zip(*(self._changes({name: f}) for f in factors), strict=True)))
         return sorted(swings, key=lambda s: -max(abs(v) for v in s.snr))
@@ -449,13 +448,7 @@ TOLERANCE = next(line.high for line in CHECKS if (line.measure, line.of) == ("pu
 _LEFT_OUT = ("noise", "saturation", "monotone", "published_snr", "scenario", "sensitivity")
 
 
-def check_sensor(
-    sensor: Sensor | str | Path,
-    *,
-    vary: float = 0.2,
-    engine: Engine | None = None,
-    show_progress: bool | None = None,
-) -> SensorCheck:
+def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engine | None = None) -> SensorCheck:
     """Run the acceptance suite on a sensor of the library, a sensor file, or a sensor.
 
     Parameters
@@ -471,7 +464,7 @@ def check_sensor(
     """
     own = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
     known = {item.check: item.reason for item in own.specification.known_discrepancies}
-    check, failed = SensorCheck(own, vary, engine, show_progress, known=known), 0
+    check, failed = SensorCheck(own, vary, engine, known=known), 0
     for line in CHECKS:
         if not check.usable and line.stage > failed:
             break

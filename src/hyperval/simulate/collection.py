@@ -285,7 +285,7 @@ MAX_CUBE_BYTES = 64 << 30
 MAX_MAP_PIXELS = 1 << 26  # each pixel of the maps held in memory takes up to 40 bytes
 
 
-def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | None = None) -> int:
+def simulate_to_folder(scene_yaml: Path, output: Path) -> int:
     """Simulate a scene file into ``output``, whose earlier files are replaced whole; returns the exit code 0.
 
     Raises
@@ -294,17 +294,11 @@ def simulate_to_folder(scene_yaml: Path, output: Path, *, show_progress: bool | 
     InputError : no such scene file.
     """
     with whole_folder(output, COLLECTION) as folder:
-        simulate(scene_yaml, folder, show_progress=show_progress)
+        simulate(scene_yaml, folder)
     return 0
 
 
-def simulate(
-    scene: SceneFile | Path | str,
-    folder: Path,
-    *,
-    inputs: SimulationInputs | None = None,
-    show_progress: bool | None = None,
-) -> dict[str, Any]:
+def simulate(scene: SceneFile | Path | str, folder: Path, *, inputs: SimulationInputs | None = None) -> dict[str, Any]:
     """Simulate a scene, or the scene file of that name, into an existing or new ``folder``.
 
     Returned are paths: ``folder``, ``cube`` (at-sensor radiance, ENVI BIL int16, header beside it), and the truth as
@@ -330,10 +324,10 @@ def simulate(
     ground = lay_out(scene)
     masks = regions(scene, ground)
     renderer = SurfaceRenderer(scene, ground, inputs.classes)
-    average, dark = average_reflectance(renderer, show=show_progress)
+    average, dark = average_reflectance(renderer)
     chain = detector(inputs, average, scene.counts_per_radiance)
     files = {part: folder / name.format(scene.name) for part, name in FILES.items()}
-    saturated = _write_cube(files["cube"], scene, inputs, renderer, chain, show_progress)
+    saturated = _write_cube(files["cube"], scene, inputs, renderer, chain)
     write_regions(files["regions"], scene, masks)
     write_targets(files["targets"], scene, ground)
     write_panel_spectra(files["panel_spectra"], scene)
@@ -354,7 +348,7 @@ def simulate(
     return {"folder": folder, **files, "average_reflectance": average}
 
 
-def average_reflectance(renderer: SurfaceRenderer, *, show: bool | None = None) -> tuple[Array, float]:
+def average_reflectance(renderer: SurfaceRenderer) -> tuple[Array, float]:
     """Area average (B,) of what the scene reflects, by rendering every line once.
 
     Also the share of drawn reflectances below 0, which a Gaussian law does not exclude.
@@ -365,7 +359,7 @@ def average_reflectance(renderer: SurfaceRenderer, *, show: bool | None = None) 
         return rho.sum(axis=0, dtype=np.float64), int(np.count_nonzero(rho < 0.0))
 
     scene, total, negative = renderer.scene, np.zeros(renderer.bands), 0
-    for part, count in _line_by_line(totals, scene, "average reflectance", show):
+    for part, count in _line_by_line(totals, scene, "average reflectance"):
         total += part
         negative += count
     pixels = scene.lines * scene.samples
@@ -378,7 +372,6 @@ def _write_cube(
     inputs: SimulationInputs,
     renderer: SurfaceRenderer,
     chain: Detector,
-    show: bool | None,
 ) -> float:
     """Write the cube; returns the share of samples beyond the detector's full scale."""
 
@@ -417,7 +410,7 @@ def _write_cube(
         },
     ) as writer:
         saturated = 0
-        for values, count in _line_by_line(stored, scene, "cube", show):
+        for values, count in _line_by_line(stored, scene, "cube"):
             writer.write(values[None])
             saturated += count
     return saturated / (scene.lines * scene.samples * len(axis))
@@ -456,8 +449,8 @@ def _check_size(scene: SceneFile, bands: int) -> None:
         raise refusal("scene.large", scene.name, **size, most=MAX_MAP_PIXELS, gib=MAX_CUBE_BYTES >> 30)
 
 
-def _line_by_line(work: Callable[[int], T], scene: SceneFile, words: str, show: bool | None) -> Iterator[T]:
+def _line_by_line(work: Callable[[int], T], scene: SceneFile, words: str) -> Iterator[T]:
     """Results of ``work`` in the order of the lines, a few ahead at a time so that memory stays bounded."""
     with single_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:  # the limit belongs to the process
         done = in_order(pool, work, range(scene.lines), ahead=4 * WORKERS)
-        yield from track(done, words, scene.lines, show=show)
+        yield from track(done, words, scene.lines)

@@ -250,7 +250,7 @@ class Plan:
     log: InputLog
 
 
-def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
+def plan_study(study: StudyFile) -> Plan:
     """Check a study against its scenario and run its atmosphere.
 
     Raises
@@ -273,7 +273,7 @@ def plan_study(study: StudyFile, *, show_progress: bool | None = None) -> Plan:
         scenario = with_settings(scenario, {f"atmosphere.{key}": value for key, value in entries.items()})
     world = read(scenario, Origins(resolve=log.resolve, show_progress=False), nodes=nodes)
     try_values(study, world)
-    world.stated.atmosphere.prepare(states, show_progress)
+    world.stated.atmosphere.prepare(states, None)
     check_outputs(study.outputs, scenario, world.stated.axis)
     sky_error = _sky_error(study, world) if nodes else {}
     return Plan(study, scenario, world, tuple(_notes(study, world, sky_error)), sky_error, log)

@@ -22,7 +22,7 @@ from hyperval.data import LINEAR_DETECTORS, Array
 from hyperval.errors import UsageError
 from hyperval.executors import Parcel, Workers, in_order, opened, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
-from hyperval.model import Origins, predict
+from hyperval.model import predict
 from hyperval.progress import track
 from hyperval.run import Run, harmless
 from hyperval.storage import partial_folder, whole_folder, write_text
@@ -43,7 +43,6 @@ def study_to_folder(
     *,
     executor: Executor | Workers | None = None,
     scheduler: str | None = None,
-    show_progress: bool | None = None,
 ) -> int:
     """Evaluate every point of a study and write the folder of results.
 
@@ -64,7 +63,7 @@ def study_to_folder(
     UsageError, InputError, EngineError : a study, scenario or file that is not right; nothing is written.
     """
     with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
-        plan = plan_study(load_study(Path(path)), show_progress=show_progress)
+        plan = plan_study(load_study(Path(path)))
         # Points evaluated and kept at once: by the study alone, as the last digits follow from the chunks.
         chunk = int(np.clip(-(-plan.study.count // _CHUNKS), _SMALLEST, _LARGEST))
         store = PointStore(partial_folder(Path(output)), identity(plan, chunk))
@@ -74,10 +73,10 @@ def study_to_folder(
         count = 1 if linear and left <= _HERE else worker_count(-(-left // chunk) or 1)
         with ExitStack() as stack:
             where = executor or stack.enter_context(workers(count, scheduler))
-            evaluate_into(store, plan, where, chunk, show_progress)
+            evaluate_into(store, plan, where, chunk)
         reasons = {point: text for _, own in store.chunks for point, text in own.items()}
         table = table_of(plan.study, np.concatenate([values for values, _ in store.chunks]), reasons)
-        _write(plan, table, folder, show_progress)
+        _write(plan, table, folder)
     store.remove()
     return 0
 
@@ -95,9 +94,7 @@ def identity(plan: Plan, chunk: int) -> str:
     return json.dumps(inner, indent=1, sort_keys=True, default=str) + "\n"
 
 
-def evaluate_into(
-    store: PointStore, plan: Plan, where: Executor | Workers, chunk: int, show_progress: bool | None = None
-) -> None:
+def evaluate_into(store: PointStore, plan: Plan, where: Executor | Workers, chunk: int) -> None:
     """Evaluate what is not finished yet and append it, in the order of the points."""
     count, first = plan.study.count, len(store)
     if first >= count:
@@ -105,7 +102,7 @@ def evaluate_into(
     words = f"{count:,} points" if not first else f"{count:,} points, from {first:,} on"
     with parcel(where, plan) as packed:
         pieces = [(packed, start, min(start + chunk, count)) for start in range(first, count, chunk)]
-        for values, reasons in track(in_order(where, run_chunk, pieces), words, len(pieces), show=show_progress):
+        for values, reasons in track(in_order(where, run_chunk, pieces), words, len(pieces)):
             store.append(values, reasons)
 
 
@@ -129,9 +126,9 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     return np.concatenate(parts), reasons
 
 
-def _write(plan: Plan, table: pd.DataFrame, folder: Path, show_progress: bool | None) -> None:
+def _write(plan: Plan, table: pd.DataFrame, folder: Path) -> None:
     study = plan.study
-    prediction = predict(plan.scenario, Origins(show_progress=show_progress))
+    prediction = predict(plan.scenario)
     names = write_tables(study, table, folder)
     knees = knees_of(study, table)
     rows = result_rows(plan, table, knees)
