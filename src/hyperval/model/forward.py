@@ -699,10 +699,10 @@ def predict(
     source = origins or Origins()
     world = settled(with_truths(read(scenario, source), [truth or {}]))[0][1]
     world = replace(world, stated=replace(world.stated, before=None))
-    inputs, errors, lit = inputs_of(world), spectrum_errors(world), scenario.atmosphere is not None
-    linear = [i for i in inputs if lit or not i.of_light]
+    inputs = inputs_of(world)
+    linear = [i for i in inputs if scenario.atmosphere is not None or not i.of_light]
     of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
-    products, changes = _prediction(world, of_spectra, errors, linear, objects, object_curves, source, truth or {})
+    products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
     return with_uncertainty(products, world, inputs if truth is None else [], changes, _predictions)
 
 
@@ -731,7 +731,7 @@ def _predictions(
 ) -> Iterator[PredictedProducts]:
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
     world = replace(world, stated=replace(world.stated, scenario=certain, kept={}))
-    waiting, errors = iter(truths), spectrum_errors(world)
+    waiting, errors = iter(truths), spectrum_errors(inputs_of(world))
     while some := list(islice(waiting, _TOGETHER)):
         out: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, some), errors):
@@ -746,13 +746,13 @@ def _predictions(
 
 
 def _prediction(
-    world: World, of_spectra: SpectralErrors, errors: Mapping[str, Array], inputs: Sequence[UncertainInput],
-    objects: bool | int, object_curves: bool, origins: Origins, truth: Truth,
+    world: World, of_spectra: SpectralErrors, inputs: Sequence[UncertainInput], objects: bool | int,
+    object_curves: bool, origins: Origins, truth: Truth,
 ) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
     """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
     input; of the targets' field spectra for the one that their filter looks along.
     """
-    stated = world.stated
+    stated, errors = world.stated, spectrum_errors(inputs)
     light = [i for i in inputs if i.of_light and i.kind != "engine"]
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
     others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]

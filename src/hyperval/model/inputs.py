@@ -279,14 +279,14 @@ def spectrum_inputs(world: World) -> list[UncertainInput]:
     return inputs
 
 
-def spectrum_errors(world: World) -> dict[str, Array]:
-    """Subject -> (K, B) directions of the error of its field spectrum.
+def spectrum_errors(inputs: Iterable[UncertainInput]) -> dict[str, Array]:
+    """Subject -> (K, B) directions of the error of its field spectrum, of those of the inputs that are one.
 
     What replicate spectra say of their own mean stands where the scenario does not say it of the subject; several
     entries of one subject are independent.
     """
     rows: dict[str, list[Array]] = {}
-    for item in spectrum_inputs(world):
+    for item in (item for item in inputs if item.kind == "surface"):
         rows.setdefault(item.subject, []).append(item.rows)
     return {subject: np.concatenate(each) for subject, each in rows.items()}
 
