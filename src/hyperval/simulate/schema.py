@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from hyperval.atmosphere.state import AtmosphericState
-from hyperval.config import Model, OneOf, load_model
+from hyperval.config import Model, OneOf, load_model, twice, unknown
 from hyperval.errors import reader
 
 PLACEMENT, TARGET_SPECTRA, FIELDS, SURFACE, NOISE, FIELD_SPECTRA = range(6)
@@ -40,10 +40,6 @@ class Area(Model):
 
     lines: Range
     samples: Range
-
-    def inside(self, lines: int, samples: int) -> bool:
-        """True when the whole rectangle lies in an image of this size."""
-        return self.lines[1] <= lines and self.samples[1] <= samples
 
 
 class PaintedArea(Area):
@@ -189,27 +185,25 @@ class SceneFile(Model):
     )
     broken: Broken = Broken()
 
-    @model_validator(mode="after")
-    def _consistent(self) -> SceneFile:
-        if (self.mode == "broken") == (self.broken == Broken()):
-            raise ValueError("mode 'broken' needs at least one option under 'broken'; mode 'closure' takes none")
-        surfaces = {a.surface for a in (*self.layout, *self.panels)}
-        for area in (*self.layout, *self.panels, *(g.area for g in self.targets)):
-            if not area.inside(self.lines, self.samples):
-                raise ValueError(
-                    f"lines {list(area.lines)}, samples {list(area.samples)} reach outside the image of "
-                    f"{self.lines} lines x {self.samples} samples"
-                )
-        named = [p.name for p in self.panels] + [r.name for r in self.regions]
-        for names, kind in ((named, "regions"), ([g.name for g in self.targets], "target groups")):
-            if len(set(names)) < len(names):
-                raise ValueError(f"two {kind} carry the same name")
-        hosts = [g.host for g in self.targets] + [r.surface for r in self.regions]
-        hosts += [a.host for a in self.broken.admixtures]
-        for name in hosts:
-            if name not in surfaces:
-                raise ValueError(f"the class {name!r} covers no area; the layout has {', '.join(sorted(surfaces))}")
-        return self
+    refused: ClassVar = {
+        "mode 'broken' needs at least one option under 'broken'; mode 'closure' takes none": lambda s: (
+            (s.mode == "broken") == (s.broken == Broken())
+        ),
+        "lines {}, samples {} reach outside the image of {} lines x {} samples": lambda s: next(
+            (
+                [list(area.lines), list(area.samples), s.lines, s.samples]
+                for area in (*s.layout, *s.panels, *(g.area for g in s.targets))
+                if area.lines[1] > s.lines or area.samples[1] > s.samples
+            ),
+            [],
+        ),
+        "two regions carry the same name": lambda s: twice(r.name for r in (*s.panels, *s.regions)),
+        "two target groups carry the same name": lambda s: twice(g.name for g in s.targets),
+        "the class {!r} covers no area; the layout has {}": lambda s: unknown(
+            [*(g.host for g in s.targets), *(r.surface for r in s.regions), *(a.host for a in s.broken.admixtures)],
+            sorted(s.surfaces()),
+        ),
+    }
 
     def surfaces(self) -> list[str]:
         """Names of the classes that cover ground, in the order they are first painted."""
