@@ -175,20 +175,14 @@ def check(
     """Run campaigns and sensors, and compare with what was accepted."""
     if baselines is not None and not baselines.is_dir():
         raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
-    runs = baseline.check(
-        campaigns or [],
-        sensors or [],
-        baselines=baselines or baseline.DEFAULT_FOLDER,
-        source=source,
-        output=output,
-        junit=junit,
-    )
+    folder = baselines or baseline.DEFAULT_FOLDER
+    runs = baseline.check(campaigns or [], sensors or [], baselines=folder, source=source, output=output, junit=junit)
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
     compared = [row for run in runs if run.before for row in run.rows if everything or row.reason]
     print_table(header, list(map(_cells, compared)))
     skipped: dict[str, list[str]] = {}
     for run in runs:
-        _tell(run, baselines or baseline.DEFAULT_FOLDER)
+        _tell(run, folder)
         if run.skipped is not None:
             skipped.setdefault(run.skipped, []).append(run.owner)
     for reason, owners in skipped.items():
@@ -246,13 +240,7 @@ def baseline_accept(
 ) -> int:
     """Take the numbers of a run as those that later runs must give; prints what changes."""
     folder = baselines or baseline.DEFAULT_FOLDER
-    runs = baseline.accept(
-        campaigns or [],
-        sensors or [],
-        reason=reason,
-        baselines=folder,
-        source=source,
-    )
+    runs = baseline.accept(campaigns or [], sensors or [], reason=reason, baselines=folder, source=source)
     header = ("where", "metric", "accepted before", "accepted now")
     print_table(header, [(r.owner, key, _in_words(old), _in_words(new)) for r in runs for key, old, new in r.changes])
     for run in runs:
@@ -482,8 +470,7 @@ def study(
     """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
     from hyperval.study.run import study_to_folder
 
-    code = study_to_folder(study_file, output, scheduler=scheduler)
-    return finished(code, output)
+    return finished(study_to_folder(study_file, output, scheduler=scheduler), output)
 
 
 @command("benchmark campaigns/*/campaign.yaml -o ranks", "benchmark campaign.yaml --scores net=net.npy -o ranks")
@@ -506,14 +493,8 @@ def benchmark(
     """Rank all detectors on every campaign."""
     if wrong := [one for one in scores or () if not all(one.partition("="))]:
         raise UsageError(f"--scores {wrong[0]}", expected="NAME=FILE, such as --scores net=net.npy")
-    code = scoreboard.benchmark(
-        campaigns,
-        output,
-        extensions=extend or [],
-        scores=dict(one.split("=", 1) for one in scores or ()),
-        seed=seed,
-        scheduler=scheduler,
-    )
+    maps, own = dict(one.split("=", 1) for one in scores or ()), extend or []
+    code = scoreboard.benchmark(campaigns, output, extensions=own, scores=maps, seed=seed, scheduler=scheduler)
     return finished(code, output)
 
 
@@ -591,9 +572,7 @@ def validate(
     from hyperval.run import JUNIT
     from hyperval.storage import write_text
 
-    code = campaign.validate(
-        campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note,
-    )  # fmt: skip
+    code = campaign.validate(campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note)
     if junit is not None:
         write_text(junit, (output / JUNIT).read_text("utf-8"))
     finished(code, output)
@@ -718,8 +697,6 @@ def serve(
     ] = False,
 ) -> int:
     """Serve the web application, to browsers of this machine by default."""
-    for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(variable, "1")  # the workers share the processors
     import platformdirs
 
     place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
