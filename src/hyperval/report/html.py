@@ -114,6 +114,13 @@ def matrix_of(
     return {"columns": [_COMPARED.get(p, p) for p in columns], "lines": lines}
 
 
+def _matrices(run: Run, rows: Sequence[Result], *options: Callable[..., str]) -> list[tuple[str, Mapping[str, Any]]]:
+    """The matrices of rows by what moves them, each with its heading, as a page of ``run`` parts them."""
+    parts = _NUMBERS if run.sentence else _MATRICES
+    made = ((title, matrix_of([r for r in rows if r.evidence in kinds], *options)) for title, kinds in parts)
+    return [(title, matrix) for title, matrix in made if matrix is not None]
+
+
 def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     """The worst outcome of criteria, or of what is informational where there is none; how many rows have each.
 
@@ -206,12 +213,6 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     shown = same_background_once(rows)
     sections = _sections(drawings, folded, shown)
     compared = [row for row in shown if row.product not in _REASONS]
-    matrices = []
-    for title, kinds in _NUMBERS if run.sentence else _MATRICES:
-        own = [row for row in compared if row.evidence in kinds]
-        matrix = matrix_of(own, lambda r: r.subject, _link)
-        if matrix is not None:
-            matrices.append((title, matrix))
     return page(
         "report.html.j2", statements,
         run=run,
@@ -224,7 +225,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         stale=stale,
         gated=any(row.gates for row in rows),
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
-        matrices=matrices,
+        matrices=_matrices(run, compared, lambda r: r.subject, _link),
         per_band=sum(row.per_band for row in rows),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
@@ -283,16 +284,13 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
             page = f"{folders[name]}/report.html"
             return f"{page}#{anchor(cell[0])}" if cell else page
 
-        matrices = [
-            (kind_title, matrix_of([r for r in rows if r.evidence in kinds], lambda r: r.campaign, link))
-            for kind_title, kinds in (_NUMBERS if own[0].sentence else _MATRICES)
-        ]
+        matrices = _matrices(own[0], rows, lambda r: r.campaign, link)
         entries = [(run, v.first_screen(list(run.table)), f"{folders[run.campaign]}/report.html") for run in own]
         together = [row for run in own for row in run.table]
         screen, sentence = v.first_screen(together), ""
         if own[0].sentence:
             sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
-        groups.append((heading, screen, sentence, [m for m in matrices if m[1] is not None], entries))
+        groups.append((heading, screen, sentence, matrices, entries))
     remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
     absent = [
         (remedy, [(run, f"{folders[run.campaign]}/report.html") for run in runs if run.remedy == remedy])

@@ -34,7 +34,7 @@ from hyperval.products import ObservedProducts, PredictedProducts, SpectralEstim
 from hyperval.run import file_stems, read_pair
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
-from hyperval.simulate import load_inputs, load_scene, simulate
+from hyperval.simulate import simulate
 from hyperval.storage import write_text
 from hyperval.study import live, piece, study_to_folder
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
@@ -243,11 +243,10 @@ def _collection(path: str) -> tuple[CollectionSection, CubeSource, InputLog]:
 def collection(folder: str, path: str) -> None:
     """Make the simulated collection of a campaign again, as its seed says, and keep it beside the run."""
     stated, _, inputs = _collection(path)
-    file = inputs.resolve(str(stated.simulate))
-    scene, part = load_scene(file), Path(folder) / "collection.part"
+    part = Path(folder) / "collection.part"
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir()
-    simulate(scene, part, inputs=load_inputs(scene, file.parent))
+    simulate(inputs.resolve(str(stated.simulate)), part)
     part.replace(Path(folder) / COLLECTION)
 
 
