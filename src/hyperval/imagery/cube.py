@@ -313,9 +313,8 @@ def _checked(cube: Cube) -> Cube:
     values = values[np.nan_to_num(values).any(axis=1)]  # without fill
     known = np.isfinite(values)
     some = np.asarray(known.any(axis=0))
-    varies = np.where(known, values, -np.inf).max(axis=0, initial=-np.inf) > np.where(known, values, np.inf).min(
-        axis=0, initial=np.inf
-    )
+    highest = np.max(values, axis=0, where=known, initial=-np.inf)
+    varies = highest > np.min(values, axis=0, where=known, initial=np.inf)
     if len(values) >= _FEWEST_CHECKED and varies.any() and np.any(cube.axis.good & ~varies):
         axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & varies)
         numbers = ", ".join(str(n + 1) for n in cube.stored_band[~varies][:_MOST_LISTED])

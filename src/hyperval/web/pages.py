@@ -25,6 +25,7 @@ from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
 from hyperval.web.forms import Node
 from hyperval.web.refusal import FieldMistake, Refused
+from hyperval.web.store import Runs
 
 
 class Problems(BaseModel):
@@ -61,10 +62,16 @@ def owner_of(request: Request) -> str:
     return str(request.scope["owner"])
 
 
+def store_of(request: Request) -> Runs:
+    """The runs of the server that was asked."""
+    runs: Runs = request.app.state.runs
+    return runs
+
+
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
     """A page of the application."""
     text = _environment().get_template(template).render(
-        version=hyperval.__version__, notices=request.app.state.runs.notices,
+        version=hyperval.__version__, notices=store_of(request).notices,
         place=request.url.path, **content,
     )  # fmt: skip
     return HTMLResponse(text, status_code=status)

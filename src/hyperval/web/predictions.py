@@ -44,10 +44,10 @@ from hyperval.web.forms import (
     scenario_form,
     yaml_text,
 )
-from hyperval.web.pages import api, form_parts, owner_of, page, pages
+from hyperval.web.pages import api, form_parts, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, answer_of, run, run_of
-from hyperval.web.store import Files, Runs, WebRun
+from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
 
 _WAIT_S = 5.0
@@ -72,7 +72,7 @@ def warm() -> None:
 @pages.get("/")
 def start(request: Request) -> Response:
     """What can be done here, and what was done last."""
-    runs = request.app.state.runs.of(owner_of(request))
+    runs = store_of(request).of(owner_of(request))
     missing = {name: needs(scenario) for name, scenario in predefined().items()}
     return page(request, "start.html.j2", scenarios=predefined(), missing=missing, runs=runs[:8])
 
@@ -111,7 +111,7 @@ def _posted(request: Request, given: dict[str, list[str]]) -> Response:
         ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, begun, to_show(refusal), 422)
-    request.app.state.runs.wait(ordered, _WAIT_S)
+    store_of(request).wait(ordered, _WAIT_S)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
 
@@ -126,8 +126,7 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     scenario = checked_scenario(data, own.names())
     text = yaml_text("scenario", plain(scenario))
     files: Files = {"scenario.yaml": text, **own.copies(text)}
-    runs: Runs = request.app.state.runs
-    return runs.order(own.owner, "prediction", scenario.name, scenario.title, files)
+    return store_of(request).order(own.owner, "prediction", scenario.name, scenario.title, files)
 
 
 def _file(request: Request, name: str) -> str:
@@ -140,7 +139,7 @@ def _file(request: Request, name: str) -> str:
     if name.startswith("run:"):
         if run_of(request, name[4:]).kind != "prediction":
             raise Refused(404, "this run is not a prediction")
-        return str(request.app.state.runs.place(name[4:]) / "scenario.yaml")
+        return str(store_of(request).place(name[4:]) / "scenario.yaml")
     if name not in predefined():
         raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
     return name if name in builtin_scenarios() else str(resources.files("hyperval.web") / "scenarios" / f"{name}.yaml")
@@ -323,7 +322,7 @@ def desk(request: Request) -> Response:
         o for o in ordered
         if o.slider and (o.group != "Target" or len(o.paths) > 1 or any(f"[{s}]" in o.key for s in trade.subject))
     ]  # fmt: skip
-    runs = request.app.state.runs.of(owner_of(request), "prediction")
+    runs = store_of(request).of(owner_of(request), "prediction")
     return page(
         request, "trade.html.j2", status=status, trade=trade, offers=offers, sliders=shown,
         errors=marked(mistakes, [mistake.field for mistake in mistakes]),
@@ -337,9 +336,7 @@ def desk(request: Request) -> Response:
 def live(request: Request) -> Response:
     """The ROC where the sliders stand, with its interval where that is asked for."""
     source, trade, _ = _asked(request, request.query_params)
-    told = request.app.state.runs.ask(
-        "trade_live", source=source, trade=trade, with_limits="limits" in request.query_params
-    )
+    told = store_of(request).ask("trade_live", source=source, trade=trade, with_limits="limits" in request.query_params)
     return JSONResponse(told)
 
 
@@ -347,7 +344,7 @@ def live(request: Request) -> Response:
 def curve(request: Request) -> Response:
     """The curve or map, a line of JSON for each piece."""
     source, trade, _ = _asked(request, request.query_params)
-    ask = request.app.state.runs.ask
+    ask = store_of(request).ask
 
     def pieces() -> Iterator[str]:
         number, before = 0, None
@@ -402,19 +399,18 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     ------
     Refused : what is wrong with it, or there is no room.
     """
-    own, state = Uploads(request), request.app.state
+    own = Uploads(request)
     try:
         study = StudyFile.model_validate(data)
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
     scenario = load_scenario(_source(request, study.scenario))
-    if mistakes := [*_of_size(study, state.settings.points), *_of_paths(study, scenario, own.names())]:
+    if mistakes := [*_of_size(study, request.app.state.settings.points), *_of_paths(study, scenario, own.names())]:
         raise Refused(422, mistakes)
     text = yaml_text("scenario", plain(scenario))
     asked = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
-    files = {"study.yaml": yaml_text("study", asked), "scenario.yaml": text, **own.copies(text)}
-    run: WebRun = state.runs.order(own.owner, "study", study.name, study.title, files)
-    return run
+    files: Files = {"study.yaml": yaml_text("study", asked), "scenario.yaml": text, **own.copies(text)}
+    return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 
 class StudyOrder(BaseModel):

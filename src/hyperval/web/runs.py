@@ -22,9 +22,9 @@ from hyperval.config import load_yaml
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
 from hyperval.web.forms import needs
-from hyperval.web.pages import api, owner_of, page, pages
+from hyperval.web.pages import api, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused
-from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, Runs, ServerSettings, WebRun, view_name
+from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name
 
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9_-][A-Za-z0-9_.@+-]{0,120}")
 _SOURCES = {"prediction": "scenario.yaml", "study": "study.yaml", "pipeline": "campaign.yaml"}
@@ -42,7 +42,7 @@ class RunAnswer(WebRun):
 
 def answer_of(request: Request, run: WebRun) -> RunAnswer:
     """A run as the API tells of it."""
-    store: Runs = request.app.state.runs
+    store = store_of(request)
     files = files_of(store.place(run.id), run)
     return RunAnswer(**run.model_dump(), **store.progress(run), files=files)
 
@@ -55,36 +55,34 @@ def run_of(request: Request, run_id: str) -> WebRun:
     Refused : there is none by that name, or it is another session's.
     """
     try:
-        run: WebRun = request.app.state.runs.run(run_id, owner_of(request))
+        return store_of(request).run(run_id, owner_of(request))
     except KeyError:
         raise Refused(404, "there is no such run in this session") from None
-    return run
 
 
 @pages.get("/runs")
 def runs_page(request: Request) -> Response:
     """Every run of this session."""
-    return page(request, "runs.html.j2", runs=request.app.state.runs.of(owner_of(request)))
+    return page(request, "runs.html.j2", runs=store_of(request).of(owner_of(request)))
 
 
 @api.get("/runs")
 def runs(request: Request) -> list[RunAnswer]:
     """Runs of this session, the latest first."""
-    return [answer_of(request, run) for run in request.app.state.runs.of(owner_of(request))]
+    return [answer_of(request, run) for run in store_of(request).of(owner_of(request))]
 
 
 @api.get("/runs/{run_id}")
 def run(request: Request, run_id: str, wait: float = Query(0.0, ge=0, le=60)) -> RunAnswer:
     """A run of this session; with ``wait`` once it has ended, or after so many seconds."""
-    request.app.state.runs.wait(run_of(request, run_id), wait)
+    store_of(request).wait(run_of(request, run_id), wait)
     return answer_of(request, run_of(request, run_id))
 
 
 @pages.get("/runs/{run_id}")
 def run_page(request: Request, run_id: str, beside: str | None = None) -> Response:
     """A run: its numbers and charts, or how far it is."""
-    run = run_of(request, run_id)
-    store: Runs = request.app.state.runs
+    run, store = run_of(request, run_id), store_of(request)
     other = run_of(request, beside) if beside else None
     others = [r for r in store.of(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
     files = files_of(store.place(run.id), run)
@@ -132,8 +130,7 @@ def charts(request: Request, run_id: str, beside: str | None = None) -> Response
     other = run_of(request, beside) if beside else None
     if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
         raise Refused(409, "charts are of predictions that have finished")
-    store: Runs = request.app.state.runs
-    name = view_name(f"charts-{other.id}" if other else "charts")
+    name, store = view_name(f"charts-{other.id}" if other else "charts"), store_of(request)
     path = store.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None)
     return FileResponse(path, media_type="application/json")
 
@@ -143,14 +140,14 @@ def charts(request: Request, run_id: str, beside: str | None = None) -> Response
 def file(request: Request, run_id: str, name: str) -> Response:
     """A file of a run, such as results.csv, products.nc or scenario.yaml."""
     run = run_of(request, run_id)  # the files of a prediction are written when the first is asked for
-    place = request.app.state.runs.place(run.id)
+    place = store_of(request).place(run.id)
     if not _NAME.fullmatch(name) or ".." in name:
         raise Refused(404, "this run has no such file")
     if name == "campaign.zip":
         raise Refused(410, "campaign.yaml stands in its place: the files that were sent go into collection/ beside it")
     path = place / name if name in _SOURCES.values() else place / "results" / name
     if path.parent != place and run.kind == "prediction":
-        request.app.state.runs.view(run, "files", "results/results.csv")
+        store_of(request).view(run, "files", "results/results.csv")
     # What a command wrote is reached by a link of the store's own; no other leads out of the run.
     if not path.is_file() or not any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results")):
         raise Refused(404, "this run has no such file")
@@ -168,14 +165,14 @@ def file(request: Request, run_id: str, name: str) -> Response:
 @pages.post("/runs/{run_id}/cancel")
 def run_cancel(request: Request, run_id: str) -> Response:
     """Call a run off."""
-    request.app.state.runs.cancel(run_of(request, run_id))
+    store_of(request).cancel(run_of(request, run_id))
     return RedirectResponse(f"/runs/{run_id}", status_code=303)
 
 
 @api.post("/runs/{run_id}/cancel")
 def cancel(request: Request, run_id: str) -> RunAnswer:
     """Call a run off."""
-    request.app.state.runs.cancel(run_of(request, run_id))
+    store_of(request).cancel(run_of(request, run_id))
     return run(request, run_id, 5.0)
 
 
@@ -194,7 +191,7 @@ def remove(request: Request, run_id: str) -> None:
         raise Refused(409, "it still runs: cancel it first")
     if run.owner == EVERYBODY:
         raise Refused(409, "a command made it, for everybody: its folder is removed on the server")
-    request.app.state.runs.remove(run.id)
+    store_of(request).remove(run.id)
 
 
 class CampaignAnswer(BaseModel):
@@ -222,7 +219,7 @@ def campaigns(request: Request) -> list[CampaignAnswer]:
 def known_campaigns(request: Request) -> dict[str, CampaignAnswer]:
     """Campaigns by name: those of the folder of campaigns, then those of this session."""
     out = {one.name: one for one in campaigns_of(request.app.state.settings)}
-    store: Runs = request.app.state.runs
+    store = store_of(request)
     for run in store.of(owner_of(request), "pipeline"):
         path = store.place(run.id) / "campaign.yaml"
         if run.state == "finished" and path.is_file():
@@ -255,7 +252,7 @@ def _read(path: Path, changed: int, size: int) -> tuple[CampaignAnswer, ...]:
 @pages.get("/validate")
 def campaigns_page(request: Request) -> Response:
     """Campaigns with their verdicts over time."""
-    runs = request.app.state.runs.of(owner_of(request), "validation")
+    runs = store_of(request).of(owner_of(request), "validation")
     known = known_campaigns(request)
     lacking = {name: needs(campaign.path.read_text("utf-8")) for name, campaign in known.items()}
     return page(request, "validate.html.j2", campaigns=known, lacking=lacking, runs=runs)
@@ -273,8 +270,7 @@ def validations(request: Request, order: ValidationOrder) -> RunAnswer:
     known = known_campaigns(request).get(order.campaign)
     if known is None:
         raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
-    store: Runs = request.app.state.runs
-    run = store.order(owner_of(request), "validation", known.name, known.title, path=str(known.path))
+    run = store_of(request).order(owner_of(request), "validation", known.name, known.title, path=str(known.path))
     return answer_of(request, run)
 
 
@@ -287,7 +283,7 @@ def maps_of(place: Path) -> list[str]:
 def map_page(request: Request, run_id: str, name: str | None = None) -> Response:
     """A score map with a threshold to move."""
     run = run_of(request, run_id)
-    maps = maps_of(request.app.state.runs.place(run.id))
+    maps = maps_of(store_of(request).place(run.id))
     if not maps or (name is not None and name not in maps):
         raise Refused(404, "this run has no such score map")
     return page(request, "map.html.j2", run=run, maps=maps, name=name or maps[0])
@@ -297,9 +293,9 @@ def map_page(request: Request, run_id: str, name: str | None = None) -> Response
 def map_data(request: Request, run_id: str, name: str) -> Response:
     """A score map, 16 bits a pixel, with the measured curves that go with it."""
     run = run_of(request, run_id)
-    if name not in maps_of(request.app.state.runs.place(run.id)):
+    if name not in maps_of(store_of(request).place(run.id)):
         raise Refused(404, [FieldMistake("name", "this run has no such score map")])
-    path = request.app.state.runs.view(run, "score_map", view_name(f"map-{name}"), name=name)
+    path = store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name)
     return FileResponse(path, media_type="application/json")
 
 
@@ -316,6 +312,6 @@ def pixel_data(
         raise Refused(409, "this server has no campaign of the name of this run")
     arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
     if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
-        request.app.state.runs.view(run, COLLECTION, COLLECTION, path=str(known.path))
-    path = request.app.state.runs.view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments)
+        store_of(request).view(run, COLLECTION, COLLECTION, path=str(known.path))
+    path = store_of(request).view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments)
     return FileResponse(path, media_type="application/json")
