@@ -372,7 +372,6 @@ def class_mixture(
     tails: bool,
     lead: Index | None = None,
     seed: int = 0,
-    counts: Sequence[int] = COUNTS,
 ) -> ClassMixture | None:
     """The mixture that pixels (n, B) of a class are; None where one law is all that they show.
 
@@ -408,7 +407,7 @@ def class_mixture(
     dof: float | None = None if tails else np.inf
     thin = slice(None, None, -(-x.shape[0] // MOST_CHOOSING))
     some, where = leading[thin], np.asarray(block)[thin]
-    number = count if count != "auto" else chosen_count(some, where, counts, rng, dof=dof)[0]
+    number = count if count != "auto" else chosen_count(some, where, COUNTS, rng, dof=dof)[0]
     if number == 1:
         return None
     if tails and count == "auto":

@@ -165,8 +165,8 @@ MEASURES: Mapping[str, Measure] = {
 }  # fmt: skip
 
 
-def pfa_at_detection(over: Array, tie: Array, weight: Array, pd: float = PD_OF_FAR) -> Array:
-    """(D, R) P_FA at the highest threshold that finds a part ``pd`` of the looks.
+def pfa_at_detection(over: Array, tie: Array, weight: Array) -> Array:
+    """(D, R) P_FA at the highest threshold that finds half of the looks.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def pfa_at_detection(over: Array, tie: Array, weight: Array, pd: float = PD_OF_F
     s = over + tie
     order = np.argsort(s, axis=0, kind="stable")
     drawn = np.take_along_axis(np.broadcast_to(weight[:, None, :], s.shape), order, axis=0).cumsum(axis=0)
-    reached = np.argmax(drawn >= pd * drawn[-1] * (1.0 - 1e-9), axis=0)
+    reached = np.argmax(drawn >= PD_OF_FAR * drawn[-1] * (1.0 - 1e-9), axis=0)
     return np.asarray(np.take_along_axis(np.take_along_axis(s, order, axis=0), reached[None], axis=0)[0])
 
 
