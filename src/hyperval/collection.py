@@ -66,7 +66,7 @@ class RadCalNetSource(Model):
 
     path: str = Field(description="daily file that ends in .output")
     subject: str = Field("{site} {time}", description="name of a half hour; {site}, {time} are those of the file")
-    times: list[str] = Field(default_factory=list, description="half hours, such as 04:00; empty: all with values")
+    times: list[str] = Field([], description="half hours, such as 04:00; empty: all with values")
     fwhm_nm: float | None = Field(
         None, gt=0, le=100, description="width of the bands; None: as the oxygen band at 760 nm shows it"
     )
@@ -142,7 +142,7 @@ class RegionSource(VectorSource, OneOf):
     name: str | None = Field(None, description="None: take the names of the file")
     file: str | None = None
     classes: dict[str, int] = Field(
-        default_factory=dict, description="name: its number in a band of the file, such as a map of materials"
+        {}, description="name: its number in a band of the file, such as a map of materials"
     )
     band: int | str | None = Field(
         None, description="with classes: which band, by number (from 1) or name (* and ? stand for any characters)"
@@ -184,8 +184,7 @@ class TargetRegions(VectorSource):
     material: str
     file: str = Field(description="any file of regions: ENVI ROI, GeoJSON, Shapefile, mask or class raster, ...")
     regions: list[str] = Field(
-        default_factory=list,
-        description="which regions of the file; * and ? stand for any characters; empty: all of them",
+        [], description="which regions of the file; * and ? stand for any characters; empty: all of them"
     )
     objects: Literal["patches", "regions"] = Field(
         "patches", description="what one object is: a group of touching pixels, or a region of the file"
@@ -246,7 +245,7 @@ class TargetTruth(OneOf):
     """Where the target objects are."""
 
     one_of = ("regions", "rasters", "csv", "finer", "abundances")
-    regions: list[TargetRegions] = Field(default_factory=list)
+    regions: list[TargetRegions] = Field([])
     rasters: TargetRasters | None = None
     csv: str | None = None
     finer: FinerTruth | None = Field(
@@ -307,7 +306,7 @@ class EmpiricalLineSource(Model):
     panels: list[PanelReference] = Field(min_length=1)
     darkest_pixel: DarkestPixelPanel | None = Field(None, description="a dark panel where none was laid out")
     path_radiance: list[PathRadiance] = Field(
-        default_factory=list,
+        [],
         description="with spectra: black ground as an engine sees it, for each flight line; used where a single "
         "other site is known, which makes a one-point line",
     )
@@ -355,16 +354,14 @@ class CollectionSection(OneOf):
         None, description="scene file: the collection is generated; its files are 'simulated:NAME' below"
     )
     cube: CubeSource | None = None
-    spectra: list[SpectrumCollection] = Field(default_factory=list)
+    spectra: list[SpectrumCollection] = Field([])
     radcalnet: RadCalNetSource | None = Field(None, description="top-of-atmosphere reflectance of a network's site")
     bands: BandTableFile | None = Field(
         None, description="needed with spectra; for a cube, takes the place of its wavelengths and bad-band list"
     )
-    regions: list[RegionSource] = Field(default_factory=list)
+    regions: list[RegionSource] = Field([])
     targets: TargetTruth | None = None
-    leave_out: list[str] = Field(
-        default_factory=list, description="regions that count as neither background nor false alarm"
-    )
+    leave_out: list[str] = Field([], description="regions that count as neither background nor false alarm")
     leave_out_guard_pixels: int = Field(0, ge=0, le=100, description="pixels around these that do not count either")
     empirical_line: EmpiricalLineSource | None = None
     calibration: CalibrationUncertainty | None = None
@@ -373,7 +370,7 @@ class CollectionSection(OneOf):
         description="with spectra: sensor of the library, or file, whose noise over the pixels of a site is "
         "an error of its mean",
     )
-    snr_regions: list[str] = Field(default_factory=list, description="regions whose SNR the image gives")
+    snr_regions: list[str] = Field([], description="regions whose SNR the image gives")
 
     refused: ClassVar = {
         "detector is for spectra, each of which states its pixels: a cube shows its own noise": lambda c: (
@@ -423,9 +420,7 @@ class ClassFeatures(Model):
     """What a classifier sees of a spectrum: a few bands, principal components, or every usable band."""
 
     name: str = Field(min_length=1, description="stands in the table as the method")
-    bands_nm: list[float] = Field(
-        default_factory=list, max_length=400, description="the bands nearest to these wavelengths; empty: all"
-    )
+    bands_nm: list[float] = Field([], max_length=400, description="the bands nearest to these wavelengths; empty: all")
     pca: int | None = Field(
         None, ge=1, le=400, description="principal components of the classes taken together; None: bands"
     )
@@ -493,21 +488,15 @@ class LocalWindowSource(Model):
 class Detection(Model):
     """How targets are looked for in the image, or anomalies where no target is named."""
 
-    targets: list[DetectionTarget] = Field(
-        default_factory=list, description="what to detect; none: anomalies, by the detector rx alone"
-    )
-    detectors: list[str] = Field(default_factory=lambda: ["cem"], min_length=1)
+    targets: list[DetectionTarget] = Field([], description="what to detect; none: anomalies, by the detector rx alone")
+    detectors: list[str] = Field(["cem"], min_length=1)
     background: list[str] = Field(
-        default_factory=lambda: ["scene"],
+        ["scene"],
         description="regions whose pixels give the filter its statistics; 'scene': all that is not left out; "
         "'image': every pixel, targets included",
     )
-    false_alarms: list[str] = Field(
-        default_factory=lambda: ["scene"], description="regions whose pixels count for the false-alarm rate"
-    )
-    undesired: list[str] = Field(
-        default_factory=list, description="regions whose mean spectra the detector 'osp' projects away"
-    )
+    false_alarms: list[str] = Field(["scene"], description="regions whose pixels count for the false-alarm rate")
+    undesired: list[str] = Field([], description="regions whose mean spectra the detector 'osp' projects away")
     local_window: LocalWindowSource | None = Field(
         None,
         description="the background mean is local to the pixel, the covariance stays that of the whole background; "
@@ -530,8 +519,8 @@ class Detection(Model):
         "{name}",
         description="subject of a target object; the columns of the truth stand in braces, such as {material}",
     )
-    pools: list[Pool] = Field(default_factory=list)
-    areas: list[AreaCheck] = Field(default_factory=list)
+    pools: list[Pool] = Field([])
+    areas: list[AreaCheck] = Field([])
     unmixing: Unmixing | None = None
 
     refused: ClassVar = {

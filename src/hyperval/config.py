@@ -51,14 +51,13 @@ _BRACKETS = re.compile(r" ?\[([^\]\[]{1,24})\]")
 def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
     """Give each field of a JSON schema its title, its unit and its default.
 
-    The unit stands in brackets in the description.  A default that is made anew for each file is none of pydantic's.
+    The unit stands in brackets in the description.  A default of no entries goes without saying.
     """
     fields = {info.alias or name: info for name, info in model.model_fields.items()}
     for name, field in schema.get("properties", {}).items():
         info = fields[name]
-        made = info.default_factory is not None and info.get_default(call_default_factory=True, validated_data={})
-        if made:
-            field["default"] = made
+        if field.get("default") in ([], {}):
+            del field["default"]
         ending = next((end for end in _UNITS if name.endswith(end)), "")
         words = str(field.get("description", ""))
         stated = _BRACKETS.search(words)

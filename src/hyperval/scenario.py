@@ -220,7 +220,7 @@ class Uncertainty(OneOf):
         None, lt=1, description="of the reflectance of the surroundings, common to all bands"
     )
     engine: EngineUncertainty | None = None
-    field_spectra: list[SpectrumUncertainty] = Field(default_factory=list)
+    field_spectra: list[SpectrumUncertainty] = Field([])
     sensor_gain: RelativeUncertainty | None = Field(
         None, description="of the recorded radiance; leave it out where the collection states its calibration"
     )
@@ -233,10 +233,8 @@ class Uncertainty(OneOf):
         "detection, as the collection states it for its reflectance",
     )
     wavelength_shift: ShiftUncertainty | None = Field(None, description="of the band centres")
-    fills: list[NamedSpread] = Field(default_factory=list, description="mean fill fraction of targets or subjects [1]")
-    fractions: list[NamedSpread] = Field(
-        default_factory=list, description="area fractions of classes; the others give way in proportion"
-    )
+    fills: list[NamedSpread] = Field([], description="mean fill fraction of targets or subjects [1]")
+    fractions: list[NamedSpread] = Field([], description="area fractions of classes; the others give way in proportion")
 
     refused: ClassVar = {  # field_spectra: entries of a subject add up
         "fills: a subject occurs twice": lambda u: twice(i.subject for i in u.fills),
@@ -361,7 +359,7 @@ class Target(Surface, OneOf):
     host: str = Field(title="host class", description="background that fills the rest of the pixel")
     gain: float = Field(1.0, title="factor on the covariance", ge=0, description="g_T")
     fill: Fill | None = Field(None, description="short for one subject with the target's own name")
-    subjects: list[TargetSubject] = Field(default_factory=list, title="fill populations")
+    subjects: list[TargetSubject] = Field([], title="fill populations")
     illumination: Illumination | None = None
     filter_spectrum: SpectrumSource | None = Field(
         None, title="spectrum sought", description="by the detector, when it is not the target's own"
@@ -391,9 +389,9 @@ class Scene(Model):
     """What lies on the ground."""
 
     classes: list[BackgroundClass] = Field(title="backgrounds", min_length=1)
-    panels: list[Surface] = Field(default_factory=list, description="predicted, without a share of the scene's area")
-    sites: list[Surface] = Field(default_factory=list, description="predicted, without a share of the scene's area")
-    targets: list[Target] = Field(default_factory=list)
+    panels: list[Surface] = Field([], description="predicted, without a share of the scene's area")
+    sites: list[Surface] = Field([], description="predicted, without a share of the scene's area")
+    targets: list[Target] = Field([])
     adjacency: Adjacency = Adjacency()
     fractions: Literal["stated", "measured"] = Field(
         "stated",
@@ -440,9 +438,9 @@ class BandChoice(Model):
 
     drop_bad: bool = Field(True, description="leave out bands of the sensor's or cube's bad-band list")
     windows_only: bool = Field(False, description="leave out the absorption bands of the atmosphere")
-    ranges: list[tuple[float, float]] = Field(default_factory=list, description="keep these ranges only [nm]")
-    channels: list[Channel] = Field(default_factory=list, description="keep these bands only, counted from 0")
-    bad_channels: list[Channel] = Field(default_factory=list, description="leave out these bands, counted from 0")
+    ranges: list[tuple[float, float]] = Field([], description="keep these ranges only [nm]")
+    channels: list[Channel] = Field([], description="keep these bands only, counted from 0")
+    bad_channels: list[Channel] = Field([], description="leave out these bands, counted from 0")
 
 
 class FalseAlarmGrid(Model):
@@ -456,16 +454,14 @@ class Processing(Model):
     """From radiance to detection."""
 
     elm: ElmPanels | DarkestPixel | Literal["none"] = Field(ElmPanels(), title="empirical line")
-    detectors: list[str] = Field(default_factory=lambda: ["cem"])
+    detectors: list[str] = Field(["cem"])
     bands: BandChoice = BandChoice()
     features: Features | None = None
     samples: int = Field(
         4000, title="random pixels", ge=100, le=200_000, description="per class, for detectors of no closed form (ace)"
     )
     seed: int = Field(0, ge=0, description="of those pixels")
-    filter_classes: list[str] = Field(
-        default_factory=list, description="classes that give the filter its statistics; empty: all of them"
-    )
+    filter_classes: list[str] = Field([], description="classes that give the filter its statistics; empty: all of them")
     false_alarm_grid: FalseAlarmGrid = FalseAlarmGrid()
 
     refused: ClassVar = {"unknown detector {!r}; one of {}": lambda p: unknown(p.detectors, MODEL_DETECTORS)}

@@ -54,7 +54,7 @@ class Gate(Model):
         description="as in results.csv (hyperval metrics lists them); * and ? allowed; without @P: at every P",
     )
     subjects: tuple[str, ...] = Field(
-        default=("*",), min_length=1, description="names or patterns with * and ?; each must match a row"
+        ("*",), min_length=1, description="names or patterns with * and ?; each must match a row"
     )
     method: str = Field("*", description="name or pattern, such as cem/object")
     bands_nm: tuple[float, float] | None = Field(None, description="for metrics by band: band centres from, to [nm]")
@@ -62,10 +62,7 @@ class Gate(Model):
     at_least: float | None = None
     within: tuple[float, float] | None = None
     fraction_at_least: float | None = Field(
-        default=None,
-        gt=0.0,
-        le=1.0,
-        description="share of all matching rows that must meet the limit, judged together",
+        None, gt=0.0, le=1.0, description="share of all matching rows that must meet the limit, judged together"
     )
     gate: bool = Field(True, description="false: informational")
     chosen_after: bool = Field(

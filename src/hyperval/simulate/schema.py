@@ -55,7 +55,7 @@ class Panel(PaintedArea):
     """A calibration panel: a painted rectangle whose interior becomes a region of interest."""
 
     name: Name
-    border_pixels: int = Field(default=1, ge=0, description="pixels left out along the border of the region")
+    border_pixels: int = Field(1, ge=0, description="pixels left out along the border of the region")
 
 
 class TargetGroup(OneOf):
@@ -66,15 +66,12 @@ class TargetGroup(OneOf):
     material: str = Field(description="built-in surface of the planks")
     host: str = Field(description="built-in surface they lie on")
     fill: float | None = Field(
-        default=None,
-        gt=0.0,
-        lt=1.0,
-        description="fill fraction of a pixel with a plank at its centre: sets the side",
+        None, gt=0.0, lt=1.0, description="fill fraction of a pixel with a plank at its centre: sets the side"
     )
-    side_m: float | None = Field(default=None, gt=0.0, description="side [m], when given instead of the fill")
+    side_m: float | None = Field(None, gt=0.0, description="side [m], when given instead of the fill")
     count: int = Field(ge=1, le=100_000)
     area: Area
-    spacing_pixels: int = Field(default=7, ge=6, description="of the grid; planks closer than 6 pixels would overlap")
+    spacing_pixels: int = Field(7, ge=6, description="of the grid; planks closer than 6 pixels would overlap")
     phase: Literal["centred", "random"] = "centred"
     heading_deg: float | Literal["random"] = 0.0
 
@@ -92,7 +89,7 @@ class SimulatedRegion(Model):
 
     name: Name
     surface: str
-    border_pixels: int = Field(default=3, ge=0)
+    border_pixels: int = Field(3, ge=0)
 
 
 class Admixture(Model):
@@ -102,7 +99,7 @@ class Admixture(Model):
     surface: str
     mean: float = Field(gt=0.0, lt=1.0, description="mean share")
     sd: float = Field(gt=0.0, lt=0.5, description="standard deviation of the share")
-    correlation_pixels: float = Field(default=0.0, ge=0.0, le=200.0)
+    correlation_pixels: float = Field(0.0, ge=0.0, le=200.0)
 
     refused: ClassVar = {
         "no share between 0 and 1 has this mean and standard deviation": lambda a: a.sd**2 >= a.mean * (1.0 - a.mean)
@@ -133,8 +130,8 @@ class Shade(Model):
 class Broken(Model):
     """Which assumptions of the model the surfaces break; each stands alone."""
 
-    soft_edges: bool = Field(default=False, description="class borders blurred by the point spread function")
-    admixtures: list[Admixture] = Field(default_factory=list)
+    soft_edges: bool = Field(False, description="class borders blurred by the point spread function")
+    admixtures: list[Admixture] = Field([])
     heavy_tails: HeavyTails | None = None
     texture: Texture | None = None
     shade: Shade | None = None
@@ -152,10 +149,8 @@ class MapOrigin(Model):
 class FieldSpectra(Model):
     """What the field spectrometer delivers of the panels: means of repeated readings at 1 nm."""
 
-    readings: int = Field(default=10, ge=1)
-    relative_noise: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="of one reading, independent between samples"
-    )
+    readings: int = Field(10, ge=1)
+    relative_noise: float = Field(0.0, ge=0.0, le=0.1, description="of one reading, independent between samples")
 
 
 class SceneFile(Model):
@@ -169,19 +164,19 @@ class SceneFile(Model):
     samples: int = Field(ge=1, le=20_000)
     gsd_m: float = Field(gt=0.0, le=100.0)
     map: MapOrigin
-    acquired_utc: str = Field(default="", description="written into the header")
+    acquired_utc: str = Field("", description="written into the header")
     atmosphere: AtmosphericState
     sensor: str = Field(description="name of a sensor of the library, or a sensor file")
     psf_fwhm_pixels: float = Field(gt=0.0, le=4.0)
-    counts_per_radiance: float = Field(default=1000.0, gt=0.0, description="stored integers per uW cm-2 sr-1 nm-1")
+    counts_per_radiance: float = Field(1000.0, gt=0.0, description="stored integers per uW cm-2 sr-1 nm-1")
     layout: list[PaintedArea] = Field(min_length=1)
-    panels: list[Panel] = Field(default_factory=list)
-    targets: list[TargetGroup] = Field(default_factory=list)
-    regions: list[SimulatedRegion] = Field(default_factory=list)
-    target_guard_pixels: int = Field(default=3, ge=0, description="around planks, left out of the regions")
+    panels: list[Panel] = Field([])
+    targets: list[TargetGroup] = Field([])
+    regions: list[SimulatedRegion] = Field([])
+    target_guard_pixels: int = Field(3, ge=0, description="around planks, left out of the regions")
     field_spectra: FieldSpectra = FieldSpectra()
     header: dict[str, str] = Field(
-        default_factory=dict, description="further entries of the cube's header, as files of this sensor carry them"
+        {}, description="further entries of the cube's header, as files of this sensor carry them"
     )
     broken: Broken = Broken()
 

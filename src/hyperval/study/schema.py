@@ -83,7 +83,7 @@ class Moving(Model):
     path: str | None = Field(
         None, description="dotted path into the scenario, or pfa: the false-alarm probability of the outputs"
     )
-    moves: list[Move] = Field(default_factory=list, description="in place of path: several entries together")
+    moves: list[Move] = Field([], description="in place of path: several entries together")
 
     refused: ClassVar = {"give either path or moves": lambda m: (m.path is None) == (not m.moves)}
 
@@ -198,7 +198,7 @@ class Required(Moving):
     scan: int = Field(9, ge=3, le=200, description="values tried first, to bracket the solution")
     output: str = Field(description="name of an output")
     equals: float = Field(description="what the output is to be")
-    report: list[str] = Field(default_factory=list, description="outputs reported at the solution")
+    report: list[str] = Field([], description="outputs reported at the solution")
 
     refused: ClassVar = Moving.refused | {
         "between rises, and starts above 0 with spacing: log": lambda q: (
@@ -254,15 +254,15 @@ class StudyFile(FileModel):
     title: str = ""
     description: str = ""
     scenario: str = Field(description="a built-in scenario by name, or a file")
-    settings: dict[str, Value] = Field(default_factory=dict, description="dotted path: value, for every point")
+    settings: dict[str, Value] = Field({}, description="dotted path: value, for every point")
     inputs: list[Input] = Field(min_length=1)
     design: Design = Design()
     atmosphere: AtmosphereTable = AtmosphereTable()
     outputs: list[Output] = Field(min_length=1)
-    required: list[Required] = Field(default_factory=list)
-    knees: list[Knee] = Field(default_factory=list)
-    plots: list[Plot] = Field(default_factory=list)
-    references: list[str] = Field(default_factory=list)
+    required: list[Required] = Field([])
+    knees: list[Knee] = Field([])
+    plots: list[Plot] = Field([])
+    references: list[str] = Field([])
 
     refused: ClassVar = {
         "one-at-a-time takes values or grids": lambda s: (
