@@ -39,13 +39,12 @@ from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, reader, refusal, refuse
 from hyperval.imagery.cube import MATRICES, kind_of, raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
-from hyperval.imagery.placing import LookupTable
+from hyperval.imagery.placing import MAX_VERTICES, LookupTable
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
 
 Placing = Callable[[BaseGeometry, str], BaseGeometry]
-MAX_VERTICES = 1_000_000
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
 WARNING = "warning: "
@@ -106,11 +105,9 @@ def _burned(polygons: Sequence[BaseGeometry], shape: tuple[int, int], *, touched
     return np.asarray(rasterize(polygons, out_shape=shape, fill=0, dtype="uint8", all_touched=touched), bool)
 
 
-def point_mask(points: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
-    """(lines, samples) mask of the pixels that hold points (sample, line) in continuous coordinates."""
+def point_mask(points: npt.ArrayLike, shape: tuple[int, int]) -> Mask:
+    """(lines, samples) mask of the pixels that hold points (sample, line) of the image in continuous coordinates."""
     xy = np.asarray(points, float).reshape(-1, 2)
-    if not inside_image(xy, shape):
-        raise outside_error(xy, shape, where)
     col, row = np.clip(np.floor(xy).astype(int), 0, np.array(shape[::-1]) - 1).T
     mask = np.zeros(shape, bool)
     mask[row, col] = True
@@ -263,7 +260,7 @@ class RegionDrawing:
         """
         points = shapely.get_coordinates(self.points)
         inside = np.array([inside_image(p, self.shape) for p in points], dtype=bool)
-        mask = _burned(self.polygons, self.shape) | point_mask(points[inside], self.shape, where=where)
+        mask = _burned(self.polygons, self.shape) | point_mask(points[inside], self.shape)
         mask.flat[np.concatenate([*self.pixels, np.zeros(0, np.int64)])] = True
         left = [p for p in self.polygons if not inside_image(shapely.get_coordinates(p), self.shape)]
         if (left or not inside.all()) and not mask.any():
@@ -795,10 +792,7 @@ def holes(mask: Mask) -> tuple[int, int]:
     """Number of holes in a mask, and their pixels: groups (of 4 neighbours) that it encloses."""
     if not mask.any():
         return 0, 0
-    part = mask[window_of(mask)]
-    if part.all():
-        return 0, 0
-    labels, count = label(~np.pad(part, 1), connectivity=1, return_num=True)
+    labels, count = label(~np.pad(mask[window_of(mask)], 1), connectivity=1, return_num=True)
     return int(count) - 1, int(np.count_nonzero(labels > 1))  # the first label is that of the surroundings
 
 

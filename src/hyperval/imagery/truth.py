@@ -62,9 +62,7 @@ class TargetObject:
     @property
     def mask(self) -> Mask:
         """(lines, samples) the pixels that may hold a part of it, made anew each time."""
-        out = np.zeros(self.shape, bool)
-        self.paint(out)
-        return out
+        return all_pixels([self], self.shape)
 
     @property
     def window(self) -> tuple[slice, slice]:
@@ -159,7 +157,7 @@ def read_targets(
             mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
             raise roi.outside_error(corners, shape, where, f"the target {name!r}", mend)
         drawn = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else None
-        mask = roi.point_mask([centre], shape, where=where) if drawn is None else drawn
+        mask = roi.point_mask([centre], shape) if drawn is None else drawn
         placed = cut_out(roi.guard(mask, doubt / pixel_m) if doubt > 0 else mask)
         side = width if width == length and width > 0 and figure is _SQUARE else math.nan
         pixel = (math.floor(centre[1]), math.floor(centre[0]))
