@@ -278,9 +278,7 @@ class ResultTable:
         """
         outcomes = {r.outcome for r in self._rows if r.gates}
         broken = any(r.outcome is Outcome.ERROR for r in self._rows)
-        if broken or Outcome.DISAGREES in outcomes:
-            return 1
-        if strict and outcomes & {Outcome.UNDECIDED, Outcome.SKIPPED}:
+        if broken or Outcome.DISAGREES in outcomes or (strict and outcomes & {Outcome.UNDECIDED, Outcome.SKIPPED}):
             return 1
         return 0 if Outcome.AGREES in outcomes else 5
 

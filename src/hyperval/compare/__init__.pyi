@@ -2,6 +2,7 @@
 
 from .covariance import compare_covariance, compare_distribution, independent_pixels
 from .detection import (
+    EVERY_OBJECT,
     alarm_rows,
     compare_abundance,
     compare_area_errors,
@@ -51,6 +52,7 @@ from .spectra import (
 
 __all__ = [
     "COMPARISON",
+    "EVERY_OBJECT",
     "ChiSquare",
     "Gate",
     "against_range",

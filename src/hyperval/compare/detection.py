@@ -492,9 +492,7 @@ _SIDES = ("predicted", "measured", "difference")
 
 def samples_per_km2(curve: RocCurve) -> float:
     """Background samples on a square kilometre; NaN when the area is not known."""
-    if not curve.background_area_km2 or not curve.n_background:
-        return math.nan
-    return curve.n_background / curve.background_area_km2
+    return (curve.n_background or math.nan) / (curve.background_area_km2 or math.nan)
 
 
 def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> Iterator[Result]:
@@ -652,9 +650,7 @@ ALWAYS = (1e-1, 1e-2, 1e-3)
 IF_BACKGROUND_ALLOWS = (1e-4, 1e-5, 1e-6)
 # A measured interval wider than this accepts nearly any prediction: one target alone gives 0.975 or more.
 WIDEST_INTERVAL = 0.9
-METRICS = (
-    "pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval",
-)  # fmt: skip
+METRICS = ("pd_predicted", "pd_measured", "pd_difference", "pd_inside_interval", "pd_inside_measured_interval")
 # The two readings of (3.30-3.33) are told apart where their P_D differ by more than this.
 SAME_READING = 1e-3
 

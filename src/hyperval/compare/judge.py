@@ -123,10 +123,8 @@ class Gate(Model):
 
     def unmade(self, subject: str, outcome: Outcome, cause: Cause, reason: str) -> Result:
         """The row of a planned comparison that was not made."""
-        return Result(
-            "", self.product, subject, self.method, self.metric, outcome=outcome, role=self.role, cause=cause,
-            reason=reason,
-        )  # fmt: skip
+        names = "", self.product, subject, self.method, self.metric
+        return Result(*names, outcome=outcome, role=self.role, cause=cause, reason=reason)
 
     def covers(self, row: Result) -> bool:
         """True for the rows this gate is about, and for skipped comparisons that would have held them."""
@@ -462,12 +460,10 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     what = f"{good} of {n} rows {gate.limit_text}"
     what += f", {undecided} without an outcome of their own" if undecided else ""
     what += f"; outside: {shown}" if shown else ""
-    row = Result(
-        "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction", good / n,
-        lower=lower, upper=upper, n=n, evidence=metric_of(gate.metric).evidence, reason=what,
-    )  # fmt: skip
+    names = "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction"
+    row = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, reason=what)
     least = gate.fraction_at_least
-    row = replace(row, role=gate.role, set_after=gate.chosen_after)
+    row = replace(row, evidence=metric_of(gate.metric).evidence, set_after=gate.chosen_after)
     out = _concluded(row, (least, math.inf), gate.reason)
     if out.outcome is Outcome.UNDECIDED and float(clopper_pearson(n, n)[0]) < least:
         out = replace(out, cause=Cause.NEVER)
