@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import betaincinv
 
 from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
+from hyperval.compare.detection import central, probability_integral_transform
 from hyperval.compare.products import SPREAD
 from hyperval.data import Array
 from hyperval.figures.rows import reason_figures
@@ -47,14 +48,7 @@ from hyperval.figures.spec import (
 from hyperval.model import Z95, detection_at
 from hyperval.model.intervals import clopper_pearson, difference_ratio, difference_ratio_uncertainty
 from hyperval.pixels import band_limits, exceedance_of_distance
-from hyperval.products import (
-    ClassificationError,
-    ObjectScores,
-    Products,
-    RocCurve,
-    ScoreDistribution,
-    SpectralEstimate,
-)
+from hyperval.products import ClassificationError, ObjectScores, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Result, ResultTable
 from hyperval.run import ScoreMap
 from hyperval.spectra.axis import SpectralAxis
@@ -618,12 +612,11 @@ def transform_figure(sides: Sides) -> Figure | None:
     """Probability integral transforms of all objects in order, with a band, by detector."""
     by_detector: dict[str, list[Array]] = {}
     for (_, detector), draws, measured in _objects(sides):
-        below = np.searchsorted(np.sort(draws), measured)
-        by_detector.setdefault(detector, []).append(np.asarray((below + 0.5) / (draws.size + 1.0), float))
+        by_detector.setdefault(detector, []).append(probability_integral_transform(measured, draws))
 
     def view(detector: str) -> tuple[Panels, str]:
         u = np.sort(np.concatenate(by_detector[detector]))
-        inside = float(np.mean((u >= 0.025) & (u <= 0.975)))
+        inside = float(np.mean(central(u)))
         x = Axis("probability of a lower score", ends=(0.0, 1.0))
         words = f"{detector}: {u.size} objects, {inside:.0%} in the central 95 %"
         return Panels(x, (_ordered(u),), detector), words

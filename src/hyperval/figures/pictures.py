@@ -50,9 +50,8 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     view = shown_window(rgb.shape[:2], quicklook.regions)
     step = max(1, math.ceil(max(_size(view)) / _MOST_PIXELS))
     picture = rgb[view][::step, ::step]
-    few = Image.fromarray(np.ascontiguousarray(picture)).quantize(
-        _OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE
-    )
+    whole = Image.fromarray(np.ascontiguousarray(picture))
+    few = whole.quantize(_OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
@@ -227,10 +226,8 @@ def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
     """The whole image; of a long strip only the part around its regions, where it has any."""
     sides = shape[:2]
     window = [slice(0, side) for side in sides]
-    inside = np.zeros(sides, bool)
-    if max(sides) > _LONGEST_STRIP * min(sides):
-        for mask in regions.values():
-            inside |= np.asarray(mask, bool)
+    masks = regions.values() if max(sides) > _LONGEST_STRIP * min(sides) else ()
+    inside = functools.reduce(np.logical_or, masks, np.zeros(sides, bool))
     if inside.any():
         along = int(np.argmax(sides))
         at, margin = np.flatnonzero(inside.any(axis=1 - along)), max(10, min(sides) // 10)
@@ -250,9 +247,7 @@ def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
     if finite.size == 0:
         return 0.0, 1.0
     low, high = (float(v) for v in np.percentile(finite, [1.0, 99.9]))
-    on_target = np.zeros(values.shape, bool)
-    for mask in score_map.outlines.values():
-        on_target |= np.asarray(mask, bool)
+    on_target = functools.reduce(np.logical_or, score_map.outlines.values(), np.zeros(values.shape, bool))
     scores = values[on_target & np.isfinite(values)]
     if scores.size:
         high = max(high, float(np.percentile(scores, 75.0)))

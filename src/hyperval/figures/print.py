@@ -108,14 +108,12 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
     columns = 1 if len(views) == 1 else 2 if len(views) <= 4 else 3
     rows, parts = math.ceil(len(views) / columns), max(len(view.parts) for view in views)
     scale = _JOURNAL_SCALE if journal else 1.0
-    canvas = Canvas(
-        figsize=(scale * figure.width_in, scale * (1.0 + rows * _height_in(views[0]))), layout="constrained"
-    )
+    size = scale * figure.width_in, scale * (1.0 + rows * _height_in(views[0]))
+    canvas = Canvas(figsize=size, layout="constrained")
     FigureCanvasAgg(canvas)
     if not journal:
-        canvas.suptitle(
-            plain(figure.head or figure.title) + (" (simulated collection)" if simulated else ""), fontsize=10.5
-        )
+        words = plain(figure.head or figure.title) + (" (simulated collection)" if simulated else "")
+        canvas.suptitle(words, fontsize=10.5)
     ratios = [2.0, 1.0] if parts == 2 else [1.0] * parts
     if views[0].parts[0].y.names:
         ratios = [len(part.y.names) + 1.5 for part in views[0].parts]
@@ -211,9 +209,8 @@ def _mark(axes: Axes, mark: Mark) -> None:
     if mark.kind in ("line", "steps", "area") and interval:
         axes.fill_between(x, low, high, color=colour, alpha=mark.alpha, linewidth=0, **steps)
     elif interval:
-        (axes.hlines if mark.along == "x" else axes.vlines)(
-            y if mark.along == "x" else x, low, high, color=colour, linewidth=1.3
-        )
+        lines, places = (axes.hlines, y) if mark.along == "x" else (axes.vlines, x)
+        lines(places, low, high, color=colour, linewidth=1.3)
     if mark.kind in ("line", "steps"):
         axes.plot(x, y, color=colour, linestyle=_LINES[mark.dash], linewidth=1.2,
                   drawstyle="steps-post" if steps else "default")  # fmt: skip
