@@ -281,7 +281,6 @@ def fit_elm(
     panels = tuple(panels)
     _refuse_bad_panels(panels, least=1 + intercept)
     points = _points(panels)
-
     known = np.asarray(np.isfinite(points[0]).all(axis=0))
     if not known.any():
         raise UsageError("there is no band in which all panels have a reflectance")
@@ -309,15 +308,12 @@ def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
         values = np.stack([p.radiance, variance_of(p.reflectance_error), variance_of(p.radiance_error)])
         known = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands
         rho = p.reflectance[known]
+        least_rho, most_rho = rho.min(initial=0.0), rho.max(initial=0.0)
         for wrong, words, mend in (
             (~known.any(), " has no reflectance in any band", None),
             (~np.isfinite(values[:, known]), " holds NaN or infinity", "leave those bands out"),
-            (
-                rho > PERCENT_LIMIT,
-                f" has a reflectance of {rho.max(initial=0.0):.4g}, not 0 to 1",
-                "divide percent by 100",
-            ),
-            (rho < -0.05, f" has a reflectance of {rho.min(initial=0.0):.3g}", None),
+            (most_rho > PERCENT_LIMIT, f" has a reflectance of {most_rho:.4g}, not 0 to 1", "divide percent by 100"),
+            (least_rho < -0.05, f" has a reflectance of {least_rho:.3g}", None),
         ):
             if np.any(wrong):
                 raise UsageError(f"panel {p.name!r}{words}", mend=mend)

@@ -27,7 +27,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -276,8 +276,7 @@ LEAST_EXPECTED_ALARMS = 10.0
 ANOMALY_LEVELS = (1e-4, 1e-3, 1e-2)  # rates of the background at which a threshold of anomalies is stated
 
 
-@dataclass(frozen=True)
-class FalseAlarmRatio:
+class FalseAlarmRatio(NamedTuple):
     """P_FA predicted over measured at the threshold that was measured to give one level.
 
     Attributes

@@ -124,9 +124,8 @@ def stream(
     """
     step = min(max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
     chosen = np.flatnonzero(np.ones(cube.bands, bool) if bands is None else bands)
-    ends = (
-        np.flatnonzero(np.diff(chosen, append=cube.bands + 1) > 1) + 1
-    )  # of stretches of neighbours, among the chosen
+    # Ends of stretches of neighbours, among the chosen.
+    ends = np.flatnonzero(np.diff(chosen, append=cube.bands + 1) > 1) + 1
     count, most = chosen.size, step * cube.samples
 
     def blocks(firsts: range) -> Iterator[StoredBlock]:
