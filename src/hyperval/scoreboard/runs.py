@@ -27,7 +27,7 @@ from scipy import special, stats
 
 from hyperval.campaign import Campaign, Job, collected, command_without_output, jobs_of, record_of
 from hyperval.collection import Detection
-from hyperval.compare import named, product_rows, row, skipped
+from hyperval.compare import EVERY_OBJECT, named, product_rows, row, skipped
 from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
@@ -353,7 +353,6 @@ def _limits(item: Index, parts: Array, still: Array, n: int) -> tuple[Array, Arr
 
 
 PRODUCT = "benchmark"
-EVERY_OBJECT = "all objects"
 DRAWS = 1000
 
 
@@ -400,13 +399,6 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Map
         {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None},
     )
     return Question(bare.model_copy(update={"detection": changed}), left_out, notes)
-
-
-def classes_with_regions(scenarios: Sequence[Scenario], regions: Iterable[str]) -> list[str]:
-    """Regions of the collection that are classes of the scenarios, or give them their statistics."""
-    there = set(regions)
-    named = [n for s in scenarios for c in s.scene.classes for n in (c.name, c.spectrum.measured)]
-    return list(dict.fromkeys(n for n in named if n is not None and n in there))
 
 
 def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[str, list[TargetObject]]]]:
@@ -458,10 +450,9 @@ def detector_rows(observed: Observed, question: Question, *, seed: int) -> list[
     maps = observed.detected.score_maps
     rows = [*side_rows(observed.observation, "measured"), *threshold_rows(place, maps, detection)]
     counts = block_counts(place, maps, detection)
-    groups = {name: looks for name, looks in counts.group.items() if looks}
-    for name, looks in track(groups.items(), "ranks", len(groups)):
+    for name, looks in track(counts.group.items(), "ranks", len(counts.group)):
         if len(set(counts.item[list(looks)])) < 2:
-            continue  # one object orders detectors by chance alone
+            continue  # no object orders detectors, and one by chance alone
         for measure in MEASURES.values():
             if measure.known_from(counts.n):
                 ranks = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
@@ -721,7 +712,9 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         regions: list[str] = []
         if job.campaign.detection is not None and not job.campaign.detection.undesired:
             place = open_place(job.campaign.collection, inputs.resolve)
-            regions = classes_with_regions(scenarios, place.regions)
+            # Those that are classes of the scenarios, or give them their statistics.
+            named = [n for s in scenarios for c in s.scene.classes for n in (c.name, c.spectrum.measured)]
+            regions = list(dict.fromkeys(n for n in named if n is not None and n in place.regions))
         chosen = with_every_detector(job.campaign, regions, refused)
         return chosen.campaign
 
