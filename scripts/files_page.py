@@ -73,7 +73,7 @@ def default_text(field: Mapping[str, Any], is_required: bool) -> str:
         return "required" if is_required else ""
     if isinstance(value, dict):
         return "its own defaults"
-    return "none" if value == [] else f"`{value}`".replace("True", "true").replace("False", "false")
+    return f"`{value}`".replace("True", "true").replace("False", "false")
 
 
 def references(part: Any) -> Iterator[str]:

@@ -55,15 +55,7 @@ from hyperval.data import Mask
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
-from hyperval.products import (
-    SPECTRA,
-    ObjectScores,
-    ObservedProducts,
-    PredictedProducts,
-    Products,
-    RocCurve,
-    SpectralEstimate,
-)
+from hyperval.products import SPECTRA, ObjectScores, ObservedProducts, PredictedProducts, Products
 from hyperval.results import COLUMNS, OUTCOMES, Cause, Outcome, Result, ResultTable, Role, row_name
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import write_text
@@ -922,12 +914,12 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
     """The entry of these fields; NaN is None where a field may be None, and a whole number where it is one."""
     if kind is None:
         return item["self"]
-    if kind is SpectralEstimate:
+    if kind is product_types.SpectralEstimate:
         variance = item.pop("standard_uncertainty") ** 2
         covariance = np.array(item.get("error_covariance", np.diag(variance)), dtype=float)
         np.fill_diagonal(covariance, variance)
         item["error_covariance"] = covariance
-    if kind is RocCurve:
+    if kind is product_types.RocCurve:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
     for name, hint in _hints(kind).items():
         value = item.get(name)

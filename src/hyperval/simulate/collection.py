@@ -212,8 +212,7 @@ TARGET_COLUMNS = [
     "phase", "heading_deg", "best_line", "best_sample", "best_fill", "pixels",
 ]  # fmt: skip
 
-FIELD_AXIS_NM = (350.0, 2500.0, 1.0)  # what a field spectrometer delivers: first, last, step
-FIELD_FWHM_NM = 3.0
+FIELD_FWHM_NM = 3.0  # of a field spectrometer
 
 
 def write_regions(path: Path, scene: SceneFile, masks: Mapping[str, Mask]) -> None:
@@ -253,8 +252,7 @@ def write_targets(path: Path, scene: SceneFile, ground: GroundLayout) -> None:
 
 def field_axis() -> SpectralAxis:
     """The 1 nm grid of the simulated field spectrometer."""
-    first, last, step = FIELD_AXIS_NM
-    centre = np.arange(first, last + 0.5 * step, step)
+    centre = np.arange(350.0, 2501.0)
     return SpectralAxis(centre, np.full(centre.size, FIELD_FWHM_NM))
 
 

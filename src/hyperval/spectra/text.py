@@ -290,9 +290,7 @@ FEWEST_BANDS, FEWEST_BANDS_OF_A_DETECTOR = 4, 25
 _BEFORE = r"(?:(?:x|r|wl|wvl|wave|wavelength|lambda|refl|reflectance|nm)[_. ]?)?"  # no b: that counts bands
 _WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?(nm|um)?$", re.IGNORECASE)
 _FIRST_TITLE = re.compile(r"^\W*(wave|wvl|wl\b|lambda|nm\b)(?!.*units)", re.IGNORECASE)
-_NAMES = (
-    "name", "sample_name", "sample name", "spectrum", "spectra", "sample", "sample_id", "id", "fname", "names",
-)  # fmt: skip
+_NAMES = ("name", "sample_name", "sample name", "spectrum", "spectra", "sample", "sample_id", "id", "fname", "names")
 
 
 def is_row_table(text: str) -> bool:

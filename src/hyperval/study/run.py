@@ -77,7 +77,7 @@ def study_to_folder(
         reasons = {point: text for _, own in store.chunks for point, text in own.items()}
         table = table_of(plan.study, np.concatenate([values for values, _ in store.chunks]), reasons)
         _write(plan, table, folder)
-    store.remove()
+    shutil.rmtree(store.folder, ignore_errors=True)
     return 0
 
 
@@ -217,7 +217,3 @@ class PointStore:
         """Add the rows (n, columns) that follow, and the reasons by the number of the point."""
         write_text(self._next, json.dumps([values.tolist(), sorted(reasons.items())]))
         self.chunks.append((values, dict(reasons)))
-
-    def remove(self) -> None:
-        """Throw everything away."""
-        shutil.rmtree(self.folder, ignore_errors=True)
