@@ -36,13 +36,7 @@ def figures():
 
 
 @pytest.fixture
-def make_small(
-    small_collection,
-    tmp_path,
-    own_atmosphere,
-    request,
-    monkeypatch,
-) -> Callable[..., SmallCampaign]:
+def make_small(small_collection, tmp_path, own_atmosphere, request, monkeypatch) -> Callable[..., SmallCampaign]:
     """Make copies of the small campaign, each in a folder of its own."""
     if "figures" not in request.fixturenames:
         without_figures(monkeypatch)

@@ -121,6 +121,12 @@ class SmallCampaign:
         """The first planned comparison of a product."""
         return next(g for g in self.data["comparisons"] if g["product"] == product)
 
+    def of_a_data_set(self) -> "SmallCampaign":
+        """The same campaign, whose cube is a file of a registered data set."""
+        file = "data:hysu/published/full/DLR_HySU_HS_full.tif"
+        self.data["collection"]["cube"] = {"path": file, "quantity": "reflectance"}
+        return self
+
     def write(self, name: str = "campaign.yaml") -> Path:
         """The campaign file with all changes."""
         return write_yaml(self.folder / name, self.data)

@@ -275,9 +275,8 @@ def test_each_flight_is_predicted_from_the_other_and_the_budget_is_what_is_left(
     made, fine = scripts[1:]
     pairs = made.pairs_of(data_dir)
     ratio = made.fitted([p for p in pairs if p.flight == "topoflux"])
-    error = made.differences(
-        [(p.ours(ratio), p.theirs) for p in pairs if p.flight == "pasadena" and p.case.albedos]  # run with DISORT
-    )
+    of_disort = [p for p in pairs if p.flight == "pasadena" and p.case.albedos]
+    error = made.differences([(p.ours(ratio), p.theirs) for p in of_disort])
     for low, high, limit, least in ((0.85, 1.01, 0.05, 0.99), (0.7, 0.85, 0.05, 0.9), (0.5, 0.7, 0.1, 0.9)):
         here = error.transmitting(low, high)
         assert np.mean(np.abs(error.total[here]) <= limit) >= least
@@ -370,9 +369,8 @@ def test_real_decks_have_the_same_columns(data_dir, relative, at, values):
 def test_json_input_states_the_state(tmp_path):
     (tmp_path / "input.json").write_text(air.modtran6_json(state(view_zenith_deg=0.0), name="NAME"))
     cases = air.read_modtran_json(tmp_path / "input.json")
-    assert [(c["NAME"], c["CASE"], air.stated_albedo(c)) for c in cases] == [
-        ("NAME", i, a) for i, a in enumerate((0, 0.1, 0.5))
-    ]
+    told = [(c["NAME"], c["CASE"], air.stated_albedo(c)) for c in cases]
+    assert told == [("NAME", i, a) for i, a in enumerate((0, 0.1, 0.5))]
     found, given = air.stated_fields(cases[0], "input.json"), state(view_zenith_deg=0.0).model_dump()
     assert {name: found[name] for name in found} == {name: given[name] for name in found}
     assert {"model", "aerosol", "aot550", "water_vapour_g_cm2", "solar_zenith_deg", "day_of_year"} <= set(found)

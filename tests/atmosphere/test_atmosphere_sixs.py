@@ -269,9 +269,8 @@ def test_asterisks_and_nan_are_refused(word, engine_cache):
 def test_standard_atmospheres_are_those_of_the_solver(engine_cache):
     # The solver holds the six models too: pressures and columns it prints for ground at 1.3 km, sensor 60 km above.
     for number, model in enumerate(profiles._MODELS, 1):
-        out = run_sixs(
-            sixs.deck(SUN._replace(ground_km=1.3, height_km=60.0), f"{number}\n", "-1\n0.5500"), engine_cache
-        )
+        deck = sixs.deck(SUN._replace(ground_km=1.3, height_km=60.0), f"{number}\n", "-1\n0.5500")
+        out = run_sixs(deck, engine_cache)
         pressure, water, ozone = (
             float(re.search(rf"{words}\s+(\S+)", out).group(1))
             for words in (r"ground pressure  \[mb\]", "h2o   content", "ozone content")

@@ -25,13 +25,10 @@ def test_spectra_are_compared_where_both_have_bands_and_some_light():
 
     predicted = {"grass": spectrum(2.0, 4.0), "dark": spectrum(1.0, 1.0), "gaps": spectrum(np.nan, np.nan)}
     observed = {"grass": spectrum(1.0, 3.0), "dark": spectrum(0.0, 0.0), "gaps": spectrum(1.0, 1.0)}
-    items = quantities(
-        products.PredictedProducts(AXIS, radiance=predicted),
-        products.ObservedProducts(AXIS, radiance=observed | {"x": observed["grass"]}),
-    )
-    (item,) = items
+    told = products.PredictedProducts(AXIS, radiance=predicted)
+    (item,) = quantities(told, products.ObservedProducts(AXIS, radiance=observed | {"x": observed["grass"]}))
     assert (item.product, item.subject, item.metric) == ("radiance", "grass", "ratio_windows")
-    assert item.read(products.PredictedProducts(AXIS, radiance=predicted)) == pytest.approx(3.0 / 2.0)
+    assert item.read(told) == pytest.approx(3.0 / 2.0)
 
 
 def test_spectra_that_are_exchanged_or_lose_light_to_other_wavelengths():
@@ -103,17 +100,13 @@ def test_ratios_of_false_alarms_are_those_of_two_laws_where_there_are_ten(n, lev
     """Measured scores with the tails of a t, predicted ones normal: the nearest point of the grid is 3 % off."""
     told, measured = exceedance(stats.norm.isf(P), P), exceedance(stats.t.isf(P, 10.0), P, n)
     predicted = products.PredictedProducts(AXIS, exceedance={("roof", "cem"): told})
-    found = alarm_ratios(predicted, products.ObservedProducts(AXIS, exceedance={("roof", "cem"): measured}))
+    observed = products.ObservedProducts(AXIS, exceedance={("roof", "cem"): measured})
+    found = alarm_ratios(predicted, observed)
     assert list(found) == [("roof background", "cem", f"pfa_ratio@{level}") for level in levels]
     for level, ratio in zip(levels, found.values(), strict=True):
         assert ratio.value == pytest.approx(stats.norm.sf(stats.t.isf(float(level), 10.0)) / float(level), rel=0.3)
         assert ratio.lower < ratio.value < ratio.upper
-    assert (
-        alarm_ratios(
-            products.PredictedProducts(AXIS), products.ObservedProducts(AXIS, exceedance={("roof", "cem"): measured})
-        )
-        == {}
-    )
+    assert alarm_ratios(products.PredictedProducts(AXIS), observed) == {}
 
 
 def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():

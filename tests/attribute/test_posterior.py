@@ -51,10 +51,9 @@ def test_a_noise_that_is_wrong_is_named_where_the_sum_of_all_residuals_passes():
     """A cause of one direction, far above chance, hides in a sum of two thousand that is well within its own."""
     rng, n = np.random.default_rng(3), 2000
     electrons = np.where(np.arange(n) < 100, 0.2, 0.0)
-    columns = {
-        attribute.Candidate("electrons", "sensor", "5 %", False, sizes=(-9.0, 9.0)): np.outer(electrons, (-9, 9))
-    }
+    cause = attribute.Candidate("electrons", "sensor", "5 %", False, sizes=(-9.0, 9.0))
     residual = 0.93 * rng.normal(size=n) + 4.0 * electrons
+    columns = {cause: np.outer(electrons, cause.sizes)}
     found = attribute.posterior("all", residual, np.eye(n), columns, np.zeros((n, 1)) + 0.1)
     assert found.p_value > 0.05
     assert found.first == "electrons"

@@ -298,10 +298,7 @@ def test_a_finished_run_of_other_files_or_another_source_is_refused(small, finis
 
 
 def test_lacking_data_are_skipped(small, place, no_data, capsys):
-    small.data["collection"]["cube"] = {
-        "path": "data:hysu/published/full/DLR_HySU_HS_full.tif", "quantity": "reflectance",
-    }  # fmt: skip
-    path = str(small.write())
+    path = str(small.of_a_data_set().write())
     assert cli.run(["check", path, "--junit", "skipped.xml"]) == 5
     assert "hyperval data fetch hysu" in capsys.readouterr().err
     assert 'failures="0" errors="0" skipped="1"' in Path("skipped.xml").read_text()

@@ -15,7 +15,7 @@ from hyperval.errors import InputError
 from hyperval.results import COLUMNS, Cause, Outcome
 from hyperval.run import Run
 from hyperval.units import wavelength_to_nm
-from small_campaign import SmallCampaign, files_of, scenario_data, scene_data, write_yaml
+from small_campaign import files_of, scenario_data, scene_data, write_yaml
 
 PAGES = {"results.csv", "summary.csv", "results.json", "report.html"}
 CONTRACT = PAGES | {"products.nc", "provenance.json", "junit.xml"}
@@ -24,14 +24,6 @@ MEDIAN = "median_abs_difference_ratio_windows"
 
 def rows_of(folder: Path) -> list[dict[str, str]]:
     return list(csv.DictReader((folder / "results.csv").read_text().splitlines()))
-
-
-def data_only(small: SmallCampaign) -> SmallCampaign:
-    """The same campaign, whose cube is a file of a registered data set."""
-    small.data["collection"]["cube"] = {
-        "path": "data:hysu/published/full/DLR_HySU_HS_full.tif", "quantity": "reflectance",
-    }  # fmt: skip
-    return small
 
 
 def test_the_folder_holds_every_file_of_the_contract_and_repeats_to_the_byte(figures, small, tmp_path):
@@ -91,7 +83,7 @@ def test_a_simulated_campaign_from_its_scene_and_a_scenario_in_a_file_beside_it(
 def test_a_missing_data_set_is_skipped_with_the_command_that_fetches_it(lacking, small, tmp_path, no_data, capsys):
     if lacking == "scenario":
         small.scenario["scene"]["targets"][0]["spectrum"] = {"file": "data:hysu/published/svc/DLR_HySU_SVC.lib"}
-    path, out = (small if lacking == "scenario" else data_only(small)).write(), tmp_path / "out"
+    path, out = (small if lacking == "scenario" else small.of_a_data_set()).write(), tmp_path / "out"
     assert cli.run(["-q", "validate", str(path), "-o", str(out)]) == 5
     rows = rows_of(out)
     planned = [(g["product"], s, g["metric"]) for g in small.data["comparisons"] for s in g["subjects"]]
@@ -117,7 +109,7 @@ def test_a_fault_of_ours_is_named_with_its_place_in_the_rows_of_its_campaign(mak
 
 
 def test_of_several_campaigns_a_broken_and_a_skipped_one_do_not_hide_another(make_small, tmp_path, no_data):
-    good, lacking, broken = make_small("good"), data_only(make_small("lacking")), make_small("broken")
+    good, lacking, broken = make_small("good"), make_small("lacking").of_a_data_set(), make_small("broken")
     lacking.data["name"], broken.data["name"] = "other", "broken"
     os.truncate(broken.collection / "small_rad.img", 100)
     out = tmp_path / "out"

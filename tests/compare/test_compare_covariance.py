@@ -17,7 +17,6 @@ from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([450.0, 550, 650, 750, 870, 1400, 1650]), 10.0)
 B = len(AXIS)
-WINDOWS = 6  # 1400 nm lies in an absorption band
 
 
 def truth():

@@ -200,9 +200,7 @@ def test_every_row_of_a_true_prediction_and_of_a_wrong_one():
     alarms, joint, found = rows["far_measured@1e-2"], rows["joint_pfa@1e-2"], rows["joint_pd@1e-2"]
     assert (alarms.lower, alarms.upper) == pytest.approx(np.array(model.clopper_pearson(200, 20_000)) * 20_000 / KM2)
     assert alarms.reason == "200 alarms in 0.08 km2"
-    assert (joint.lower, joint.upper) == pytest.approx(
-        [float(x) for x in model.clopper_pearson(200, 20_000, np.sqrt(0.95))]
-    )
+    assert (joint.lower, joint.upper) == pytest.approx(np.array(model.clopper_pearson(200, 20_000, np.sqrt(0.95))))
     assert f"{round(found.value * 30)} of 30 objects and 200 of 20000 background samples" in joint.reason
     wrong = roc(model_curve(4.5), measured_curve(2.5))
     assert wrong["pd_inside_joint_region@1e-2"].value == 0.0

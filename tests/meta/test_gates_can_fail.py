@@ -11,9 +11,7 @@ from hyperval.results import Cause, Outcome, Result, ResultTable, Role
 from hyperval.spectra import SpectralAxis
 
 METRIC = "median_difference_ratio_windows"
-A, D, U, S, E, N = (
-    Outcome.AGREES, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.ERROR, Outcome.NONE,
-)  # fmt: skip
+A, D, U, S, E, N = map(Outcome, ("agrees", "disagrees", "undecided", "skipped", "error", "none"))
 
 
 def row(value, half=0.005, metric=METRIC, subject="grass", product="radiance", **more):

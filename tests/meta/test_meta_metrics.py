@@ -69,15 +69,11 @@ def test_every_example_gives_what_it_says(metric):
     assert value == pytest.approx(metric.gives, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", sorted({m.function for m in METRICS if not m.example}))
-def test_every_other_function_has_an_example_that_runs(name):
-    metric = next(m for m in METRICS if m.function == name)
-    module = importlib.import_module(function_of(metric).__module__)
-    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
-    for case in doctest.DocTestFinder(recurse=False).find(function_of(metric), name, module=module):
-        runner.run(case)
-    assert runner.failures == 0
-    assert runner.tries > 0
+@pytest.mark.parametrize("metric", [m for m in METRICS if not m.example], ids=lambda m: m.name)
+def test_every_other_function_has_an_example(metric):
+    """Which runs with those of all docstrings, below."""
+    assert function_of(metric).__module__.startswith("hyperval.")
+    assert ">>> " in function_of(metric).__doc__
 
 
 def test_every_example_of_a_docstring_gives_what_it_says():

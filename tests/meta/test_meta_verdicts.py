@@ -103,9 +103,7 @@ FALSIFIED: dict[str, tuple[Change, set[tuple[str, str]]]] = {
         lambda s: brighter(s, scene(s, "panels", 0), "white-panel"), {("radiance", "white-panel")}
     ),
     "atmosphere": (lambda s: s.scenario["atmosphere"].update(aot550=0.4), {("radiance", "black-panel")}),
-    "spectrum of the target": (
-        lambda s: scene(s, "targets", 0).update(spectrum=GREEN), {("roc", "small-planks")}
-    ),
+    "spectrum of the target": (lambda s: scene(s, "targets", 0).update(spectrum=GREEN), {("roc", "small-planks")}),
     "spectrum of the filter": (
         lambda s: s.data["detection"]["targets"][0].update(spectrum=GREEN),
         {("roc", "small-planks"), ("abundance", "large-planks")},

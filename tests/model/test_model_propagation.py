@@ -109,9 +109,8 @@ def test_area_of_a_curve_and_tolerance_of_a_limit():
     target, ground = p.scores["tenth", "cem"], p.scores["tenth background", "cem"]
     below = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(ground.grid) * (ground.density[1:] + ground.density[:-1]))])
     share = np.interp(target.grid, ground.grid, below, left=0.0, right=1.0)
-    assert model.curve_area(curve, model.WHOLE) == pytest.approx(
-        np.trapezoid(share * target.density, target.grid), abs=2e-3
-    )
+    expected = np.trapezoid(share * target.density, target.grid)
+    assert model.curve_area(curve, model.WHOLE) == pytest.approx(expected, abs=2e-3)
     assert model.quantities(p)["AUC", *KEY][0] == model.curve_area(curve, model.WHOLE)
     # u = 0.02: one digit, half a unit of it is 0.005; with infinitely many draws nothing is added.
     np.testing.assert_allclose(model.tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)

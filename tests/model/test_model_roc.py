@@ -248,9 +248,8 @@ def test_stated_error_is_the_scatter_of_repetition(space):
     # 60 repetitions know a standard deviation to 9 %; four of that are allowed.
     of, mean, covariance = space
     far = mean + np.linspace(0.5, 2.0, BANDS)
-    runs = [
-        model.ace_exceedance(of, far, covariance, 500, np.random.default_rng(k), scores=[0.2, 0.6]) for k in range(60)
-    ]
+    rngs = map(np.random.default_rng, range(60))
+    runs = [model.ace_exceedance(of, far, covariance, 500, rng, scores=[0.2, 0.6]) for rng in rngs]
     scatter = np.std([r.probability for r in runs], axis=0, ddof=1)
     assert np.mean([r.standard_error for r in runs], axis=0) == pytest.approx(scatter, rel=0.37)
 

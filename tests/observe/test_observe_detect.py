@@ -73,9 +73,8 @@ def test_every_detector_makes_its_maps_and_curves(world):
     assert set(seen.detected.score_maps) == {"rx" if d == "rx" else f"paint-{d}" for d in pixels.DETECTORS}
     for name in pixels.DETECTORS:
         found = seen.detected.score_maps["rx" if name == "rx" else f"paint-{name}"]
-        expected = pixels.pixel_detector(name, world.on_bands(), mean, covariance, corner[None]).score(
-            world.values, whitener
-        )
+        detector = pixels.pixel_detector(name, world.on_bands(), mean, covariance, corner[None])
+        expected = detector.score(world.values, whitener)
         assert found == pytest.approx(expected, rel=1e-8, abs=1e-9)
     units = {(detector, unit) for _, detector, unit in seen.observation.roc}
     assert units == {(d, u) for d in pixels.DETECTORS for u in ("pixel", "object")}
@@ -238,9 +237,7 @@ def test_areas_are_sums_of_scores_times_the_pixel_area(world):
     world.text("targets.csv", target_rows({(10, 10): 0.8, (10, 11): 0.3}))
     seen = world.observe()
     scores, area = seen.detected.score_maps["paint-cem"], seen.observation.abundance["fill 0.8", "cem"]
-    assert (area.n, area.area_m2) == (
-        8, pytest.approx(4.0 * (scores[9:12, 9:12].sum() - scores[10, 11]), rel=1e-12)
-    )  # fmt: skip
+    assert (area.n, area.area_m2) == (8, pytest.approx(4.0 * (scores[9:12, 9:12].sum() - scores[10, 11]), rel=1e-12))
 
 
 def test_few_pixels_shrink_the_covariance_and_say_so(world):

@@ -93,9 +93,8 @@ def scenario(fill: dict) -> Scenario:
 
 def test_a_scenario_takes_the_fills_of_the_truth(finer):
     place = opened(finer, registration_m=0.4)
-    detection = Detection.model_validate(
-        {"targets": [{"name": "plank", "material": "plank", "spectrum": {"constant": 0.5}}]}
-    )
+    target = {"name": "plank", "material": "plank", "spectrum": {"constant": 0.5}}
+    detection = Detection.model_validate({"targets": [target]})
     taken = as_collected(scenario({"truth": True}), place, detection)
     plank, fill = place.targets[0], taken.scene.targets[0].fill
     assert fill_distribution(fill).mean == pytest.approx(plank.fills[:, plank.part].mean(), rel=1e-9)

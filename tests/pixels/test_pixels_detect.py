@@ -27,9 +27,8 @@ def scene():
 
 def score(name, scene, undesired=None):
     x, target, mean, covariance = scene
-    return pixels.pixel_detector(name, target, mean, covariance, undesired).score(
-        x, pixels.whitener_of(mean, covariance)
-    )
+    detector = pixels.pixel_detector(name, target, mean, covariance, undesired)
+    return detector.score(x, pixels.whitener_of(mean, covariance))
 
 
 def close(found, expected):
@@ -65,9 +64,8 @@ def test_a_nan_pixel_is_nan_and_a_zero_pixel_has_no_angle(scene):
     whitener = pixels.whitener_of(mean, covariance)
     bad = np.where(np.arange(B) == 3, np.nan, 5.0)
     for name in pixels.DETECTORS:
-        assert np.isnan(pixels.pixel_detector(name, target, mean, covariance, np.ones((1, B))).score(bad, whitener)), (
-            name
-        )
+        detector = pixels.pixel_detector(name, target, mean, covariance, np.ones((1, B)))
+        assert np.isnan(detector.score(bad, whitener)), name
     assert np.isnan(pixels.pixel_detector("sam", target, mean, covariance).score(np.zeros(B)))
     assert np.isnan(pixels.pixel_detector("ace", target, mean, covariance).score(mean, whitener))
 
@@ -220,9 +218,7 @@ def test_classifier_is_quadratic_discriminant_analysis():
     # Against the log density itself.
     laws = [law([0.0, 1.0], 2.0), law([1.0, 0.0], 0.5)]
     x = np.random.default_rng(6).normal(size=(200, 2))
-    from scipy.stats import multivariate_normal
-
-    density = [multivariate_normal.logpdf(x, one.mean, one.covariance) for one in laws]
+    density = [stats.multivariate_normal.logpdf(x, one.mean, one.covariance) for one in laws]
     assert np.array_equal(model.gaussian_classes(laws, x), np.argmax(density, axis=0))
 
 

@@ -38,9 +38,8 @@ def test_drawn_eigenvalues_are_those_of_samples_of_pixels(n):
     # n = 6 is of less than full rank; 15 is strongly biased. Two-sample Kolmogorov-Smirnov on the first and third
     # eigenvalue; at p > 1e-3 each of the 6 comparisons rejects a right sampler once in a thousand.
     truth = sample_eigenvalues(n, 600)
-    band = pixels.sampling_band(
-        pixels.EigenDirections.of(sigma()), n - 1.0, 3, (1,), np.random.default_rng(3), draws=600
-    )
+    directions, rng = pixels.EigenDirections.of(sigma()), np.random.default_rng(3)
+    band = pixels.sampling_band(directions, n - 1.0, 3, (1,), rng, draws=600)
     for k in (0, 2):
         assert stats.ks_2samp(band.eigenvalues[:, k], truth[:, k]).pvalue > 1e-3
 
@@ -57,9 +56,8 @@ def test_covariance_distance_is_bhattacharyya_without_a_difference_of_means():
 def test_principal_angle_of_a_turned_plane():
     a = np.radians(25.0)
     turned = np.array([[np.cos(a), 0.0], [0.0, 1.0]])
-    assert pixels.principal_angles_deg([turned, np.eye(2)], (1, 2)) == pytest.approx(
-        np.array([[25.0, 25.0], [0.0, 0.0]])
-    )
+    found = pixels.principal_angles_deg([turned, np.eye(2)], (1, 2))
+    assert found == pytest.approx(np.array([[25.0, 25.0], [0.0, 0.0]]))
 
 
 BANDS = 80
@@ -156,14 +154,7 @@ def test_neighbour_shares_by_counting_shifted_masks():
             assert shares[i, j] == pytest.approx((mask & moved).sum() / mask.sum(), abs=1e-15)
 
 
-SIDE, REACH = 40, 24
-
-
-def _fields(correlation: float, count: int, rng: np.random.Generator) -> np.ndarray:
-    wide = SIDE + 60
-    return np.stack([correlated_field((wide, wide), correlation, rng)[30:-30, 30:-30] for _ in range(count)]).astype(
-        float
-    )
+REACH = 24
 
 
 @pytest.mark.parametrize(("side", "correlation"), [(12, 4.0), (10, 4.0), (8, 2.0), (20, 4.0), (24, 6.0)])

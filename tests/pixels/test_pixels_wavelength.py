@@ -86,9 +86,8 @@ def test_the_uncertainty_of_a_centre_is_its_spread_over_draws():
         c = np.outer(u, u) * np.exp(-0.5 * ((w[:, None] - w) / length) ** 2)
         root = np.linalg.cholesky(c + 1e-12 * np.eye(w.size))
         rng = np.random.default_rng(31)
-        found = np.array(
-            [pixels.absorption_centre(w, y + root @ rng.standard_normal(w.size), OXYGEN)[0] for _ in range(1000)]
-        )
+        drawn = (y + root @ rng.standard_normal(w.size) for _ in range(1000))
+        found = np.array([pixels.absorption_centre(w, one, OXYGEN)[0] for one in drawn])
         stated = pixels.centre_uncertainty(w, y, c, OXYGEN, pixels.absorption_centre(w, y, OXYGEN)[0])
         assert stated == pytest.approx(found.std(), rel=0.15)
 

@@ -232,9 +232,8 @@ def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(
     pfa = np.geomspace(1e-6, 1.0, 50_000)
     curve = RocCurve(pfa, *(np.sqrt(pfa),) * 3, pfa)
     held = {(f"t{i}", "cem", "pixel"): dataclasses.replace(curve, n_target=i) for i in range(30)}
-    figure = next(
-        f for f in figures.first_figures((None, dataclasses.replace(run.pair[1], roc=held))) if f.name == "roc"
-    )
+    made = figures.first_figures((None, dataclasses.replace(run.pair[1], roc=held)))
+    figure = next(f for f in made if f.name == "roc")
     assert [view.subject for view in figure.views] == [f"t{i}" for i in range(6, 30)]
     columns = stated(figure)[0]["parts"][0]["marks"][0]["columns"]
     assert columns["x"].size <= 200
@@ -364,7 +363,6 @@ def test_a_long_strip_is_cut_to_its_regions(turned, shown):
     mask[500:520, 40:50] = True
     for own, cut in ((mask, shown), (mask & False, ""), (np.zeros((300, 200), bool), "")):
         own = own.T if turned else own
-        (drawing,) = figures.draw_pictures(
-            Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own}), {}, simulated=False
-        )
+        look = Quicklook(np.full((*own.shape, 3), 9, np.uint8), {"a": own})
+        (drawing,) = figures.draw_pictures(look, {}, simulated=False)
         assert drawing.title.partition("; ")[2] == cut

@@ -16,9 +16,7 @@ from hyperval.metrics import Evidence, plain_words
 from hyperval.report import first_screen, interval_text, last_line, limits_text, number_text, value_text
 from hyperval.results import Outcome, Result, Role
 
-A, D, U, S, E, N = (
-    Outcome.AGREES, Outcome.DISAGREES, Outcome.UNDECIDED, Outcome.SKIPPED, Outcome.ERROR, Outcome.NONE,
-)  # fmt: skip
+A, D, U, S, E, N = map(Outcome, ("agrees", "disagrees", "undecided", "skipped", "error", "none"))
 WHAT = "mean level of the radiance"
 
 

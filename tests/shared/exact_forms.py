@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from hyperval.model import WHOLE
-from hyperval.pixels import AlarmBlocks, area_estimates, counts_of, roc_area
-from hyperval.products import AreaEstimate
+from hyperval.pixels import counts_of, roc_area
 
 
 def roc_points(target, background):
@@ -19,9 +17,3 @@ def roc_points(target, background):
 def auc(target, background):
     """The area under the whole curve by production's counts."""
     return roc_area(counts_of(target, background))
-
-
-def auc_estimate(target, background) -> AreaEstimate:
-    """Production's area of single pixels with its interval."""
-    blocks = AlarmBlocks.of_scores(background)
-    return area_estimates(counts_of(target, blocks), {"auc": WHOLE}, "pixel", blocks)["auc"]
