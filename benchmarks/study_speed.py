@@ -100,9 +100,9 @@ def main() -> None:
     data, lines = parse_yaml(TEXT)
     scenario = validate(Scenario, data, lines, "benchmark")
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 8192
-    still = read(scenario, Origins(show_progress=False))
+    still = read(scenario, Origins())
     nodes = {RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())}
-    hazy = read(scenario, Origins(show_progress=False), nodes=nodes)
+    hazy = read(scenario, Origins(), nodes=nodes)
     hazy.stated.atmosphere.prepare([], True)
     print("evaluations a second; 360 bands, 5 classes, radiance, SNR, ROC of 181 points; one BLAS thread a worker")
     head = ("predict", "1, cpu", "ratio", "2, cpu", "scaling", "1, wall", "2, wall")

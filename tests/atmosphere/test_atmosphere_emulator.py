@@ -97,7 +97,7 @@ def test_its_error_is_a_source_of_the_budget_and_the_engine_is_stated():
         "name": "fast", "atmosphere": STATE, "sensor": "emit", "scene": {"classes": [grey]},
         "processing": {"elm": "none", "detectors": []},
     }  # fmt: skip
-    found = predict(Scenario.model_validate(content), Origins(axis=axis, show_progress=False))
+    found = predict(Scenario.model_validate(content), Origins(axis=axis))
     stated = terms().at_bands(axis).path_uncertainty
     np.testing.assert_allclose(found.radiance["grey"].budget["interpolation of the table"], stated, rtol=1e-9)
     assert found.provenance["atmosphere"]["engine"].startswith("emulator of 6S ")

@@ -290,7 +290,7 @@ def test_a_scenario_names_its_table_and_has_its_error_in_the_budget(tmp_path):
     made = AtmosphericTable(nm, {"aot550": np.array([0.05, 0.2])}, {"aerosol": "rural"}, held)
     air.write_table(made, tmp_path / "lut.nc")
     axis = SpectralAxis(np.array([550.0, 1000.0, 1650.0]), np.full(3, 10.0))
-    origins = Origins(axis=axis, show_progress=False, resolve=lambda reference: tmp_path / reference)
+    origins = Origins(axis=axis, resolve=lambda reference: tmp_path / reference)
 
     def predicted(**changes):
         grey = {"name": "grey", "fraction": 1.0, "spectrum": {"constant": 0.3}, "covariance": {"relative_sd": 0.05}}

@@ -39,6 +39,10 @@ def test_spectra_that_are_exchanged_or_lose_light_to_other_wavelengths():
     assert candidate.labels == ("grass and roof",)
     assert (stack.observed + change[:, 0]).tolist() == [2.0, 2.0, 1.0, 3.0]
     assert stack.levelled(stack.observed).tolist() == [1.0, -1.0, 0.0, 0.0]
+    shade, _, cut = stack.single(np.array([1.0, 4.0, 2.0, 2.0])).items()
+    assert shade[0].name == "light on grass"
+    assert shade[1][:, 0].tolist() == [-0.5, -2.0, 0.0, 0.0]  # half of the light
+    assert (cut[0].labels, cut[1][:, 0].tolist()) == (("at 3",), [0.0, -1.0, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(

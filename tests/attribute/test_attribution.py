@@ -1,5 +1,6 @@
 """Errors injected into the model do what their names say; inputs falsified on purpose are named first."""
 
+from dataclasses import replace
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -9,10 +10,16 @@ import pytest
 import yaml
 from uncertain_scene import AXIS, engine, run, scenario
 
-from hyperval.attribute import NotInjectable, errors_of_file, injected_errors, injected_prediction
+from hyperval.attribute import (
+    NotInjectable,
+    errors_of_file,
+    further_candidates,
+    injected_errors,
+    injected_prediction,
+)
 from hyperval.campaign import jobs_of, run_campaign
 from hyperval.errors import UsageError
-from hyperval.model import Origins, predict
+from hyperval.model import Origins, predict, read
 from hyperval.results import Outcome
 from hyperval.settings import with_settings
 
@@ -31,7 +38,22 @@ SCENE = scenario(
     }
 )
 BLUR = "scene.targets.green.fill.geometry.psf_fwhm_pixels"
-BASE = run(SCENE)
+BASE, ORIGINS = run(SCENE), Origins(axis=AXIS, engine=engine)
+
+
+def test_noise_without_signal_is_a_cause_of_a_sensor_that_is_changed_nowhere():
+    (noise,) = [c for c in further_candidates([read(SCENE, ORIGINS)]) if c.name == "noise without signal"]
+    (truth,) = noise.at(0, 20.0)
+    there = predict(with_settings(SCENE, {"sensor_changes": {"fixed_noise_factor": 2.0}}), ORIGINS).snr["grass"].mean
+    np.testing.assert_allclose(predict(SCENE, ORIGINS, truth=truth).snr["grass"].mean, there, rtol=1e-12)
+
+
+def test_wider_bands_see_what_a_sensor_with_such_bands_sees():
+    wide = replace(AXIS, fwhm_nm=2.0 * AXIS.fwhm_nm)
+    there = predict(SCENE, Origins(axis=wide, engine=engine)).radiance["grass"].mean
+    moved = predict(SCENE, ORIGINS, truth={"sensor.band_width": 2.0}).radiance["grass"].mean
+    np.testing.assert_allclose(moved, there, rtol=1e-12)
+    assert np.max(np.abs(moved / BASE.radiance["grass"].mean - 1.0)) > 1e-3
 
 
 def injected(name: str, s=SCENE):

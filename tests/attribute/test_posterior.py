@@ -182,15 +182,6 @@ def test_rounding_neither_orders_what_explains_the_same_nor_counts_as_an_effect(
     assert [f.name for f in near.fits] == sorted([name, "m"])
 
 
-def test_a_polynomial_of_degree_two_is_met_exactly():
-    def f(*z):
-        return np.array([2.0 + 3.0 * z[0] + z[1] ** 2, 0.7])
-
-    shares = attribute.shares_of_variance(f(0, 0), [(f(*e), f(*-e)) for e in np.eye(2)])
-    np.testing.assert_allclose(shares[:, 0], np.array([9, 2]) / 11, atol=1e-10)  # by hand; what does not move has none
-    assert np.isnan(shares[:, 1]).all()
-
-
 AXIS = SpectralAxis(np.array([500.0, 600.0, 800.0]), np.full(3, 10.0))
 USUAL = yaml.safe_load((Path(__file__).parent / "usual_inputs.yaml").read_text())
 
@@ -208,3 +199,18 @@ def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
     assert not {*case["absent"]} & found
     level = next(c for c in attribute.rarer_candidates([world]) if c.name == "level of the spectrum of c0")
     np.testing.assert_allclose(level.at(0, -4.0)[0]["surfaces.[c0].mean"], 0.16)  # 4 steps of 5 % less than 0.2
+
+
+def test_files_of_two_scenarios_in_each_others_place_are_a_cause(tmp_path):
+    worlds = []
+    for name, level in (("a", 0.1), ("b", 0.3)):
+        (tmp_path / name).write_text(f"400 {level}\n900 {level}\n")
+        spectrum = {"file": str(tmp_path / name), "wavelength_unit": "nm", "reflectance_unit": "fraction"}
+        scene = {"classes": [{"name": name, "fraction": 1.0, "spectrum": spectrum}]}
+        data = {"name": name, "scene": scene, "processing": {"elm": "none", "detectors": []}}
+        worlds.append(read(Scenario.model_validate(data), Origins(axis=AXIS, engine=stand_in_atmosphere)))
+    entry = next(c for c in attribute.rarer_candidates(worlds) if c.name == "entry of a surface")
+    (exchanged,) = [truth for i, told in enumerate(entry.labels) if "exchanged" in told for truth in [entry.at(0, i)]]
+    assert [{path: mean.tolist() for path, mean in truth.items()} for truth in exchanged] == [
+        {"surfaces.[a].mean": pytest.approx([0.3] * 3)}, {"surfaces.[b].mean": pytest.approx([0.1] * 3)}
+    ]  # fmt: skip

@@ -129,7 +129,7 @@ class World:
 
     def place(self) -> Place:
         """Open the collection as it stands."""
-        return open_place(CollectionSection.model_validate(self.collection), self.resolve, show_progress=False)
+        return open_place(CollectionSection.model_validate(self.collection), self.resolve)
 
     def observe(self, **options: Any) -> Observed:
         """Run the pipeline on the settings as they stand."""

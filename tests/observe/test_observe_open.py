@@ -11,8 +11,10 @@ from rasterio.crs import CRS
 from scipy import ndimage
 from small_world import AXIS, LINES, PLANTED, SAMPLES, near_targets
 
+from hyperval.collection import CollectionSection
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
+from hyperval.observe import open_place
 
 # Opening a collection: regions and truth of every kind, what is left out, places, and the errors of each field.
 
@@ -47,10 +49,12 @@ def test_a_mistake_moves_values_bands_targets_and_regions(world):
     world.regions(corner=[35, 5, 10, 20])
     seen = world.observe().place
     away = {"lines": 1, "samples": -2}
-    wrong, elsewhere = seen.mistaken({"gain": 0.1, "offset": 0.05, "nm": 2.0}), seen.mistaken(away | {"regions": 1})
+    wrong, elsewhere = seen.mistaken({"gain": 0.1, "offset": 0.05}), seen.mistaken(away | {"regions": 1})
     level = 0.05 * seen.statistics["scene"].mean.mean()
     assert wrong.cube.read(0, 3).values == pytest.approx(1.1 * seen.cube.read(0, 3).values + level)
-    assert wrong.cube.axis.centre_nm == pytest.approx(seen.cube.axis.centre_nm + 2.0)
+    stretched = open_place(CollectionSection.model_validate(world.collection), world.resolve, {"nm": 2.0, "scale": 0.1})
+    assert np.diff(stretched.cube.axis.centre_nm) == pytest.approx(1.1 * np.diff(seen.cube.axis.centre_nm))
+    assert stretched.cube.axis.centre_nm.mean() == pytest.approx(seen.cube.axis.centre_nm.mean() + 2.0)
     assert np.array_equal(elsewhere.region("corner"), np.roll(seen.region("corner"), (1, -2), (0, 1)))
     assert np.array_equal(seen.mistaken(away).region("corner"), seen.region("corner"))
     target, moved = seen.targets[0], seen.mistaken(away).targets[0]

@@ -35,6 +35,13 @@ def test_preset_false_alarm_rate_by_brute_force(target, background, pfa):
     assert found.pd_lower[0] <= found.pd[0] <= found.pd_upper[0]
 
 
+def test_a_target_that_ties_with_the_highest_of_the_background_has_no_area_above_one():
+    background = np.concatenate([[9.0], np.full(2, 5.0), np.arange(9997) / 10000])
+    curve = pixels.with_summary(pixels.empirical_roc([5.0], background, [0.1, 1.0]), [5.0], background)
+    area = curve.areas["log_auc@1e-3..1e-1"]
+    assert (area.value, area.upper) == (1.0, 1.0)
+
+
 @pytest.mark.parametrize(("n", "pfa"), [(1000, 0.01), (1000, 0.1), (500, 0.5), (4000, 0.003)])
 def test_interval_against_the_definition_rank_by_rank(n, pfa):
     # Background 0 to n - 1 and one target above each: the count of targets above a score gives its rank.

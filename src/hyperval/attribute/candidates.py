@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
-from itertools import combinations, product
+from itertools import combinations, permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ from hyperval.model.inputs import Kind, field_spectrum_of, form_in_words
 from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
+from hyperval.sensor import SensorChanges
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
 Family = Callable[[World], Truth]  # what stands where with an error, for what a scenario says
@@ -67,7 +68,6 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
     ("spherical albedo", "atmosphere", "light.spherical_albedo", 0.10),
     ("sensor gain", "sensor", "sensor.gain", 0.01),
     ("sensor noise", "sensor", "sensor.noise", 0.05),
-    ("noise without signal", "sensor", "sensor_changes.fixed_noise_factor", 0.05),
     ("electrons per radiance", "sensor", "sensor.electrons", 0.05),
     ("fill fraction of the targets", "scene", "fill", 0.05),
     ("PSF width", "scene", "blur", 0.10),
@@ -75,7 +75,6 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
 # Where the model is asked besides one unit up and down, in units; between and a little beyond it is interpolated.
 _SIZES = {
     "sunlight": (-20.0, 25.0), "sensor gain": (-20.0, 25.0), "sensor noise": (-10.0, 10.0, 25.0),
-    "noise without signal": (-10.0, 10.0, 30.0),
     "electrons per radiance": (-12.0, -6.0, 10.0, 25.0),
     "fill fraction of the targets": (-12.0, -6.0, 6.0, 20.0), "tails": (5.0, 20.0), "PSF width": (-5.0, 5.0, 10.0),
     "path radiance": (-5.0, 10.0), AEROSOL: (-5.0, 10.0),
@@ -191,7 +190,7 @@ class Candidate:
         """Least and greatest size that it may have."""
         if self.budgeted:
             return -self.most, self.most
-        return _BELOW * min(0.0, *self.sizes), _ABOVE * max(0.0, *self.sizes)
+        return _BELOW * min(0.0, *self.sizes), (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
 
     @property
     def asked(self) -> bool:
@@ -272,14 +271,13 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     sizes = (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
     out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
     if any(s is not None and s.time_utc for s in states):
-
-        def later(hours: float) -> list[Truth]:
-            times = [s and s.time_utc and parse_utc(s.time_utc) + timedelta(hours=hours) for s in states]
-            return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
-
+        later = partial(_later, worlds, timedelta(hours=1))
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
     if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
         out.append(_of_state(worlds, "solar_zenith_deg", "solar zenith angle", "1 deg", (1.0, -1.0, -5.0, 5.0)))
+    if all(world.stated.noise is not None for world in worlds):
+        noise, asked = partial(_fixed_noise, worlds), (1.0, -1.0, -10.0, 10.0, 30.0)
+        out.append(Candidate("noise without signal", "sensor", "5 %", False, sizes=asked, moved=noise))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
         kinds = {h: [{"atmosphere.aerosol": h} if s else {} for s in states] for h in HAZES if h not in hazes}
         out.append(_one_of("aerosol type", "atmosphere", kinds))
@@ -301,6 +299,19 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
 
 
+def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
+    states = [world.stated.scenario.atmosphere for world in worlds]
+    times = [s and s.time_utc and parse_utc(s.time_utc) + units * step for s in states]
+    return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
+
+
+def _fixed_noise(worlds: Sequence[World], units: float) -> list[Truth]:
+    changes = [world.stated.scenario.sensor_changes or SensorChanges() for world in worlds]
+    factors = [(1.0 + 0.05 * units) * c.fixed_noise_factor for c in changes]
+    each = zip(changes, factors, strict=True)
+    return [{"sensor_changes": c.model_dump(exclude_none=True) | {"fixed_noise_factor": f}} for c, f in each]
+
+
 def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
     """Targets of another size than stated: their sides, where fills follow from those; else their fills."""
 
@@ -308,8 +319,7 @@ def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
         factor, truth = 1.0 + 0.05 * units, dict[str, Any]()
         for p in target.populations:
             if side := _side(p):
-                within = f".subjects.[{p.name}]" if target.subjects else ""
-                truth[f"scene.targets.[{target.name}]{within}.fill.geometry.side_m"] = factor * side
+                truth[f"{_geometry(target, p)}.side_m"] = factor * side
             else:
                 fill = np.asarray(value_at(worlds[number], f"fill.[{p.name}]"), dtype=float)[0]
                 truth[f"fill.[{p.name}]"] = np.minimum(factor**2 * fill, 1.0)
@@ -320,6 +330,10 @@ def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
 
 def _side(p: TargetSubject) -> float | None:
     return p.fill.geometry.side_m if p.fill is not None and p.fill.geometry is not None else None
+
+
+def _geometry(target: Target, p: TargetSubject) -> str:
+    return f"scene.targets.[{target.name}]{f'.subjects.[{p.name}]' if target.subjects else ''}.fill.geometry"
 
 
 def exchanged_entries(worlds: Sequence[World]) -> list[Candidate]:
@@ -337,10 +351,19 @@ def exchanged_entries(worlds: Sequence[World]) -> list[Candidate]:
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     """What is looked for where little else explains a change: field spectra at another level or one in the place of
-    another, fractions that two classes trade, shade, heights, the direction of view, another sun.
+    another, fractions that two classes trade, shade, stretched or wider bands, heights, the direction of view, another
+    date or sun.
     """
-    out, entries = list[Candidate](), dict[str, list[Truth]]()
+    out, entries, pixels = list[Candidate](), dict[str, list[Truth]](), [dict[str, Any]() for _ in worlds]
     levels = defaultdict[str, list[dict[str, Array]]](lambda: [{} for _ in worlds])
+
+    def stretched(units: float) -> list[Truth]:
+        centres = (world.stated.axis.centre_nm for world in worlds)
+        return [_shifted(w, nm=1e-3 * units * (c - c.mean())) for w, c in zip(worlds, centres, strict=True)]
+
+    def wider(units: float) -> list[Truth]:
+        return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
+
     for number, world in enumerate(worlds):
         scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
@@ -351,6 +374,8 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
                     levels[name][number][path] = means[s.name]
                 entries |= {f"{by} in the place of {s.name}": alone({path: means[by]}) for by in means if by != s.name}
         for t in scene.targets:
+            shapes = ((_geometry(t, p), p.fill and p.fill.geometry) for p in t.populations)
+            pixels[number] |= {f"{path}.gsd_m": shape.gsd_m for path, shape in shapes if shape}
             path = f"scene.targets.[{t.name}].illumination"
             light = _part(world, f"light of {t.name}", "scene", f"{path}.beam", 0.1)
             out.append(_in_one(light, number, len(worlds), (-9.0, -4.0, 7.0)))
@@ -367,12 +392,23 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     for name in names.values():  # of those that mean the same spectra the first
         level = partial(_levelled, levels[name])
         out.append(Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=level))
+    entries |= _files_changed(levels)
+    if any(pixels):
+        larger = partial(_levelled, pixels)
+        out.append(
+            Candidate("pixel size of the fill geometry", "sensor", "5 %", False, sizes=(-8.0, 12.0), moved=larger)
+        )
+    out.append(Candidate("wavelength scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), moved=stretched))
+    out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
     if entries:
         out.append(_one_of("entry of a surface", "scene", entries))
     if not all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds):
         return out
     states = [world.stated.scenario.atmosphere for world in worlds]
     out += [_of_state(worlds, *row) for row in _OF_STATE if all(getattr(s, row[0]) is not None for s in states)]
+    if any(s is not None and s.time_utc for s in states):
+        later = partial(_later, worlds, timedelta(days=30))
+        out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
     suns: dict[str, list[Truth]] = {sun: [{"atmosphere.solar_spectrum": sun} for _ in worlds] for sun in SOLAR_SPECTRA}
     stated = {s.solar_spectrum for s in states if s is not None}
     return [*out, _one_of("solar spectrum", "atmosphere", {s: t for s, t in suns.items() if s not in stated})]
@@ -392,8 +428,22 @@ def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
     return [(s, f"surfaces.[{s.name}].mean") for s in kind if s.spectrum.measured is None]
 
 
-def _levelled(means: Sequence[Mapping[str, Array]], units: float) -> list[Truth]:
-    return [{path: (1.0 + 0.05 * units) * mean for path, mean in each.items()} for each in means]
+def _files_changed(levels: Mapping[str, Sequence[Mapping[str, Array]]]) -> dict[str, list[Truth]]:
+    """One file of field spectra in the place of another, or both exchanged, wherever they are read."""
+    ways = {file: [list(means) for means in each] for file, each in levels.items() if file.startswith("spectra of ")}
+    means = {file: next(mean for each in levels[file] for mean in each.values()) for file in ways}
+    out = dict[str, list[Truth]]()
+    for a, b in permutations(ways, 2):
+        if means[a].shape == means[b].shape:
+            out[f"{b} in the place of {a}"] = [dict.fromkeys(paths, means[b]) for paths in ways[a]]
+            if f"{a} in the place of {b}" in out:
+                both = zip(out[f"{b} in the place of {a}"], out[f"{a} in the place of {b}"], strict=True)
+                out[f"{a} exchanged with {b}"] = [{**one, **other} for one, other in both]
+    return out
+
+
+def _levelled(values: Sequence[Mapping[str, Any]], units: float) -> list[Truth]:
+    return [{path: (1.0 + 0.05 * units) * value for path, value in each.items()} for each in values]
 
 
 def _traded(pairs: Sequence[Sequence[BackgroundClass]], units: float) -> list[Truth]:
@@ -524,7 +574,7 @@ def _times(world: World, *, path: str, factor: float) -> Truth:
     return {each: factor * value for each, value in nominal.items()}
 
 
-def _shifted(world: World, *, bands: float = 0.0, nm: float = 0.0) -> Truth:
+def _shifted(world: World, *, bands: float = 0.0, nm: float | Array = 0.0) -> Truth:
     """True band centres off by a part of each band's width, or by so much; spectra may end before such a band."""
     moves: dict[str, Any] = {"sensor.wavelength_shift_nm": bands * world.stated.axis.fwhm_nm + nm}
     for key in ("classes", "panels", "sites", "targets"):

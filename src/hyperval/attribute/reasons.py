@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain, product
 from typing import Any, NamedTuple
@@ -57,7 +57,7 @@ from hyperval.settings import with_settings
 
 ATMOSPHERE, MOST_SCENARIOS = "atmosphere", 3  # inputs of this kind are asked for large errors in so many scenarios
 # In which the model is asked again at the sizes found, of so many candidates; pixels that regions may lie elsewhere.
-MOST_ROUNDS, MOST_REFINED, MOST_PIXELS = 3, 4, 2
+MOST_ROUNDS, MOST_REFINED, MOST_PIXELS = 3, 4, 4
 # Error of each band by itself, common to all subjects: what smooth inputs cannot explain.
 # A gain and an offset of the calibration that change smoothly over wavelength: a piece at each knot.
 SMOOTH_PART = 0.03
@@ -74,6 +74,7 @@ _OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
     ("gain of the data", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
     ("offset of the data", "0.01 of the mean", "offset", 0.01, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
     ("wavelength shift", "0.5 nm", "nm", 0.5, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
+    ("wavelength scale", "0.1 %", "scale", 0.001, (-8.0, -2.0, 2.0, 8.0)),
 )
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 
@@ -94,11 +95,13 @@ class ScenarioModel:
         what a budget is made of as exactly as what is predicted
     observe : measures the collection again with changed settings, or with a mistake in its image
         (:meth:`hyperval.observe.open.Place.mistaken`)
+    exchanges : settings of :attr:`observe` with two panels of the empirical line in each other's place, by their names
     """
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
     observe: Callable[[Mapping[str, Any], Mapping[str, float]], Products]
+    exchanges: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
@@ -122,7 +125,8 @@ class Causes:
     residual : (n,) observed minus predicted
     wide : (n, k) of what no candidate describes
     evaluate : asks the model again
-    mistaken : what is measured now, less what is measured with a mistake in the image
+    mistaken : what is measured now, less what is measured with a mistake in the image, or with other settings
+    exchanges : settings with two panels of the empirical line in each other's place, by their names
     """
 
     stack: Stack
@@ -138,7 +142,8 @@ class Causes:
     residual: Array
     wide: Array
     evaluate: Evaluate
-    mistaken: Callable[[Mapping[str, float]], Array]
+    mistaken: Callable[..., Array]
+    exchanges: Mapping[str, Mapping[str, Any]]
 
     def reasoner(self) -> Reasoner:
         """The same, whitened."""
@@ -175,8 +180,10 @@ class Causes:
         if not of.size:
             return None
         moved, of_model = self.stack.observed[of] - observed, predicted - self.predicted[of]
-        same = (np.abs(moved) <= AS_WRITTEN * np.abs(observed)) & (np.abs(of_model) <= AS_WRITTEN * np.abs(predicted))
-        found = None if same.all() else self._change(moved, of_model, of, observed, predicted, simulated)
+        unit = np.where(self.stack.bands[of] >= 0, 0.0, 1.0)  # a score near 0 is written to digits of 1
+        changes = (moved, observed), (of_model, predicted)
+        same = [np.abs(change) <= AS_WRITTEN * np.maximum(np.abs(then), unit) for change, then in changes]
+        found = None if np.all(same) else self._change(moved, of_model, of, observed, predicted, simulated)
         size = Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square
         if found is not None and (size > 1.0 or found.enough):
             return found
@@ -190,19 +197,28 @@ class Causes:
         if np.any(np.abs(moved) > STILL * np.abs(observed), where=spectral[of]):
             level[of] = np.where(spectral[of], observed, predicted)
             light = (spectral | (self.stack.named("product") == "snr"))[of]
-            of, moved = of[light], moved[light]
+            every, change, of, moved = of, moved, of[light], moved[light]
             # No field spectrum, which could make anything, has moved what was measured.
             can = (c for c in columns if c.kind == "sensor" or (simulated and not c.makes_anything))
             columns = {c: self.beside(level, columns[c]) for c in can}
-            columns |= self.of_spectra(level) | self.stack.exchanged(level)
+            columns |= self.of_spectra(level) | self.stack.exchanged(level) | self.stack.single(level)
             if simulated and (by_setting := self.or_rarer(moved, of, level, columns)).enough:
                 return by_setting
-            return self.or_displaced(moved, of, level, columns, regions=True)
+            found = self.or_displaced(moved, of, level, columns, regions=True)
+            if simulated and found.first == NONE:  # a scene made anew has scores too, beside other noise
+                inputs = {replace(c, unbounded=True): g[every] for c, g in {**self.of_inputs, **self.rarer()}.items()}
+                covariance = self.covariance[np.ix_(every, every)]
+                _, noisy = self.explained(change, covariance, inputs, every, self.predicted, True)
+                return noisy if noisy.enough else found
+            return found
         of_scores = bool(np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]))
-        # Of an entry that is wrong, filters and all that is made of it moved on both sides.
-        if of_scores and (by_entry := self.explained_change(of_model, of, level, self.of_files())).enough:
-            return by_entry
-        if np.any(np.abs(moved) > CHANGE_FLOOR):
+        is_measured = bool(np.any(np.abs(moved) > CHANGE_FLOOR))
+        # Of an entry that is wrong, filters and all that is made of it moved on both sides; false alarms are read at
+        # thresholds that were measured.
+        alone = (self.stack.named("product")[of] != "roc") | (not is_measured)
+        if of_scores and (entry := self.explained_change(of_model[alone], of[alone], level, self.of_files())).enough:
+            return entry
+        if is_measured:
             steps = dict[Candidate, Array]()
             for name, step, key, unit, at in _OF_DATA:
                 effects = np.column_stack([self.mistaken({key: unit * z}) for z in at])
@@ -228,6 +244,11 @@ class Causes:
     ) -> Posterior:
         """What explains a change; where nothing does, regions and targets that lie pixels away, measured again."""
         found = self.explained_change(moved, of, level, columns)
+        if found.first == NONE and self.exchanges:
+            effect = np.column_stack([self.mistaken({}, settings) for settings in self.exchanges.values()])
+            panels = Candidate("exchanged panels of the empirical line", "scene", "", False, labels=(*self.exchanges,))
+            columns = {**columns, panels: effect}
+            found = self.explained_change(moved, of, level, columns)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product((-1, 0, 1), repeat=2)]
@@ -239,9 +260,9 @@ class Causes:
             place = Candidate(f"position of the {what}", "scene", "", False, labels=labels)
             found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
-            if best is None or found.enough:
+            before, nearest = nearest, list(effects)[int(best.amplitudes[0])] if best else nearest
+            if found.enough or nearest == before:
                 break
-            nearest = list(effects)[int(best.amplitudes[0])]
         return found
 
     def explained_change(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
@@ -370,14 +391,17 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
     rarer = cache(partial(_columns_at, rarer_candidates(worlds), {}, predicted, evaluate))
 
-    def mistaken(mistake: Mapping[str, float]) -> Array:
-        there = stacked(base, model.observe({}, mistake))
+    def mistaken(mistake: Mapping[str, float], settings: Mapping[str, Any] | None = None) -> Array:
+        try:
+            there = stacked(base, model.observe(settings or {}, mistake))
+        except UsageError:  # nothing can be measured so, such as by panels that are no line
+            return np.zeros(predicted.size)
         same = [b.observed.shape for b in there.blocks] == [b.observed.shape for b in stack.blocks]
         return stack.observed - there.observed if same else np.zeros(predicted.size)
 
     return Causes(
         stack, numbers, predicted, values, of_spectra, of_files, rarer, covariance, columns, ends, residual, wide,
-        evaluate, mistaken,
+        evaluate, mistaken, model.exchanges,
     )  # fmt: skip
 
 

@@ -224,6 +224,17 @@ class Stack:
         one = Candidate("exchanged regions", "scene", "", False, labels=tuple(changes))
         return {one: np.column_stack([*changes.values()])} if changes else {}
 
+    def single(self, level: Array) -> dict[Candidate, Array]:
+        """Of what is measured, other light on one subject, or all that is more than the greatest value now cut off."""
+        lit, subjects, out = self.bands >= 0, self.named("subject"), dict[Candidate, Array]()
+        for name in dict.fromkeys(subjects[lit].tolist()):
+            light = Candidate(f"light on {name}", "region", "5 %", False, sizes=(-10.0, 20.0))
+            out[light] = np.outer(np.where(lit & (subjects == name), 0.05 * level, 0.0), light.sizes)
+        greatest = np.max(self.observed, where=lit, initial=0.0)
+        cut = np.where(lit, np.minimum(level, greatest) - level, 0.0)
+        out[Candidate("saturation", "sensor", "", False, labels=(f"at {greatest:.4g}",))] = cut[:, None]
+        return out
+
     def of_subject(self, level: Array, subject: str) -> Array:
         """(n, K) a tenth of a subject's spectrum in each band by itself."""
         rows = np.flatnonzero((self.named("subject") == subject) & (self.bands >= 0))

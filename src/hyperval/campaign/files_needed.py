@@ -367,7 +367,7 @@ def _opened(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     plain = collection.model_copy(update={"regions": [], "targets": None, "leave_out": []})
 
     def opened(**parts: Any) -> Place | None:
-        return open_place(plain.model_copy(update=parts), lookup.find, show_progress=False)
+        return open_place(plain.model_copy(update=parts), lookup.find)
 
     place: Place | None = None
     with lookup.within("collection", "cube"):

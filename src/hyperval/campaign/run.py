@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from functools import cache
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -31,7 +32,7 @@ from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import Truth, World, predict, predictions, read
-from hyperval.observe import Observed
+from hyperval.observe import Observed, open_place
 from hyperval.observe import observe as observe_collection
 from hyperval.observe import write_reflectance as reflectance_cube
 from hyperval.products import PredictedProducts, Products
@@ -248,10 +249,18 @@ def scenario_model(side: Collected) -> ScenarioModel:
             detection = changed.detection.model_copy(update={"unmixing": None})
         before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
-            before = replace(before, place=before.place.mistaken(mistake), sampling={})
+            bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
+            place = open_place(changed.collection, side.inputs.resolve, mistake) if bands_are_off else before.place
+            before = replace(before, place=place.mistaken(mistake), sampling={})
         return observe_collection(changed.collection, detection, side.inputs.resolve, before=before).observation
 
-    return ScenarioModel(side.scenarios, predicted, measured_again)
+    line, exchanges = side.campaign.collection.empirical_line, dict[str, dict[str, Any]]()
+    stated = [panel.model_dump(exclude_none=True, exclude_defaults=True) for panel in line.panels] if line else []
+    for i, j in combinations(range(len(stated)), 2):
+        panels = [dict(panel) for panel in stated]
+        panels[i]["spectrum"], panels[j]["spectrum"] = panels[j]["spectrum"], panels[i]["spectrum"]
+        exchanges[f"{panels[i]['region']} and {panels[j]['region']}"] = {"collection.empirical_line.panels": panels}
+    return ScenarioModel(side.scenarios, predicted, measured_again, exchanges)
 
 
 # What need not run again ----------------------------------------------------------------------------------------------

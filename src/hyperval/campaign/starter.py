@@ -198,7 +198,7 @@ class Draft:
             return Path(os.path.normpath(self.folder.resolve() / reference))
 
         section = CollectionSection.model_validate({"cube": self.collection["cube"], **parts})
-        return open_place(section, resolve, show_progress=False)
+        return open_place(section, resolve)
 
     def text(self) -> str:
         """The campaign file: what was guessed has a comment before it."""

@@ -479,11 +479,11 @@ class AceScores(NamedTuple):
         """Area under the ROC (n,), or another."""
         return np.array([curve_area(curve, area) for curve in self.curves])
 
-    def background(self, at: Index, thresholds: Array) -> list[tuple[ScoreDistribution, None]]:
-        """How the background scores in some truths; the preset P_FA of (3.30) is not known."""
+    def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, None]]:
+        """How the background scores in some truths, by draws; the preset P_FA of (3.30) is not known."""
         return [(_distribution(self.pixels[u].background), None) for u in at]
 
-    def target(self, at: Index) -> list[ScoreDistribution]:
+    def target(self, at: Index, *, densities: bool) -> list[ScoreDistribution]:
         """How the population scores in some truths."""
         return [_distribution(self.scored[u]) for u in at]
 
@@ -588,12 +588,13 @@ def _distribution(population: Exceedance) -> ScoreDistribution:
 
 
 def detect(
-    e: Evaluation, *, object_curves: bool = True, points: Sequence[int] = (0,),
+    e: Evaluation, *, object_curves: bool = True, densities: bool = True, points: Sequence[int] = (0,),
     spectra: Sequence[PredictedProducts] = (),
 ) -> list[PredictedProducts]:  # fmt: skip
     """Scores and ROC curves of all target populations (3.22-3.33) of some truths; the P_D of all into ``e.probits``.
 
-    ``spectra`` : predictions of these truths that they are put into; none: they stand alone
+    ``densities`` : also those of the scores;  ``spectra`` : predictions of these truths that they are put into; none:
+    they stand alone
 
     Raises
     ------
@@ -608,7 +609,7 @@ def detect(
                 raise error
             # What the background scores by one filter, all populations of its target share.
             thresholds = pixels[0].thresholds(pfa[None])
-            behind = pixels[0].background(at, thresholds[at])
+            behind = pixels[0].background(at, thresholds[at], densities=densities)
             for population, own in zip((p.name for p in target.populations), pixels, strict=True):
                 pd: dict[Literal["pixel", "object"], Array] = {"pixel": own.detection_above(thresholds)}
                 if object_curves:
@@ -618,7 +619,8 @@ def detect(
                     key, e.probits[population, name, unit] = (population, name, unit), probit(curves)
                     for products, u, (_, preset) in zip(out, points, behind, strict=True):
                         products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
-                for products, scored, (of_background, _) in zip(out, own.target(at), behind, strict=True):
+                of_target = own.target(at, densities=densities)
+                for products, scored, (of_background, _) in zip(out, of_target, behind, strict=True):
                     products["scores"][population, name] = scored
                     products["scores"][background_of(population), name] = of_background
             for products, u in zip(out, points, strict=True):

@@ -393,8 +393,7 @@ def with_uncertainty(
         return with_limits(scenario, products, changes, shifts, {})
     there, cost = emulated(world, inputs)
     of_world = partial(predicted, there)
-    show = world.stated.origins.show_progress
-    draws = tabulated(of_world(track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget", show=show)))
+    draws = tabulated(of_world(track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")))
     linear = u.method == "linear"
     curves = {key: draws["curve", *key] for key in far if linear}
     products = with_limits(scenario, products, changes, shifts, curves)
@@ -716,8 +715,8 @@ def predictions(
 ) -> Iterator[PredictedProducts]:
     """Predictions of truths in which something is moved, in their order, each without a budget of its own.
 
-    Spectra are read once; truths are evaluated together.  Mean spectra, scores and curves: matrices (B, B) of each
-    subject would take most of the time, and a hundred times the memory.
+    Spectra are read once; truths are evaluated together.  Mean spectra, moments of scores, and curves: densities of
+    scores would take a good part of the time, matrices (B, B) most of it, and a hundred times the memory.
 
     Parameters
     ----------
@@ -736,7 +735,7 @@ def _predictions(
         out: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, some), errors):
             spectra = [spectral_prediction(e, u, None) for u in range(len(e))]
-            found = detect(e, object_curves=object_curves, points=range(len(e)), spectra=spectra)
+            found = detect(e, object_curves=object_curves, densities=False, points=range(len(e)), spectra=spectra)
             for u, (number, prediction) in enumerate(zip(index.tolist(), found, strict=True)):
                 if objects and prediction.roc:
                     scores = object_scores(e, np.array([u]), None if objects is True else objects)

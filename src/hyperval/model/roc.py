@@ -477,7 +477,7 @@ class RocArea:
         flat = tie <= 0.0
         step = np.where(flat, 1.0, tie)
         slanted = (self.integral(over + tie) - self.integral(over)) / step
-        return np.where(flat, self.share(over), slanted)
+        return np.clip(np.where(flat, self.share(over), slanted), 0.0, 1.0)  # rounding leads beyond both
 
 
 WHOLE = RocArea()
@@ -549,14 +549,14 @@ class RocScores:
         """P_D (n, K) at ``pfa`` (n, K) or (1, K) (3.31, 3.33)."""
         return self.detection_above(self.thresholds(pfa))
 
-    def target(self, at: Index) -> list[ScoreDistribution]:
+    def target(self, at: Index, *, densities: bool) -> list[ScoreDistribution]:
         """How the target pixels score in some evaluations."""
         first, which = distinct([self.which[at], self.means[at], self.sds[at], self.weights[at]], at.size)
         some = self.rows(at[first])
-        distributions = score_distributions(some.mean, some.sd, some.target_density)
+        distributions = score_distributions(some.mean, some.sd, some.target_density if densities else None)
         return [distributions[i] for i in which]
 
-    def background(self, at: Index, thresholds: Array) -> list[tuple[ScoreDistribution, Array]]:
+    def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, Array]]:
         """How the background scores in some evaluations, and the preset P_FA (K,) of (3.30) whose least P_D (3.32) has
         ``thresholds`` (n, K) of these.
         """
@@ -564,7 +564,7 @@ class RocScores:
         some, c, x = self.rows(at[first]), self.classes.rows(which), thresholds[first]
         mean = (c.fraction * c.mean).sum(axis=1)
         sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
-        distributions = score_distributions(mean, sd, some.background_density)
+        distributions = score_distributions(mean, sd, some.background_density if densities else None)
         rows = self.classes.rows(np.repeat(which, x.shape[1]))
         preset = greatest_class_false_alarm(x.ravel(), rows).reshape(x.shape)
         return [(distributions[i], preset[i]) for i in same]
@@ -604,8 +604,10 @@ class RocScores:
 _GRID, _REACH = 201, 6.0
 
 
-def score_distributions(mean: Array, sd: Array, density: Callable[[Array], Array]) -> list[ScoreDistribution]:
-    """Moments and density of a score in n evaluations."""
+def score_distributions(mean: Array, sd: Array, density: Callable[[Array], Array] | None) -> list[ScoreDistribution]:
+    """Moments of a score in n evaluations, and its density where that is wanted."""
+    if density is None:
+        return [ScoreDistribution(m, s) for m, s in zip(mean.tolist(), sd.tolist(), strict=True)]
     grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)
     rows = zip(mean.tolist(), sd.tolist(), grid, density(grid), strict=True)
     return [ScoreDistribution(m, s, None, g, d) for m, s, g, d in rows]

@@ -398,7 +398,7 @@ class Origins:
     measured : region -> reflectance statistics on ``axis``, for surfaces with ``measured:``
     resolve : turns a file reference of the scenario into a path; None: relative to the scenario's file, or
         ``data:`` for a registered data set
-    cache_dir, show_progress : of the atmosphere engine
+    cache_dir : of the atmosphere engine
     engine : stands in for the atmosphere engine
     emulated_steps : whether steps from the stated atmosphere may be told by the emulator of its engine
     sensor : stands in for the sensor that the scenario names
@@ -411,7 +411,6 @@ class Origins:
     measured: Mapping[str, ClassStatistics] | None = None
     resolve: Resolve | None = None
     cache_dir: Path | None = None
-    show_progress: bool | None = None
     engine: Engine | None = None
     emulated_steps: bool = False
     sensor: Sensor | None = None
@@ -488,12 +487,11 @@ def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
 @lru_cache(maxsize=32)
 def _terms_in_memory(
     engine: Callable[..., AtmosphericTerms], state: AtmosphericState, centre_nm: bytes, fwhm_nm: bytes,
-    environment: tuple[str | None, ...], cache_dir: Path | None, show_progress: bool | None,
-    near: AtmosphericState | None,
+    environment: tuple[str | None, ...], cache_dir: Path | None, near: AtmosphericState | None,
 ) -> AtmosphericTerms:  # fmt: skip
     """Terms at bands: engines are deterministic, and give the same to the same state, files and bands."""
     axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
-    terms = engine(state, cache_dir=cache_dir, show_progress=show_progress, near=near)
+    terms = engine(state, cache_dir=cache_dir, near=near)
     return _noted(terms.at_bands(axis), state)
 
 
@@ -547,10 +545,10 @@ class Atmosphere(Keeps):
             return _noted(engine(state).at_bands(self.axis), state)
         bands = self.axis.centre_nm.tobytes(), self.axis.fwhm_nm.tobytes()
         near = self.scenario.atmosphere if source.emulated_steps else None
-        how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, source.show_progress, near
+        how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, near
         return _terms_in_memory(atmospheric_terms, state, *bands, *how)
 
-    def prepare(self, states: Sequence[Truth], show_progress: bool | None) -> None:
+    def prepare(self, states: Sequence[Truth]) -> None:
         """Run the engine, before truths go to other processes: in some states, or at all combinations of the nodes.
 
         Raises
@@ -571,7 +569,7 @@ class Atmosphere(Keeps):
         if len(states) > MOST_RUNS:
             expected = f"at most {MOST_RUNS} runs of its engine"
             raise UsageError(f"{len(states)} {what} of the atmosphere", expected=expected)
-        runs = [self.run(row) for row in track(states, f"atmosphere, {what}", len(states), show=show_progress)]
+        runs = [self.run(row) for row in track(states, f"atmosphere, {what}", len(states))]
         self._between = interpolated_terms(grid, runs, star=self.star, bounded=not self.star) if grid else None
 
     def __call__(self, moved: Mapping[str, Values], size: int) -> AtmosphericTerms:
@@ -589,7 +587,7 @@ class Atmosphere(Keeps):
             return AtmosphericTerms(self.axis.centre_nm, zero, zero + 1.0, zero, zero, zero, zero + 1.0)
         if self.nodes and moved:
             if self._between is None:
-                self.prepare((), False)
+                self.prepare(())
             assert self._between is not None  # noqa: S101 - there are nodes
             columns = {}
             for name in self.nodes:
@@ -753,14 +751,14 @@ def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[L
 
 
 def read_files(
-    scenario: Scenario, source: Origins, shift_nm: float | Array = 0.0,
+    scenario: Scenario, source: Origins, shift_nm: float | Array = 0.0, width: float = 1.0,
     nodes: Mapping[str, Sequence[float]] | None = None, star: bool = False,
 ) -> Stated:  # fmt: skip
     """What a scenario and all its files say (3.7-3.20).
 
     Parameters
     ----------
-    shift_nm : added to the true band centres; the labels stay
+    shift_nm, width : added to the true band centres, factor on the true widths; the labels stay
     nodes, star : of the atmosphere, as :class:`Atmosphere` has them
 
     Raises
@@ -792,8 +790,8 @@ def read_files(
             if count > len(axis):
                 raise UsageError(f"sensor_operation.spectral_binning: bins of {count} of {len(axis)} bands")
             true, axis = binned_axis(true, count), binned_axis(axis, count)
-    if np.any(shift_nm):
-        true = SpectralAxis(true.centre_nm + shift_nm, true.fwhm_nm, true.good)
+    if np.any(shift_nm) or width != 1.0:
+        true = SpectralAxis(true.centre_nm + shift_nm, width * true.fwhm_nm, true.good)
     notes = sensor.notes(true.centre_nm - axis.centre_nm) if sensor and noise else []
     scenario = with_sensor_blur(scenario, sensor)
     scene, sources = scenario.scene, Sources(true, measured, find, axis, source.read)

@@ -105,7 +105,8 @@ PATHS: Mapping[str, Path] = {
         "surroundings", shape="vector", low=0.01, name=SURROUNDINGS, stated="adjacency_reflectance_relative"
     ),
     # what is recorded is gain L + offset; where there is no atmosphere, the reflectance of all that was not measured
-    # on the imagery.  Factors on the noise and on the electrons per radiance; added to the true band centres
+    # on the imagery.  Factors on the noise and on the electrons per radiance; added to the true band centres, and a
+    # factor on the true widths
     "sensor.gain": Path("gain", shape="vector", name="sensor gain", stated="sensor_gain"),
     "sensor.offset": Path("offset", unit=_RADIANCE, shape="vector", name="sensor offset", stated="sensor_offset"),
     "sensor.noise": Path("noise", shape="vector", low=1e-3, name="noise", stated="noise"),
@@ -113,6 +114,7 @@ PATHS: Mapping[str, Path] = {
     "sensor.wavelength_shift_nm": Path(
         "", unit="nm", shape="vector", name="wavelength shift", stated="wavelength_shift"
     ),
+    "sensor.band_width": Path("", low=0.1, high=10.0, name="band width"),
     # for the detectors, as what the line says of collected reflectance is the collection's: factors on the true
     # reflectance of a panel, which the line takes for what is stated; it gives gain rho + offset for rho
     "line.dark": Path("dark", shape="vector", low=0.0, name="reflectance of the dark panel", stated="elm_panels"),
@@ -147,7 +149,7 @@ PATHS: Mapping[str, Path] = {
     "scene.targets.*.subjects.*.fill.**": Path("fill entry"),
     "**": Path(""),
 }
-SHIFT = "sensor.wavelength_shift_nm"
+SHIFT, WIDTH = "sensor.wavelength_shift_nm", "sensor.band_width"
 # One number for all bands, or one for each, as it is where nothing is moved.
 NEUTRAL = {
     **dict.fromkeys(
@@ -281,8 +283,8 @@ def value_at(world: World, path: str) -> Any:
     if entry.field == "blur":
         fills = (stated.populations[i][2].fill.geometry for i in populations)
         return np.concatenate([np.atleast_1d((g and g.psf_fwhm_pixels) or 0.0) for g in fills])[None].astype(float)
-    if path == SHIFT:
-        return np.zeros(1)
+    if path in (SHIFT, WIDTH):
+        return np.full(1, float(path == WIDTH))
     if parts[0] == "atmosphere" and len(parts) == 2 and parts[1] in STATE and stated.scenario.atmosphere:
         return np.array([state_value(stated.scenario.atmosphere, parts[1])])
     try:
@@ -647,10 +649,11 @@ def _read_with(stated: Stated, values: Truth) -> Stated:
     kept: OrderedDict[str, Stated] = stated.kept.setdefault("again", OrderedDict())
     key = repr([(p, v.tobytes() if isinstance(v, np.ndarray) else v) for p, v in values.items() if v is not None])
     if key not in kept:
-        settings = {p: plain(v) for p, v in values.items() if v is not None and p != SHIFT}
+        settings = {p: plain(v) for p, v in values.items() if v is not None and p not in (SHIFT, WIDTH)}
         scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
         atmosphere = stated.atmosphere
-        there = read_files(scenario, stated.origins, values.get(SHIFT, 0.0), atmosphere.nodes, atmosphere.star)
+        bands = values.get(SHIFT, 0.0), values.get(WIDTH) or 1.0
+        there = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
         kept[key] = replace(there, before=stated.nominal)
         if len(kept) > _AGAIN:
             kept.popitem(last=False)

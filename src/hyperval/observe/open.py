@@ -110,16 +110,16 @@ class Place:
         """The same with a mistake in it; statistics and line are still to be measured.
 
         ``mistake`` : lines, samples that all targets are away, and regions (1) too; gain, a part that is added to
-        each value; offset, a part of the mean of all; nm that band centres are away
+        each value; offset, a part of the mean of all
         """
         cube, labels, of = self.cube, self.labels, mistake
         by, factor = (int(of.get("lines", 0)), int(of.get("samples", 0))), 1.0 + of.get("gain", 0.0)
         if of.get("regions"):
             labels = replace(labels, number=np.roll(labels.number, by, (0, 1)))
         gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
-        offset = offset + of.get("offset", 0.0) * float(np.nanmean(self.statistics[SCENE].mean))
-        axis = replace(cube.axis, centre_nm=cube.axis.centre_nm + of.get("nm", 0.0))
-        cube = replace(cube, scaling=cube.scaling._replace(gain=gain, offset=offset), axis=axis)
+        if "offset" in of:
+            offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))
+        cube = replace(cube, scaling=cube.scaling._replace(gain=gain, offset=offset))
         targets = [target.displaced(*by) for target in self.targets]
         return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
 
@@ -202,8 +202,10 @@ class Place:
         return self.regions.members[name]
 
 
-def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress: bool | None = None) -> Place:
+def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping[str, float] | None = None) -> Place:
     """Open the cube of a collection with its regions and truth.
+
+    ``mistake`` : nm that its band centres are away; scale, a part of their distance from the middle
 
     Raises
     ------
@@ -212,7 +214,10 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
     """
     if collection.cube is None:
         raise UsageError("the collection has no cube")
-    cube = open_source(collection.cube, resolve, collection.bands)
+    cube, of = open_source(collection.cube, resolve, collection.bands), mistake or {}
+    centre = cube.axis.centre_nm + of.get("nm", 0.0)
+    centre = centre + of.get("scale", 0.0) * (centre - centre.mean())
+    cube = replace(cube, axis=replace(cube.axis, centre_nm=centre))
     table, found = _lookup_table(cube, collection.cube, resolve)
     notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)]
     if table is not None:
@@ -223,7 +228,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, *, show_progress
         if table is not None or cube.pixel_area_m2 is not None:
             raise UsageError("the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out")
         area_m2 = truth.pixel_size_m**2
-    site = _Site(cube, table, area_m2, resolve, show_progress)
+    site = _Site(cube, table, area_m2, resolve)
     regions: dict[str, Region] = {}
     for source in collection.regions:
         drawn = source.file is None
@@ -318,7 +323,6 @@ class _Site:
     table: LookupTable | None
     area_m2: float | None
     resolve: Resolve
-    show: bool | None
 
     def read(self, path: Path, source: VectorSource, patterns: Sequence[str], **options: Any) -> dict[str, Region]:
         """Regions of a file, placed by the lookup table where there is one, else as the cube lies."""
@@ -372,7 +376,7 @@ class _Site:
                 raise UsageError(f"no usable band between {low:g} and {high:g} nm for a normalised difference")
             chosen.append(bands)
         out = np.zeros(cube.shape, bool)
-        for block in track(cube.blocks(dtype=np.float32), "normalised difference", show=self.show):
+        for block in track(cube.blocks(dtype=np.float32), "normalised difference"):
             high, low = (block.values[..., bands].mean(axis=-1, dtype=np.float64) for bands in chosen)
             with np.errstate(divide="ignore", invalid="ignore"):
                 index = (high - low) / (high + low)

@@ -309,7 +309,7 @@ class SensorCheck:
         done: dict[str, PredictedProducts | HypervalError] = {}
         for name in builtin_scenarios() if self.usable else ():
             try:
-                origins = Origins(engine=self.engine, sensor=self.sensor, show_progress=False)
+                origins = Origins(engine=self.engine, sensor=self.sensor)
                 done[name] = predict(standard_scenario(name), origins)
             except HypervalError as error:
                 done[name] = error
@@ -353,7 +353,7 @@ class SensorCheck:
         other, level, detected = Sensor(self.sensor.specification, factors), sunlit_radiance(self.axis, MIDDLE), 0.0
         change = (other.noise().snr(level) / self.noise.snr(level) - 1.0)[self.good]
         if self.probe is not None:
-            origins = Origins(sensor=other, engine=self.engine, show_progress=False)
+            origins = Origins(sensor=other, engine=self.engine)
             curve = predict(standard_scenario(self.probe.scenario), origins).roc[self.probe.key]
             detected = float(detection_at(curve, FALSE_ALARM)) - self.probe.value
         return float(change[np.argmax(np.abs(change))]), detected

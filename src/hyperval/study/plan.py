@@ -271,9 +271,9 @@ def plan_study(study: StudyFile) -> Plan:
     if alone and scenario.atmosphere is not None:
         entries = state_entries(scenario.atmosphere, alone)
         scenario = with_settings(scenario, {f"atmosphere.{key}": value for key, value in entries.items()})
-    world = read(scenario, Origins(resolve=log.resolve, show_progress=False), nodes=nodes)
+    world = read(scenario, Origins(resolve=log.resolve), nodes=nodes)
     try_values(study, world)
-    world.stated.atmosphere.prepare(states, None)
+    world.stated.atmosphere.prepare(states)
     check_outputs(study.outputs, scenario, world.stated.axis)
     sky_error = _sky_error(study, world) if nodes else {}
     return Plan(study, scenario, world, tuple(_notes(study, world, sky_error)), sky_error, log)

@@ -182,7 +182,7 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prep
 
 
 def _read(scenario: Scenario, settings: Mapping[str, Any]) -> World:
-    return read(with_settings(scenario, settings) if settings else scenario, Origins(show_progress=False))
+    return read(with_settings(scenario, settings) if settings else scenario, Origins())
 
 
 def prepared(source: str, trade: Trade) -> Prepared:
@@ -443,7 +443,7 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
     Of P_D at P_FA (n,); of a spectrum's mean over its bands, where n is 1.
     """
     truth = {**_constants(p, trade), **truth}
-    products = predict(p.scenario, Origins(show_progress=False), truth=truth, object_curves=False)
+    products = predict(p.scenario, Origins(), truth=truth, object_curves=False)
     out = np.full((len(trade.subject), pfa.size, 2), np.nan)
     for k, o in enumerate(outputs_of(trade)):
         if trade.is_spectral:
