@@ -306,10 +306,9 @@ def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth
 
 
 def _fixed_noise(worlds: Sequence[World], units: float) -> list[Truth]:
-    changes = [world.stated.scenario.sensor_changes or SensorChanges() for world in worlds]
-    factors = [(1.0 + 0.05 * units) * c.fixed_noise_factor for c in changes]
-    each = zip(changes, factors, strict=True)
-    return [{"sensor_changes": c.model_dump(exclude_none=True) | {"fixed_noise_factor": f}} for c, f in each]
+    every = [(w.stated.scenario.sensor_changes or SensorChanges()).model_dump(exclude_none=True) for w in worlds]
+    key, factor = "fixed_noise_factor", 1.0 + 0.05 * units
+    return [{"sensor_changes": {**stated, key: factor * stated[key]}} for stated in every]
 
 
 def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:

@@ -305,6 +305,7 @@ class Posterior:
     alike : causes that cannot be distinguished from the first
     parts : of all residuals, what spectra share and what they differ in: each a test of its own
     level : p-value below which the residuals are not explained; shared out among the groups of one attribution
+    beside_noise : whether more than is named may hide in the noise of a scene made anew, so that no cause is enough
 
     Examples
     --------
@@ -322,6 +323,7 @@ class Posterior:
     alike: tuple[str, ...] = ()
     parts: tuple[Posterior, ...] = ()
     level: float = ENOUGH
+    beside_noise: bool = False
 
     @property
     def first(self) -> str:
@@ -367,7 +369,7 @@ class Posterior:
         inside = 0 < len(causes) < MOST_CAUSES and not any(
             c.candidate is None or c.limited or c.candidate.makes_anything for c in causes
         )
-        return inside and self.p_left >= ENOUGH and sure >= LIKELY
+        return inside and self.p_left >= ENOUGH and sure >= LIKELY and not self.beside_noise
 
     @property
     def passes(self) -> bool:

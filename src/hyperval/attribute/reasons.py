@@ -209,7 +209,7 @@ class Causes:
                 inputs = {replace(c, unbounded=True): g[every] for c, g in {**self.of_inputs, **self.rarer()}.items()}
                 covariance = self.covariance[np.ix_(every, every)]
                 _, noisy = self.explained(change, covariance, inputs, every, self.predicted, True)
-                return noisy if noisy.enough else found
+                return replace(noisy, beside_noise=True) if noisy.enough else found
             return found
         of_scores = bool(np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]))
         is_measured = bool(np.any(np.abs(moved) > CHANGE_FLOOR))
@@ -251,7 +251,8 @@ class Causes:
             found = self.explained_change(moved, of, level, columns)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
-            around = [(nearest[0] + i, nearest[1] + j) for i, j in product((-1, 0, 1), repeat=2)]
+            reach = (-1, 0, 1) if effects else (-2, -1, 0, 1, 2)
+            around = [(nearest[0] + i, nearest[1] + j) for i, j in product(reach, repeat=2)]
             for by in around:
                 if by not in effects and any(by):
                     effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
@@ -372,8 +373,10 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
     many = len(worlds) > MOST_SCENARIOS
     apart = [c for c in moved if many and c.of_engine and c.sizes]
-    further = {c.name: c for c in further_candidates(worlds) if not many or c.kind != ATMOSPHERE}
-    every = [c for c in (further | {c.name: c for c in moved if c not in apart}).values() if c.sizes or c.labels]
+    further = further_candidates(worlds)
+    rare = [c for c in further if many and c.kind == ATMOSPHERE]
+    by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *apart)}
+    every = [c for c in by_name.values() if c.sizes or c.labels]
     known = {c: columns.pop(c) for c in (*every, *apart) if c in columns}
     columns |= _columns_at(every, known, predicted, evaluate)
     for c in apart:
@@ -389,7 +392,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     columns |= of_spectra(predicted)
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
     of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
-    rarer = cache(partial(_columns_at, rarer_candidates(worlds), {}, predicted, evaluate))
+    rarer = cache(partial(_columns_at, [*rare, *rarer_candidates(worlds)], {}, predicted, evaluate))
 
     def mistaken(mistake: Mapping[str, float], settings: Mapping[str, Any] | None = None) -> Array:
         try:

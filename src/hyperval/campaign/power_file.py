@@ -35,7 +35,7 @@ class Injected(Model):
     """What one injected error turns to "disagrees"; of rows that disagree without it nothing is said."""
 
     gates: tuple[str, ...] = Field((), description='criteria that detect it: "product | subject | method | metric"')
-    informing: dict[str, int] = Field(default_factory=dict, description="informational rows that detect it, by product")
+    informing: dict[str, int] = Field({}, description="informational rows that detect it, by product")
     not_applicable: str | None = Field(None, description="why it cannot be injected")
     reason: str = Field("", description="what the attribution concludes with it, compared with the unperturbed run")
 
@@ -104,9 +104,7 @@ class PowerTable(Model):
     files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
     gates: int = Field(ge=0, description="criteria met without an injected error")
     disagreeing: int = Field(ge=0, description="criteria not met without an injected error, which cannot detect any")
-    stated: dict[str, float] = Field(
-        default_factory=dict, description="criterion of the model -> its value without an injected error"
-    )
+    stated: dict[str, float] = Field({}, description="criterion of the model -> its value without an injected error")
     errors: dict[str, Injected] = Field(min_length=1)
     reasons: Reasons | None = None
 

@@ -79,7 +79,7 @@ class DayScenarios(Model):
 
     scenario: str = Field(description='scenario file with placeholders in braces, such as aot550: "{aot550}"')
     radcalnet: str = Field(description="daily file that ends in .input: surface and state")
-    times: list[str] = Field(default_factory=list, description="half hours, such as 04:00; empty: all with values")
+    times: list[str] = Field([], description="half hours, such as 04:00; empty: all with values")
 
 
 def _kind(entry: Any) -> str:
@@ -180,17 +180,16 @@ class Outline(Model):
         False,
         description="true: from the scene named by collection.simulate; dirsig: by DIRSIG, whose files are read",
     )
-    references: list[str] = Field(default_factory=list)
-    assumptions: list[str] = Field(default_factory=list, description="stated in the report")
+    references: list[str] = Field([])
+    assumptions: list[str] = Field([], description="stated in the report")
     chosen_after: list[Choice] = Field(
-        default_factory=list,
-        description="choices made after the data were seen, except those of comparisons, which state it themselves",
+        [], description="choices made after the data were seen, except those of comparisons, which state it themselves"
     )
     fitted_on: list[str] = Field(
-        default_factory=list,
+        [],
         description="subjects that budget and settings were fitted on, names or patterns; the others count as unseen",
     )
-    comparisons: list[Gate] = Field(default_factory=list, description="what validate compares; observe needs none")
+    comparisons: list[Gate] = Field([], description="what validate compares; observe needs none")
 
     @property
     def computed(self) -> bool:
@@ -220,7 +219,7 @@ class Campaign(Outline):
         description="difference of P_D that is negligible for the purpose; adds pd_equivalence rows",
     )
     scenarios: list[ScenarioSource] = Field(
-        default_factory=list,
+        [],
         description="scenario files, built-in names, scenarios written out, or those of a network's day; observe "
         "alone needs none",
     )

@@ -116,6 +116,8 @@ class Place:
         by, factor = (int(of.get("lines", 0)), int(of.get("samples", 0))), 1.0 + of.get("gain", 0.0)
         if of.get("regions"):
             labels = replace(labels, number=np.roll(labels.number, by, (0, 1)))
+        elif any(by):  # the targets' own pixels and guard move with them
+            labels = Labels.of(labels.number.shape, {**self.regions, _NEAR: np.roll(self.near_targets, by, (0, 1))})
         gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
         if "offset" in of:
             offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))
@@ -661,19 +663,18 @@ def object_of_fills(
     )  # fmt: skip
 
 
-def fills_of(targets: Mapping[str, list[TargetObject]], rows: int = 64) -> dict[str, list[list[float]]]:
+def fills_of(targets: Mapping[str, list[TargetObject]]) -> dict[str, list[list[float]]]:
     """Subject -> fills of the pixels of its objects in falling order, a row for each object and drawn place.
 
-    Rows are equally likely; of many drawn places so many are taken that there are about ``rows``.
+    Rows are equally likely; of many drawn places so many are taken that there are about 64.
     """
     out: dict[str, list[list[float]]] = {}
     for subject, members in targets.items():
         known = [(o.fills, o.part) for o in members if o.fills is not None]
         if len(known) < len(members):
             continue
-        most = max(1, rows // len(known))
-        least = min(len(fills) for fills, _ in known)  # each object in as many places as any other
-        count = min(most, least)
+        # Each object in as many places as any other.
+        count = min(max(1, 64 // len(known)), *(len(fills) for fills, _ in known))
         out[subject] = [
             np.sort(fills[k][part])[::-1].tolist()
             for fills, part in known
