@@ -49,16 +49,16 @@ def test_a_mistake_moves_values_bands_targets_and_regions(world):
     world.regions(corner=[35, 5, 10, 20])
     seen = world.observe().place
     away = {"lines": 1, "samples": -2}
-    wrong, elsewhere = seen.mistaken({"gain": 0.1, "offset": 0.05}), seen.mistaken(away | {"regions": 1})
+    wrong, beside, elsewhere = map(seen.mistaken, ({"gain": 0.1, "offset": 0.05}, away, away | {"regions": 1}))
     level = 0.05 * seen.statistics["scene"].mean.mean()
     assert wrong.cube.read(0, 3).values == pytest.approx(1.1 * seen.cube.read(0, 3).values + level)
     stretched = open_place(CollectionSection.model_validate(world.collection), world.resolve, {"nm": 2.0, "scale": 0.1})
     assert np.diff(stretched.cube.axis.centre_nm) == pytest.approx(1.1 * np.diff(seen.cube.axis.centre_nm))
     assert stretched.cube.axis.centre_nm.mean() == pytest.approx(seen.cube.axis.centre_nm.mean() + 2.0)
     assert np.array_equal(elsewhere.region("corner"), np.roll(seen.region("corner"), (1, -2), (0, 1)))
-    assert np.array_equal(seen.mistaken(away).region("corner"), seen.region("corner"))
-    target, moved = seen.targets[0], seen.mistaken(away).targets[0]
-    assert moved.corner == (target.corner[0] + 1, target.corner[1] - 2)
+    assert np.array_equal(beside.region("corner"), seen.region("corner"))
+    assert beside.targets[0].corner == tuple(np.add(seen.targets[0].corner, (1, -2)))
+    assert np.array_equal(beside.near_targets, np.roll(seen.near_targets, (1, -2), (0, 1)))
 
 
 def test_regions_are_left_out_where_named_and_keep_clear_of_targets(world):

@@ -394,9 +394,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     entries |= _files_changed(levels)
     if any(pixels):
         larger = partial(_levelled, pixels)
-        out.append(
-            Candidate("pixel size of the fill geometry", "sensor", "5 %", False, sizes=(-8.0, 12.0), moved=larger)
-        )
+        out.append(Candidate("pixel size of the fills", "sensor", "5 %", False, sizes=(-8.0, 12.0), moved=larger))
     out.append(Candidate("wavelength scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), moved=stretched))
     out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
     if entries:

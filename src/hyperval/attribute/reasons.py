@@ -125,8 +125,8 @@ class Causes:
     residual : (n,) observed minus predicted
     wide : (n, k) of what no candidate describes
     evaluate : asks the model again
-    mistaken : what is measured now, less what is measured with a mistake in the image, or with other settings
-    exchanges : settings with two panels of the empirical line in each other's place, by their names
+    mistaken : what is measured now, less what is measured with a mistake in the image
+    of_panels : of what is measured, panels of the empirical line in each other's place
     """
 
     stack: Stack
@@ -142,8 +142,8 @@ class Causes:
     residual: Array
     wide: Array
     evaluate: Evaluate
-    mistaken: Callable[..., Array]
-    exchanges: Mapping[str, Mapping[str, Any]]
+    mistaken: Callable[[Mapping[str, float]], Array]
+    of_panels: Callable[[], dict[Candidate, Array]]
 
     def reasoner(self) -> Reasoner:
         """The same, whitened."""
@@ -169,6 +169,38 @@ class Causes:
         What is less than its uncertainty and is not explained is nothing to explain.  Else the same data and the same
         draws have no noise: what was measured moved, or the prediction did.  Where measured spectra moved the data are
         to say why, and the model too where they are ``simulated``; else the model.
+
+        Spectra of two targets that a user exchanged in both files move scores of both sides, and P_FA at thresholds
+        that were measured, which says nothing of the model alone; where a score near 0 ends in another digit, nothing
+        is asked:
+
+        >>> def block(product, *observed):
+        ...     return ResidualBlock(product, "paint", "cem", np.array(observed), 1e-6 * np.eye(len(observed)), len)
+        >>> def causes(*blocks, **of):
+        ...     stack, none = Stack(blocks), {}
+        ...     n, files = stack.observed.size, of.get("files", {})
+        ...     asked = lambda truths, title: []
+        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, None,
+        ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
+        >>> exchanged = Candidate("exchanged spectra in the file", "scene", "", False, labels=("red and green",))
+        >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
+        >>> told = {"scores of paint cem": ("-1 -1", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
+        >>> found = seen.changed(told, simulated=False)
+        >>> found.first, found.enough
+        ('exchanged spectra in the file', True)
+        >>> told = {"scores of paint cem": ("-1 -1", "0.10001 0.9", "0 1e-05"), "roc of paint cem": ("-1", "-4", "0")}
+        >>> seen.changed(told, simulated=False).first
+        'nothing to explain'
+
+        Targets are looked for two pixels away at first, where one pixel may show nothing, then beside the best:
+
+        >>> def at(mistake):
+        ...     by = np.array([mistake.get("lines", 0), mistake.get("samples", 0)])
+        ...     return (np.hypot(3, 2) - np.hypot(*(by - [3, 2]))) * np.array([0.1, 0.0]) * np.any(np.abs(by) > 1)
+        >>> told = {"scores of paint cem": ("-1 -1", f"{0.1 - 0.1 * 13**0.5} 0.9", "0 0")}
+        >>> found = causes(block("scores", 0.1, 0.9), mistaken=at).changed(told, simulated=False)
+        >>> found.first, found.best.causes[0].in_words
+        ('position of the target regions', '+3 lines, +2 samples')
         """
         places, then = [], []
         for block, at in self.stack.placed():
@@ -179,11 +211,10 @@ class Causes:
         of, (observed, predicted) = np.concatenate(places), np.hstack(then)
         if not of.size:
             return None
-        moved, of_model = self.stack.observed[of] - observed, predicted - self.predicted[of]
-        unit = np.where(self.stack.bands[of] >= 0, 0.0, 1.0)  # a score near 0 is written to digits of 1
-        changes = (moved, observed), (of_model, predicted)
-        same = [np.abs(change) <= AS_WRITTEN * np.maximum(np.abs(then), unit) for change, then in changes]
-        found = None if np.all(same) else self._change(moved, of_model, of, observed, predicted, simulated)
+        moved, of_model = change = np.array([self.stack.observed[of] - observed, predicted - self.predicted[of]])
+        scale = np.maximum(np.abs([observed, predicted]), self.stack.bands[of] < 0)  # a score is written to digits of 1
+        same = np.all(np.abs(change) <= AS_WRITTEN * scale)
+        found = None if same else self._change(moved, of_model, of, observed, predicted, simulated)
         size = Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square
         if found is not None and (size > 1.0 or found.enough):
             return found
@@ -244,10 +275,8 @@ class Causes:
     ) -> Posterior:
         """What explains a change; where nothing does, regions and targets that lie pixels away, measured again."""
         found = self.explained_change(moved, of, level, columns)
-        if found.first == NONE and self.exchanges:
-            effect = np.column_stack([self.mistaken({}, settings) for settings in self.exchanges.values()])
-            panels = Candidate("exchanged panels of the empirical line", "scene", "", False, labels=(*self.exchanges,))
-            columns = {**columns, panels: effect}
+        if found.first == NONE and (panels := self.of_panels()):
+            columns = {**columns, **panels}
             found = self.explained_change(moved, of, level, columns)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
@@ -394,17 +423,22 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
     rarer = cache(partial(_columns_at, [*rare, *rarer_candidates(worlds)], {}, predicted, evaluate))
 
-    def mistaken(mistake: Mapping[str, float], settings: Mapping[str, Any] | None = None) -> Array:
+    def mistaken(mistake: Mapping[str, float], settings: Mapping[str, Any] = {}) -> Array:
         try:
-            there = stacked(base, model.observe(settings or {}, mistake))
+            there = stacked(base, model.observe(settings, mistake))
         except UsageError:  # nothing can be measured so, such as by panels that are no line
             return np.zeros(predicted.size)
         same = [b.observed.shape for b in there.blocks] == [b.observed.shape for b in stack.blocks]
         return stack.observed - there.observed if same else np.zeros(predicted.size)
 
+    def of_panels() -> dict[Candidate, Array]:
+        names = tuple(model.exchanges)
+        panels = Candidate("exchanged panels of the empirical line", "scene", "", False, labels=names)
+        return {panels: np.column_stack([mistaken({}, model.exchanges[name]) for name in names])} if names else {}
+
     return Causes(
         stack, numbers, predicted, values, of_spectra, of_files, rarer, covariance, columns, ends, residual, wide,
-        evaluate, mistaken, model.exchanges,
+        evaluate, mistaken, of_panels,
     )  # fmt: skip
 
 
