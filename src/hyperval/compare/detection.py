@@ -677,10 +677,7 @@ def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
 
 
 def compare_roc(
-    predicted: RocCurve,
-    observed: RocCurve,
-    pfa: Sequence[float] | None = None,
-    equivalence_margin: float | None = None,
+    predicted: RocCurve, observed: RocCurve, pfa: Sequence[float] | None = None, equivalence_margin: float | None = None
 ) -> Iterator[Result]:
     """Rows at each false-alarm probability, named METRIC@1e-2 and the like.
 

@@ -766,10 +766,7 @@ def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[s
     ``names`` : what the two sides are, where they are no prediction and collection
     """
     rows = list(table) if table is not None else []
-    made = [
-        *(spectra_figure(sides, product, rows, names) for product in SPECTRA),
-        roc_figure(sides, names),
-    ]
+    made = [*(spectra_figure(sides, product, rows, names) for product in SPECTRA), roc_figure(sides, names)]
     return [figure for figure in made if figure is not None]
 
 

@@ -342,11 +342,7 @@ _MATLAB_SUFFIX = ".mat"  # of HDF5 that a program other than MATLAB has written:
 
 @reader
 def open_raster(
-    path: Path | str,
-    *,
-    header: Path | str | None = None,
-    variable: str | None = None,
-    engine: str | None = None,
+    path: Path | str, *, header: Path | str | None = None, variable: str | None = None, engine: str | None = None
 ) -> Raster:
     """Open an ENVI file (data file or header may be named), a GeoTIFF, or the image of a file of arrays.
 

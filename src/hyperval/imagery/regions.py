@@ -32,7 +32,6 @@ from rasterio.warp import transform as reproject
 from scipy import ndimage
 from shapely.geometry import shape as shape_of
 from shapely.geometry.base import BaseGeometry
-from skimage.measure import label
 
 from hyperval.data import Array, Counts, Mask
 from hyperval.envi_header import header_beside
@@ -790,16 +789,16 @@ def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:
 
 def holes(mask: Mask) -> tuple[int, int]:
     """Number of holes in a mask, and their pixels: groups (of 4 neighbours) that it encloses."""
-    if not mask.any():
+    if not mask.any() or mask[window := window_of(mask)].all():  # labels of a whole image take 4 bytes a pixel
         return 0, 0
-    labels, count = label(~np.pad(mask[window_of(mask)], 1), connectivity=1, return_num=True)
+    labels, count = ndimage.label(~np.pad(mask[window], 1))
     return int(count) - 1, int(np.count_nonzero(labels > 1))  # the first label is that of the surroundings
 
 
 def objects(mask: Mask) -> tuple[npt.NDArray[np.int32], int]:
     """Connected groups of pixels (8 neighbours): labels (lines, samples), 0 outside, and their number."""
-    labels, count = label(mask, connectivity=2, return_num=True)
-    return labels.astype(np.int32), int(count)
+    labels, count = ndimage.label(mask, np.ones((3, 3)))
+    return labels, int(count)
 
 
 def groups_by_size(mask: Mask) -> tuple[list[Mask], str]:

@@ -109,11 +109,7 @@ def cut_out(mask: Mask) -> Placed:
 
 @reader
 def read_targets(
-    path: Path | str,
-    shape: tuple[int, int],
-    *,
-    transform: Position = None,
-    pixel_size_m: float | None = None,
+    path: Path | str, shape: tuple[int, int], *, transform: Position = None, pixel_size_m: float | None = None
 ) -> list[TargetObject]:
     """Targets of a CSV list.
 

@@ -366,11 +366,7 @@ def _full_rank(covariance: Array) -> Array:
 
 
 def predicted_classification(
-    prediction: PredictedProducts,
-    sets: Sequence[Sequence[str]],
-    features: Sequence[Any],
-    quantity: str,
-    seed: int = 0,
+    prediction: PredictedProducts, sets: Sequence[Sequence[str]], features: Sequence[Any], quantity: str, seed: int = 0
 ) -> dict[tuple[str, str], ClassificationError]:
     """Errors by (classes, features), for pixels as the prediction says they are, tails included.
 

@@ -278,7 +278,10 @@ def _some_pixels(place: Place, name: str) -> Array:
     step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
     lines, samples = px.nth_pixels(region, np.arange(0, count, step))
     del region  # a byte a pixel
-    return np.concatenate([part for part, _ in place.valid_pixels(lines, samples)])
+    out, n = np.empty((lines.size, place.cube.bands)), 0
+    for part, _ in place.valid_pixels(lines, samples):  # without a second copy of all
+        out[n : n + len(part)], n = part, n + len(part)
+    return out[:n]
 
 
 def _classes(

