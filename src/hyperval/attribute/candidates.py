@@ -15,12 +15,13 @@ from datetime import timedelta
 from functools import partial
 from itertools import combinations, permutations, product
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from hyperval.atmosphere.solar import SPECTRA as SOLAR_SPECTRA
 from hyperval.atmosphere.solar import parse_utc
+from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.config import load_yaml
 from hyperval.data import Array
 from hyperval.errors import UsageError, refuse
@@ -88,6 +89,7 @@ _OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
     ("ground_altitude_km", "ground height", "0.1 km", (-5.0, 8.0)),
     ("aerosol_share_below", "share of aerosol below the sensor", "10 %", (-5.0, 10.0)),
     ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 20.0)),
+    ("angstrom_exponent", "Angstrom exponent", "0.1 of the exponent", (-10.0, 10.0)),
 )
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
 
@@ -213,9 +215,19 @@ class Candidate:
         """Whether each value of it takes a run of the engine."""
         return any(m is not None and m.path.startswith("atmosphere.") for m in self.members)
 
-    def alone(self, scenario: int) -> list[Truth]:
-        """The truth of each scenario with it one unit off in one of them."""
-        return [m.direction(0, 1.0) if m is not None and i == scenario else {} for i, m in enumerate(self.members)]
+    def alone(self, number: int, scenario: str) -> Candidate:
+        """The same in one scenario.
+
+        >>> later = Candidate("time", "scene", "1 h", False, sizes=(1.0,), moved=lambda z: [{"hour": 9 + z}] * 2)
+        >>> second = later.alone(1, "line 2")
+        >>> second.name, second.at(0, 1.0)
+        ('time in line 2', [{}, {'hour': 10.0}])
+        """
+
+        def moved(units: float) -> list[Truth]:
+            return [truth if i == number else {} for i, truth in enumerate(self.at(0, units))]
+
+        return replace(self, name=f"{self.name} in {scenario}", members=(), moved=moved)
 
     def in_words(self, amplitudes: Array) -> str:
         """How far it is from what is stated.
@@ -275,6 +287,9 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
     if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
         out.append(_of_state(worlds, "solar_zenith_deg", "solar zenith angle", "1 deg", (1.0, -1.0, -5.0, 5.0)))
+        if len(days := [s.day_of_year for s in states if s is not None and s.day_of_year]) == len(states):
+            months, day = (-2.0, -1.0, 1.0, 2.0, 4.0, 6.0), partial(_on_day, days)
+            out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=months, moved=day))
     if all(world.stated.noise is not None for world in worlds):
         noise, asked = partial(_fixed_noise, worlds), (1.0, -1.0, -10.0, 10.0, 30.0)
         out.append(Candidate("noise without signal", "sensor", "5 %", False, sizes=asked, moved=noise))
@@ -303,6 +318,15 @@ def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth
     states = [world.stated.scenario.atmosphere for world in worlds]
     times = [s and s.time_utc and parse_utc(s.time_utc) + units * step for s in states]
     return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
+
+
+def _on_day(days: Sequence[int], units: float) -> list[Truth]:
+    """Another day of the year.
+
+    >>> _on_day([264, 10], 4.0)
+    [{'atmosphere.day_of_year': 19}, {'atmosphere.day_of_year': 130}]
+    """
+    return [{"atmosphere.day_of_year": (round(day + 30.0 * units) - 1) % 365 + 1} for day in days]
 
 
 def _fixed_noise(worlds: Sequence[World], units: float) -> list[Truth]:
@@ -399,16 +423,21 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
     if entries:
         out.append(_one_of("entry of a surface", "scene", entries))
-    if not all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds):
-        return out
+    return out + _of_atmosphere(worlds) * all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds)
+
+
+def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     states = [world.stated.scenario.atmosphere for world in worlds]
-    out += [_of_state(worlds, *row) for row in _OF_STATE if all(getattr(s, row[0]) is not None for s in states)]
+    out = [_of_state(worlds, *row) for row in _OF_STATE if all(getattr(s, row[0], None) is not None for s in states)]
     if any(s is not None and s.time_utc for s in states):
         later = partial(_later, worlds, timedelta(days=30))
         out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
-    suns: dict[str, list[Truth]] = {sun: [{"atmosphere.solar_spectrum": sun} for _ in worlds] for sun in SOLAR_SPECTRA}
-    stated = {s.solar_spectrum for s in states if s is not None}
-    return [*out, _one_of("solar spectrum", "atmosphere", {s: t for s, t in suns.items() if s not in stated})]
+    models, suns = get_args(AtmosphereModel), tuple(SOLAR_SPECTRA)
+    for name, key, words in (("solar spectrum", "solar_spectrum", suns), ("standard atmosphere", "model", models)):
+        stated = [getattr(s, key, None) for s in states]
+        others = {word: [{f"atmosphere.{key}": word} for _ in worlds] for word in words if word not in stated}
+        out.append(_one_of(name, "atmosphere", others))
+    return out
 
 
 def _of_state(worlds: Sequence[World], key: str, name: str, step: str, sizes: tuple[float, ...]) -> Candidate:
@@ -630,7 +659,5 @@ def _line(world: World, *, gain: float, offset: float) -> Truth:
 def _through_line(estimate: SpectralEstimate, gain: float, offset: float) -> SpectralEstimate:
     pixels = estimate.pixel_covariance
     return replace(
-        estimate,
-        mean=gain * estimate.mean + offset,
-        pixel_covariance=None if pixels is None else gain**2 * pixels,
+        estimate, mean=gain * estimate.mean + offset, pixel_covariance=None if pixels is None else gain**2 * pixels
     )

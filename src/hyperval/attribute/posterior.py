@@ -38,6 +38,7 @@ MOST_FIRST, MOST_CAUSES = 4, 3
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
 REMAINDER = 0.05  # of a chi-square without noise that causes may leave
+MOST_LEFT = 0.5  # of a change, by its causes
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
 
@@ -364,11 +365,20 @@ class Posterior:
         >>> told = [Hypothesis(tuple(three[:k]), 0.0, k * (0.1,)) for k in (1, 2, 3)]
         >>> [Posterior("all", 900.0, 8, 0.0, tuple(three), (h,), {"a": 1.0, NOTHING: 0.0}).enough for h in told]
         [True, True, False]
+
+        Of a change, a smooth piece beside another cause fits what that one left:
+
+        >>> piece = replace(named[1], knots_nm=(400.0,), unbounded=True)
+        >>> two = [replace(three[0], candidate=replace(named[0], unbounded=True)), replace(three[1], candidate=piece)]
+        >>> h = Hypothesis(tuple(two), 0.0, (0.1, 0.1))
+        >>> Posterior("all", 900.0, 8, 0.0, tuple(two), (h,), {"a": 1.0, NOTHING: 0.0}).enough
+        False
         """
         causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
-        inside = 0 < len(causes) < MOST_CAUSES and not any(
-            c.candidate is None or c.limited or c.candidate.makes_anything for c in causes
-        )
+        named = [c.candidate for c in causes if c.candidate is not None and not c.limited]
+        inside = 0 < len(named) == len(causes) < MOST_CAUSES and not any(c.makes_anything for c in named)
+        if len(named) > 1 and named[0].unbounded:  # of a change, which has no noise, smooth pieces make the rest
+            inside = inside and not any(c.knots_nm for c in named)
         return inside and self.p_left >= ENOUGH and sure >= LIKELY and not self.beside_noise
 
     @property
@@ -456,6 +466,12 @@ class Reasoner:
     >>> known = Reasoner({bands: one}, one, noisy=False)
     >>> [known.posterior("all", change).first for change in (30.0 * one[1], np.full(40, 30.0))]
     ['single bands', 'none of these']
+
+    Nor is a cause named that makes less than half of a change.
+
+    >>> half = {noisy: Reasoner({offset: one[:, :1]}, one[:, 4:], noisy=noisy) for noisy in (True, False)}
+    >>> [half[noisy].posterior("all", 1.2 + 5.8 * one[0]).first for noisy in half]
+    ['offset', 'none of these']
     """
 
     def __init__(self, columns: Mapping[Candidate, Array], wide: Array, *, noisy: bool = True):
@@ -478,6 +494,9 @@ class Reasoner:
             longer = [more for h in beam for more in self._longer(h, e)]
             found += longer
             beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not None]
+        if not self.noisy:  # a cause of a change makes most of it
+            part = [h.first in (NOTHING, NONE) or h.left[-1] <= MOST_LEFT * whole for h in found]
+            found = [h if most else replace(h, weight=h.weight - whole) for h, most in zip(found, part, strict=True)]
         found.sort(key=lambda h: -h.weight)
         found = [self._shared_first(h, e) if h.weight > found[0].weight - CLOSE else h for h in found]
         logs = np.array([h.weight for h in found])

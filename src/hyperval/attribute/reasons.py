@@ -95,13 +95,13 @@ class ScenarioModel:
         what a budget is made of as exactly as what is predicted
     observe : measures the collection again with changed settings, or with a mistake in its image
         (:meth:`hyperval.observe.open.Place.mistaken`)
-    exchanges : settings of :attr:`observe` with two panels of the empirical line in each other's place, by their names
+    exchanges : what may stand in each other's place: a setting of :attr:`observe`, and its value for each pair
     """
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
     observe: Callable[[Mapping[str, Any], Mapping[str, float]], Products]
-    exchanges: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    exchanges: Mapping[str, tuple[str, Mapping[str, Any]]] = field(default_factory=dict)
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
@@ -126,7 +126,7 @@ class Causes:
     wide : (n, k) of what no candidate describes
     evaluate : asks the model again
     mistaken : what is measured now, less what is measured with a mistake in the image
-    of_panels : of what is measured, panels of the empirical line in each other's place
+    exchanged : of what is measured, panels of the empirical line or materials of the truth in each other's place
     """
 
     stack: Stack
@@ -143,7 +143,7 @@ class Causes:
     wide: Array
     evaluate: Evaluate
     mistaken: Callable[[Mapping[str, float]], Array]
-    of_panels: Callable[[], dict[Candidate, Array]]
+    exchanged: Callable[[], dict[Candidate, Array]]
 
     def reasoner(self) -> Reasoner:
         """The same, whitened."""
@@ -275,8 +275,8 @@ class Causes:
     ) -> Posterior:
         """What explains a change; where nothing does, regions and targets that lie pixels away, measured again."""
         found = self.explained_change(moved, of, level, columns)
-        if found.first == NONE and (panels := self.of_panels()):
-            columns = {**columns, **panels}
+        if found.first == NONE and (exchanged := self.exchanged()):
+            columns = {**columns, **exchanged}
             found = self.explained_change(moved, of, level, columns)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
@@ -409,7 +409,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     known = {c: columns.pop(c) for c in (*every, *apart) if c in columns}
     columns |= _columns_at(every, known, predicted, evaluate)
     for c in apart:
-        sides = evaluate([c.alone(i) for i in range(len(worlds))], "attribution: scenario by scenario")
+        sides = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
         columns[replace(c, sizes=())] = np.column_stack([side - predicted for side, _ in sides])
     for c in moved:  # of a field spectrum, each band by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
@@ -421,7 +421,10 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     columns |= of_spectra(predicted)
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
     of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
-    rarer = cache(partial(_columns_at, [*rare, *rarer_candidates(worlds)], {}, predicted, evaluate))
+    rarer = [*rare, *rarer_candidates(worlds)]
+    if not many:  # what befalls several scenarios, in one of them
+        shared = [c for c in (*every, *rarer) if sum(map(bool, c.at(0, 0.0))) > 1]
+        rarer += [c.alone(i, s.name) for i, s in enumerate(model.scenarios) for c in shared]
 
     def mistaken(mistake: Mapping[str, float], settings: Mapping[str, Any] = {}) -> Array:
         try:
@@ -431,14 +434,19 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
         same = [b.observed.shape for b in there.blocks] == [b.observed.shape for b in stack.blocks]
         return stack.observed - there.observed if same else np.zeros(predicted.size)
 
-    def of_panels() -> dict[Candidate, Array]:
-        names = tuple(model.exchanges)
-        panels = Candidate("exchanged panels of the empirical line", "scene", "", False, labels=names)
-        return {panels: np.column_stack([mistaken({}, model.exchanges[name]) for name in names])} if names else {}
+    def exchanged() -> dict[Candidate, Array]:
+        """Of what is measured, panels of the empirical line or materials of the truth in each other's place."""
+        out = dict[Candidate, Array]()
+        for what, (key, of) in model.exchanges.items():
+            if of:
+                one = Candidate(what, "scene", "", False, labels=tuple(of))
+                out[one] = np.column_stack([mistaken({}, {key: values}) for values in of.values()])
+        return out
 
+    asked = cache(partial(_columns_at, rarer, {}, predicted, evaluate))
     return Causes(
-        stack, numbers, predicted, values, of_spectra, of_files, rarer, covariance, columns, ends, residual, wide,
-        evaluate, mistaken, of_panels,
+        stack, numbers, predicted, values, of_spectra, of_files, asked, covariance, columns, ends, residual, wide,
+        evaluate, mistaken, exchanged,
     )  # fmt: skip
 
 

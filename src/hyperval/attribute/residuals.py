@@ -22,13 +22,7 @@ from hyperval.compare.rows import scientific
 from hyperval.data import Array, Index, Mask
 from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
-from hyperval.products import (
-    ObjectScores,
-    Products,
-    ScoreDistribution,
-    SpectralEstimate,
-    background_of,
-)
+from hyperval.products import ObjectScores, Products, ScoreDistribution, SpectralEstimate, background_of
 from hyperval.spectra import SpectralAxis, in_window
 
 PIECES = 17  # smooth pieces of a spectrum

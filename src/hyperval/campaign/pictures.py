@@ -155,10 +155,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
     if observed.place.targets:
         outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
     return Quicklook(
-        colours,
-        outlines,
-        tuple(float(centre[b]) for b in bands),
-        step * float(np.sqrt(size)) if size else None,
+        colours, outlines, tuple(float(centre[b]) for b in bands), step * float(np.sqrt(size)) if size else None
     )
 
 

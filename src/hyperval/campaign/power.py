@@ -73,11 +73,7 @@ class Power:
 
 
 def campaign_power(
-    paths: Sequence[Path],
-    *,
-    output: Path | None = None,
-    accept: bool = False,
-    own: Path | None = None,
+    paths: Sequence[Path], *, output: Path | None = None, accept: bool = False, own: Path | None = None
 ) -> list[Power]:
     """The power table of every campaign whose data are at hand; campaigns run side by side.
 

@@ -217,9 +217,7 @@ class Collected:
 
 @contextmanager
 def collected(
-    job: Job,
-    *,
-    question: Callable[[Sequence[Scenario], InputLog], Campaign] | None = None,
+    job: Job, *, question: Callable[[Sequence[Scenario], InputLog], Campaign] | None = None
 ) -> Iterator[Collected]:
     """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
 
@@ -242,10 +240,7 @@ def collected(
         if question is not None:
             campaign = question(scenarios, inputs)
         observed = observe_collection(
-            campaign.collection,
-            campaign.detection,
-            inputs.resolve,
-            classification=campaign.classification,
+            campaign.collection, campaign.detection, inputs.resolve, classification=campaign.classification
         )
         if observed.place is not None:
             for path in observed.place.source_files:  # such as a cube's header

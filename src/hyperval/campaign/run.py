@@ -254,13 +254,25 @@ def scenario_model(side: Collected) -> ScenarioModel:
             before = replace(before, place=place.mistaken(mistake), sampling={})
         return observe_collection(changed.collection, detection, side.inputs.resolve, before=before).observation
 
-    line, exchanges = side.campaign.collection.empirical_line, dict[str, dict[str, Any]]()
-    stated = [panel.model_dump(exclude_none=True, exclude_defaults=True) for panel in line.panels] if line else []
-    for i, j in combinations(range(len(stated)), 2):
-        panels = [dict(panel) for panel in stated]
-        panels[i]["spectrum"], panels[j]["spectrum"] = panels[j]["spectrum"], panels[i]["spectrum"]
-        exchanges[f"{panels[i]['region']} and {panels[j]['region']}"] = {"collection.empirical_line.panels": panels}
+    line, truth = side.campaign.collection.empirical_line, side.campaign.collection.targets
+    panels = [panel.model_dump(exclude_none=True, exclude_defaults=True) for panel in line.panels] if line else []
+    spectra = _pairs({panel["region"]: panel["spectrum"] for panel in panels})
+    materials = _pairs(truth.rasters.materials if truth and truth.rasters else {})
+    lines = {name: [{**panel, "spectrum": of[panel["region"]]} for panel in panels] for name, of in spectra.items()}
+    exchanges: dict[str, tuple[str, Mapping[str, Any]]] = {
+        "exchanged panels of the empirical line": ("collection.empirical_line.panels", lines),
+        "exchanged materials of the truth": ("collection.targets.rasters.materials", materials),
+    }
     return ScenarioModel(side.scenarios, predicted, measured_again, exchanges)
+
+
+def _pairs(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The same with two in each other's place, by the names of both.
+
+    >>> _pairs({"red": 1, "green": 2, "blue": 3})["red and blue"]
+    {'red': 3, 'green': 2, 'blue': 1}
+    """
+    return {f"{a} and {b}": {**values, a: values[b], b: values[a]} for a, b in combinations(values, 2)}
 
 
 # What need not run again ----------------------------------------------------------------------------------------------
