@@ -339,10 +339,10 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
                 text = f"a number; {GONE['distribution']}"
             if item["type"] == "extra_forbidden":
                 few = len(problems) < MOST_MISTAKES  # what is looked for takes long beside what is listed
-                near = difflib.get_close_matches(str(item["loc"][-1]), _keys_of(model), n=1) if few else []
-                text = "unknown key" + (f"; did you mean {near[0]!r}?" if near else "")
-                if item["loc"][-1] in GONE:
-                    text = f"this key is gone; {GONE[str(item['loc'][-1])]}"
+                own = str(item["loc"][-1])
+                near = difflib.get_close_matches(own, _keys_of(model), n=1) if few else []
+                hints = (" here; it belongs elsewhere" if k == own else f"; did you mean {k!r}?" for k in near)
+                text = f"this key is gone; {GONE[own]}" if own in GONE else "".join(("unknown key", *hints))
             problems.append((line, f"{name}:{line}: {key}: {text}"))
         problems.sort()
         if not problems:

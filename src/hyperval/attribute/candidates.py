@@ -235,6 +235,9 @@ class Candidate:
         >>> gain = Candidate("smooth gain", "sensor", "3 % in smooth pieces", False, knots_nm=(400.0, 600.0))
         >>> gain.in_words(np.array([-4.0, 1.0]))
         '-12 % at 400 nm and less elsewhere'
+        >>> aod = Candidate("depth", "atmosphere", "10 %", False, sizes=(1.0, -1.0))
+        >>> aod.in_words(np.array([5.0])), aod.in_words(np.array([0.004]))
+        ('x 1.5', '+0.04 %')
         """
         if self.labels:
             return self.labels[int(amplitudes[0])]
@@ -246,7 +249,7 @@ class Candidate:
             size = f"{amplitudes[0]:+.2g}" if amplitudes.size == 1 else f"{np.sqrt(np.mean(amplitudes**2)):.2g}"
             return f"{size} times the {self.unit}"
         value = float(amplitudes[0]) * float(number)
-        return f"x {1.0 + value / 100.0:.3g}" if unit == "%" else f"{value:+.2g} {unit}"
+        return f"x {1.0 + value / 100.0:.3g}" if unit == "%" and abs(value) >= 1.0 else f"{value:+.2g} {unit}"
 
 
 def candidates(
