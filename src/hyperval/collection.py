@@ -30,8 +30,7 @@ class CubeSource(Model):
     wavelength_unit: WavelengthUnit | None = Field(None, description="stated when the header does not say nm or um")
     sort_bands: bool = Field(False, description="sort bands whose wavelengths fall, as where detectors overlap")
     by_number: bool = Field(
-        False,
-        description="bands go by number, as no wavelength is known: what needs wavelengths is left out",
+        False, description="bands go by number, as no wavelength is known: what needs wavelengths is left out"
     )
     glt: str | None = Field(
         None, description="lookup table (GLT) or places of pixels (IGM); None: the product's own, or one beside it"
@@ -433,9 +432,7 @@ class Classification(Model):
     features: list[ClassFeatures] = Field(min_length=1)
     pairs: bool = Field(False, description="every pair of classes as well")
     block_lines: int = Field(
-        8,
-        ge=1,
-        description="lines of a block: whole blocks train or test, as neighbouring pixels resemble each other",
+        8, ge=1, description="lines of a block: whole blocks train or test, as neighbouring pixels resemble each other"
     )
     pixels: int = Field(20_000, ge=100, le=200_000, description="at most so many pixels of a class train, or test")
     seed: int = Field(0, ge=0)
@@ -510,14 +507,12 @@ class Detection(Model):
         "scored by the same footprint",
     )
     first_detection: bool = Field(
-        False,
-        description="also: false alarms before the first true detection of a subject, as RIT's self-test counts",
+        False, description="also: false alarms before the first true detection of a subject, as RIT's self-test counts"
     )
     bands: Literal["all", "good", "windows"] = "good"
     least_snr: float | None = Field(None, gt=0, description="bands with less in the background are left out")
     group: str = Field(
-        "{name}",
-        description="subject of a target object; the columns of the truth stand in braces, such as {material}",
+        "{name}", description="subject of a target object; the columns of the truth stand in braces, such as {material}"
     )
     pools: list[Pool] = Field([])
     areas: list[AreaCheck] = Field([])

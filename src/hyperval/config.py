@@ -277,8 +277,7 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
             key = str(key_node.value)
             if key in out:
                 raise UsageError(
-                    f"the key {key!r} occurs twice (first on line {lines[(*at, key)]})",
-                    where=f"{name}:{line}",
+                    f"the key {key!r} occurs twice (first on line {lines[(*at, key)]})", where=f"{name}:{line}"
                 )
             lines[(*at, key)] = line
             out[key] = _construct(value_node, (*at, key), lines, name)

@@ -31,10 +31,7 @@ _ORDER_WORDS = {
 }
 
 # How a header in UTF-16 begins, with its mark and without.
-_WIDE = {
-    "utf-16-le": (b"\xff\xfe", b"E\0N\0V\0I\0"),
-    "utf-16-be": (b"\xfe\xff", b"\0E\0N\0V\0I"),
-}
+_WIDE = {"utf-16-le": (b"\xff\xfe", b"E\0N\0V\0I\0"), "utf-16-be": (b"\xfe\xff", b"\0E\0N\0V\0I")}
 
 
 @dataclass(frozen=True)

@@ -329,10 +329,7 @@ _MIXES = {  # rural tuned to the radiances that MODTRAN 6 gives with its own, th
 
 
 def sixs_terms(
-    state: AtmosphericState,
-    folder: Path,
-    *,
-    ratio: EngineRatio | Literal["shipped"] | None = "shipped",
+    state: AtmosphericState, folder: Path, *, ratio: EngineRatio | Literal["shipped"] | None = "shipped"
 ) -> AtmosphericTerms:
     """The terms of a state on the 2.5 nm grid 340-2600 nm.
 

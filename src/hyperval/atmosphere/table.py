@@ -436,10 +436,7 @@ _BUILT = [name for name in AXES if name in AtmosphericState.model_fields]  # an 
 
 
 def build_table(
-    base: AtmosphericState,
-    axes: Mapping[str, Sequence[float]],
-    *,
-    cache_dir: Path | None = None,
+    base: AtmosphericState, axes: Mapping[str, Sequence[float]], *, cache_dir: Path | None = None
 ) -> AtmosphericTable:
     """Run the embedded engine at every node of a grid.
 

@@ -34,15 +34,7 @@ from hyperval.attribute.posterior import (
     budget_covariance,
     posteriors,
 )  # fmt: skip
-from hyperval.attribute.residuals import (
-    POINTS,
-    SPECTRUM_FLOOR,
-    ComparedQuantity,
-    ResidualBlock,
-    Stack,
-    quantities,
-    stacked,
-)  # fmt: skip
+from hyperval.attribute.residuals import POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
@@ -160,7 +152,7 @@ class Causes:
         out = {}
         for block, at in self.stack.placed():
             observed, predicted = (" ".join(f"{x:.6g}" for x in side) for side in (block.observed, self.predicted[at]))
-            out[_quantity(block)] = (" ".join(map(str, self.stack.bands[at])), observed, predicted)
+            out[block.quantity] = (" ".join(map(str, self.stack.bands[at])), observed, predicted)
         return out
 
     def changed(self, told: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
@@ -174,6 +166,7 @@ class Causes:
         that were measured, which says nothing of the model alone; where a score near 0 ends in another digit, nothing
         is asked:
 
+        >>> from hyperval.attribute import ResidualBlock
         >>> def block(product, *observed):
         ...     return ResidualBlock(product, "paint", "cem", np.array(observed), 1e-6 * np.eye(len(observed)), len)
         >>> def causes(*blocks, **of):
@@ -204,7 +197,7 @@ class Causes:
         """
         places, then = [], []
         for block, at in self.stack.placed():
-            bands, *sides = (np.array(x.split(), dtype=float) for x in told.get(_quantity(block), ("", "", "")))
+            bands, *sides = (np.array(x.split(), dtype=float) for x in told.get(block.quantity, ("", "", "")))
             _, here, there = np.intersect1d(self.stack.bands[at], bands, return_indices=True)
             places.append(at.start + here)
             then.append(np.array(sides)[:, there])
@@ -337,10 +330,6 @@ class Causes:
         return columns, found
 
 
-def _quantity(block: ResidualBlock) -> str:
-    return f"{block.product} of {block.subject} {block.method}".strip()
-
-
 def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:
     """What the model says; None of what cannot be, such as a sun below the horizon, or is not on this machine.
 
@@ -428,11 +417,9 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
 
     def mistaken(mistake: Mapping[str, float], settings: Mapping[str, Any] = {}) -> Array:
         try:
-            there = stacked(base, model.observe(settings, mistake))
+            return stack.since(stacked(base, model.observe(settings, mistake)))
         except UsageError:  # nothing can be measured so, such as by panels that are no line
             return np.zeros(predicted.size)
-        same = [b.observed.shape for b in there.blocks] == [b.observed.shape for b in stack.blocks]
-        return stack.observed - there.observed if same else np.zeros(predicted.size)
 
     def exchanged() -> dict[Candidate, Array]:
         """Of what is measured, panels of the empirical line or materials of the truth in each other's place."""
@@ -610,7 +597,7 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
         own = causes.covariance[at, at]
         before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (residual, left))
         found = row("reduced_chi_square", after, n=block.observed.size, before=before, reason=f"{before:.4g} before")
-        yield from named([found], "attribution", _quantity(block), first.name)
+        yield from named([found], "attribution", block.quantity, first.name)
 
 
 def _sensitivity_rows(

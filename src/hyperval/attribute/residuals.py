@@ -106,6 +106,11 @@ class ResidualBlock:
     bands: Index | None = None
     calibration: Array | None = None
 
+    @property
+    def quantity(self) -> str:
+        """By which the same is found in another run."""
+        return f"{self.product} of {self.subject} {self.method}".strip()
+
 
 @dataclass(frozen=True, eq=False)
 class Stack:
@@ -135,6 +140,23 @@ class Stack:
             if a.calibration is not None and a.bands is not None and b.calibration is not None and b.bands is not None:
                 shared = a.calibration[np.ix_(a.bands, b.bands)]
                 out[rows, columns] = np.outer(a.observed, b.observed) * shared
+        return out
+
+    def since(self, other: Stack) -> Array:
+        """(n,) what is observed now, less what was in another measurement; 0 where that has no such entry.
+
+        >>> def stack(**observed):
+        ...     return Stack(tuple(ResidualBlock("scores", n, "", np.array(x), np.eye(len(x)), len)
+        ...                        for n, x in observed.items()))
+        >>> stack(red=[0.5, 0.1], green=[0.4]).since(stack(grey=[9.0], red=[0.2])).round(9).tolist()
+        [0.3, 0.0, 0.0]
+        """
+        out, found = np.zeros(self.observed.size), {block.quantity: (block, at) for block, at in other.placed()}
+        for block, at in self.placed():
+            if block.quantity in found:
+                before, there = found[block.quantity]
+                _, i, j = np.intersect1d(self.bands[at], other.bands[there], return_indices=True)
+                out[at.start + i] = block.observed[i] - before.observed[j]
         return out
 
     def predicted(self, prediction: Products) -> Array:

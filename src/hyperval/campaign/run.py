@@ -46,6 +46,7 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
+_MOST_TRIED = 12  # spectra in the place of those that detectors look for
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
 UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
@@ -251,19 +252,47 @@ def scenario_model(side: Collected) -> ScenarioModel:
         if before is not None and before.place is not None and mistake:
             bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
             place = open_place(changed.collection, side.inputs.resolve, mistake) if bands_are_off else before.place
-            before = replace(before, place=place.mistaken(mistake), sampling={})
+            is_displaced = mistake.keys() <= {"lines", "samples", "regions"}  # no pixel has changed
+            before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if is_displaced else {})
         return observe_collection(changed.collection, detection, side.inputs.resolve, before=before).observation
 
-    line, truth = side.campaign.collection.empirical_line, side.campaign.collection.targets
-    panels = [panel.model_dump(exclude_none=True, exclude_defaults=True) for panel in line.panels] if line else []
-    spectra = _pairs({panel["region"]: panel["spectrum"] for panel in panels})
-    materials = _pairs(truth.rasters.materials if truth and truth.rasters else {})
-    lines = {name: [{**panel, "spectrum": of[panel["region"]]} for panel in panels] for name, of in spectra.items()}
-    exchanges: dict[str, tuple[str, Mapping[str, Any]]] = {
-        "exchanged panels of the empirical line": ("collection.empirical_line.panels", lines),
-        "exchanged materials of the truth": ("collection.targets.rasters.materials", materials),
-    }
-    return ScenarioModel(side.scenarios, predicted, measured_again, exchanges)
+    return ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side))
+
+
+def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
+    """What may stand in each other's place in a collection: the setting of it, and its value for each pair."""
+    collection, detection = side.campaign.collection, side.campaign.detection
+    line, truth = collection.empirical_line, collection.targets
+    of_model = [target for scenario in side.scenarios for target in scenario.scene.targets]
+    panels, targets, others = (
+        [one.model_dump(exclude_none=True, exclude_defaults=True) for one in some]
+        for some in (line.panels if line else (), detection.targets if detection else (), of_model)
+    )
+    known = {str(each["spectrum"]): each for each in (*others, *targets)}.values()
+    tried = [(own, each) for own in targets for each in known if each["spectrum"] != own["spectrum"]]
+    looked_for = {
+        f"{own['name']}: that of {'the model' if each['name'] == own['name'] else each['name']}": [
+            {**t, "spectrum": each["spectrum"]} if t is own else t for t in targets
+        ]
+        for own, each in tried
+    } | _swapped(targets, "name")
+    return {
+        "exchanged panels of the empirical line": ("collection.empirical_line.panels", _swapped(panels, "region")),
+        "exchanged materials of the truth": (
+            "collection.targets.rasters.materials", _pairs(truth.rasters.materials if truth and truth.rasters else {}),
+        ),
+        "spectrum that detectors look for": ("detection.targets", looked_for if len(tried) <= _MOST_TRIED else {}),
+    }  # fmt: skip
+
+
+def _swapped(entries: Sequence[Mapping[str, Any]], key: str) -> dict[str, list[dict[str, Any]]]:
+    """The same entries with the spectra of two in each other's place.
+
+    >>> _swapped([{"region": "black", "spectrum": 0.05}, {"region": "grey", "spectrum": 0.2}], "region")
+    {'black and grey': [{'region': 'black', 'spectrum': 0.2}, {'region': 'grey', 'spectrum': 0.05}]}
+    """
+    pairs = _pairs({one[key]: one["spectrum"] for one in entries}).items()
+    return {name: [{**one, "spectrum": spectra[one[key]]} for one in entries] for name, spectra in pairs}
 
 
 def _pairs(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -177,8 +177,7 @@ class Outline(Model):
     title: str
     description: str
     simulated: bool | Literal["dirsig"] = Field(
-        False,
-        description="true: from the scene named by collection.simulate; dirsig: by DIRSIG, whose files are read",
+        False, description="true: from the scene named by collection.simulate; dirsig: by DIRSIG, whose files are read"
     )
     references: list[str] = Field([])
     assumptions: list[str] = Field([], description="stated in the report")
@@ -213,10 +212,7 @@ class Campaign(Outline):
     detection: Detection | None = None
     classification: Classification | None = None
     equivalence_margin: float | None = Field(
-        None,
-        gt=0,
-        lt=1,
-        description="difference of P_D that is negligible for the purpose; adds pd_equivalence rows",
+        None, gt=0, lt=1, description="difference of P_D that is negligible for the purpose; adds pd_equivalence rows"
     )
     scenarios: list[ScenarioSource] = Field(
         [],

@@ -43,10 +43,7 @@ _SCALES = (0.01, 0.001, 0.0001)  # percent, and reflectance times 1000 or 10000
 _WHOLE = {"name": "whole image", "whole_image": True}
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
-_NAMED = {
-    "radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])",
-    "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])",
-}
+_NAMED = {"radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])", "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])"}
 Entry = dict[str, Any]
 
 

@@ -157,8 +157,7 @@ Header = Annotated[Path | None, typer.Option(help="ENVI header that does not lie
 Key = Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")]
 Draft = Annotated[Path | None, typer.Option("--output", "-o", help="The file to write.")]
 Finished = Annotated[
-    Path | None,
-    typer.Option("--from", help="Folder of a finished validate of these campaigns, read instead of run."),
+    Path | None, typer.Option("--from", help="Folder of a finished validate of these campaigns, read instead of run.")
 ]
 
 
@@ -478,8 +477,7 @@ def benchmark(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: Output,
     extend: Annotated[
-        list[Path] | None,
-        typer.Option("--extend", help="A Python file that registers detectors; it is run."),
+        list[Path] | None, typer.Option("--extend", help="A Python file that registers detectors; it is run.")
     ] = None,
     scores: Annotated[
         list[str] | None,
@@ -674,8 +672,7 @@ def serve(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8000,
     host: Annotated[str, typer.Option(help="Address to listen on; this machine alone by default.")] = "127.0.0.1",
     name: Annotated[
-        list[str] | None,
-        typer.Option(help="Name under which browsers reach it, besides localhost; may be repeated."),
+        list[str] | None, typer.Option(help="Name under which browsers reach it, besides localhost; may be repeated.")
     ] = None,
     folder: Annotated[Path | None, typer.Option(help="Runs and uploads; by default in the user's data folder.")] = None,
     campaigns: Annotated[Path | None, typer.Option(help="Folder of campaigns that may be run from the pages.")] = None,
