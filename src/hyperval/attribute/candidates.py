@@ -86,7 +86,7 @@ SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
 # Of the state of atmosphere and view: step, and where the model is asked.
 _OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
     ("sensor_altitude_km", "sensor altitude", "10 %", (-5.0, 20.0)),
-    ("ground_altitude_km", "ground height", "0.1 km", (-5.0, 8.0)),
+    ("ground_altitude_km", "ground height", "0.1 km", (-12.0, -4.0, 4.0, 12.0)),
     ("aerosol_share_below", "share of aerosol below the sensor", "10 %", (-5.0, 10.0)),
     ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 20.0)),
     ("angstrom_exponent", "Angstrom exponent", "0.1 of the exponent", (-10.0, 10.0)),
@@ -362,17 +362,22 @@ def _geometry(target: Target, p: TargetSubject) -> str:
     return f"scene.targets.[{target.name}]{f'.subjects.[{p.name}]' if target.subjects else ''}.fill.geometry"
 
 
-def exchanged_entries(worlds: Sequence[World]) -> list[Candidate]:
-    """Spectra of two targets in each other's place in the file: what detectors look for moves with them."""
-    pairs: dict[str, list[Truth]] = {}
+def exchanged_entries(worlds: Sequence[World], looked_for: Mapping[str, Any]) -> list[Candidate]:
+    """Spectra of targets in the file: two in each other's place, or one by another or by one that detectors look for;
+    what the model's filters look for moves with them.
+    """
+    entries: dict[str, list[Truth]] = {}
     for number, world in enumerate(worlds):
-        for a, b in combinations(world.stated.scenario.scene.targets, 2):
-            both = {
-                x.name: y.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for x, y in ((a, b), (b, a))
-            }
-            truth = {f"scene.targets.[{name}].spectrum": entry for name, entry in both.items()}
-            pairs[f"{a.name} and {b.name}"] = _alone(number, len(worlds), truth)
-    return [_one_of("exchanged spectra in the file", "scene", pairs)] if pairs else []
+        targets, alone = world.stated.scenario.scene.targets, partial(_alone, number, len(worlds))
+        own = {t.name: t.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for t in targets}
+        path = {name: f"scene.targets.[{name}].spectrum" for name in own}
+        known = {str(entry): (name, entry) for name, entry in (*looked_for.items(), *own.items())}.values()
+        for name, (by, entry) in product(own, known):
+            if entry != own[name]:
+                entries[f"{name}: that {'looked for' if by == name else f'of {by}'}"] = alone({path[name]: entry})
+        for i, j in combinations(own, 2):
+            entries[f"{i} and {j}"] = alone({path[i]: own[j], path[j]: own[i]})
+    return [_one_of("spectra of targets in the file", "scene", entries)] if entries else []
 
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:

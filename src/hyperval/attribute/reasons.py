@@ -22,7 +22,7 @@ from hyperval.attribute.candidates import (
     exchanged_entries,
     further_candidates,
     rarer_candidates,
-)
+)  # fmt: skip
 from hyperval.attribute.posterior import (
     ALL,
     NONE,
@@ -88,12 +88,14 @@ class ScenarioModel:
     observe : measures the collection again with changed settings, or with a mistake in its image
         (:meth:`hyperval.observe.open.Place.mistaken`)
     exchanges : what may stand in each other's place: a setting of :attr:`observe`, and its value for each pair
+    looked_for : entries of the spectra that detectors look for, by their targets
     """
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
     observe: Callable[[Mapping[str, Any], Mapping[str, float]], Products]
     exchanges: Mapping[str, tuple[str, Mapping[str, Any]]] = field(default_factory=dict)
+    looked_for: Mapping[str, Any] = field(default_factory=dict)
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
         """Products of other scenarios."""
@@ -175,12 +177,12 @@ class Causes:
         ...     asked = lambda truths, title: []
         ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, None,
         ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
-        >>> exchanged = Candidate("exchanged spectra in the file", "scene", "", False, labels=("red and green",))
+        >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
         >>> told = {"scores of paint cem": ("-1 -1", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
         >>> found = seen.changed(told, simulated=False)
         >>> found.first, found.enough
-        ('exchanged spectra in the file', True)
+        ('spectra of targets in the file', True)
         >>> told = {"scores of paint cem": ("-1 -1", "0.10001 0.9", "0 1e-05"), "roc of paint cem": ("-1", "-4", "0")}
         >>> seen.changed(told, simulated=False).first
         'nothing to explain'
@@ -409,7 +411,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     of_spectra = partial(_of_spectra, stack, classes, observed.axis.centre_nm)
     columns |= of_spectra(predicted)
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
-    of_files = partial(_columns_at, exchanged_entries(worlds), {}, predicted, evaluate)
+    of_files = partial(_columns_at, exchanged_entries(worlds, model.looked_for), {}, predicted, evaluate)
     rarer = [*rare, *rarer_candidates(worlds)]
     if not many:  # what befalls several scenarios, in one of them
         shared = [c for c in (*every, *rarer) if sum(map(bool, c.at(0, 0.0))) > 1]

@@ -256,18 +256,23 @@ def scenario_model(side: Collected) -> ScenarioModel:
             before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if is_displaced else {})
         return observe_collection(changed.collection, detection, side.inputs.resolve, before=before).observation
 
-    return ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side))
+    looked_for = {each["name"]: each["spectrum"] for each in entries_of(side.campaign.detection, "targets")}
+    return ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)
+
+
+def entries_of(owner: Any, key: str) -> list[dict[str, Any]]:
+    """A list of a file as it stands there, without defaults; empty where there is none."""
+    return [one.model_dump(exclude_none=True, exclude_defaults=True) for one in getattr(owner, key, ())]
 
 
 def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
     """What may stand in each other's place in a collection: the setting of it, and its value for each pair."""
-    collection, detection = side.campaign.collection, side.campaign.detection
-    line, truth = collection.empirical_line, collection.targets
-    of_model = [target for scenario in side.scenarios for target in scenario.scene.targets]
-    panels, targets, others = (
-        [one.model_dump(exclude_none=True, exclude_defaults=True) for one in some]
-        for some in (line.panels if line else (), detection.targets if detection else (), of_model)
+    truth, others = (
+        side.campaign.collection.targets,
+        [x for s in side.scenarios for x in entries_of(s.scene, "targets")],
     )
+    targets = entries_of(side.campaign.detection, "targets")
+    panels = entries_of(side.campaign.collection.empirical_line, "panels")
     known = {str(each["spectrum"]): each for each in (*others, *targets)}.values()
     tried = [(own, each) for own in targets for each in known if each["spectrum"] != own["spectrum"]]
     looked_for = {

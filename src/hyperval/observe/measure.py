@@ -285,10 +285,7 @@ def _some_pixels(place: Place, name: str) -> Array:
 
 
 def _classes(
-    place: Place,
-    detection: Detection | None,
-    detected: Detected | None,
-    distribution: Mapping[str, PixelDistribution],
+    place: Place, detection: Detection | None, detected: Detected | None, distribution: Mapping[str, PixelDistribution]
 ) -> dict[str, ClassStatistics]:
     """Statistics of each region in reflectance; none where the image holds radiance without a line."""
     if place.cube.quantity == "radiance" and place.line is None:

@@ -257,10 +257,7 @@ def _points(panels: Sequence[MeasuredPanel]) -> Array:
 
 
 def fit_elm(
-    panels: Sequence[MeasuredPanel],
-    *,
-    intercept: bool = True,
-    minimum_contrast: float = MINIMUM_CONTRAST,
+    panels: Sequence[MeasuredPanel], *, intercept: bool = True, minimum_contrast: float = MINIMUM_CONTRAST
 ) -> EmpiricalLine:
     """Line through all panels, band by band, with errors in reflectance and in radiance.
 

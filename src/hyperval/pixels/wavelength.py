@@ -230,11 +230,7 @@ def absorption_centre(wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, fea
 
 
 def centre_uncertainty(
-    wavelength_nm: npt.ArrayLike,
-    radiance: npt.ArrayLike,
-    covariance: npt.ArrayLike,
-    feature: Feature,
-    centre_nm: float,
+    wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, covariance: npt.ArrayLike, feature: Feature, centre_nm: float
 ) -> float:
     """Standard uncertainty [nm] of an absorption's centre by the errors of its bands; NaN without a centre.
 
