@@ -112,7 +112,8 @@ class Causes:
     predicted, values : both, with nothing moved
     of_spectra : errors that are linear in the spectra at a level (n,)
     of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
-    rarer : what is looked for where little else explains a change
+    engines, rarer : what is looked for where little else explains a change; of many scenarios first what any few ask of
+        the engine
     covariance : (n, n) of the vector, with everything that is budgeted
     columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
     ends : numbers with an input one unit up and down
@@ -129,6 +130,7 @@ class Causes:
     values: Array
     of_spectra: Callable[[Array], dict[Candidate, Array]]
     of_files: Callable[[], dict[Candidate, Array]]
+    engines: Callable[[], dict[Candidate, Array]]
     rarer: Callable[[], dict[Candidate, Array]]
     covariance: Array
     columns: dict[Candidate, Array]
@@ -175,7 +177,7 @@ class Causes:
         ...     stack, none = Stack(blocks), {}
         ...     n, files = stack.observed.size, of.get("files", {})
         ...     asked = lambda truths, title: []
-        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, None,
+        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, None, None,
         ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
@@ -232,7 +234,8 @@ class Causes:
                 return by_setting
             found = self.or_displaced(moved, of, level, columns, regions=True)
             if simulated and found.first == NONE:  # a scene made anew has scores too, beside other noise
-                inputs = {replace(c, unbounded=True): g[every] for c, g in {**self.of_inputs, **self.rarer()}.items()}
+                all_of_them = {**self.of_inputs, **self.engines(), **self.rarer()}
+                inputs = {replace(c, unbounded=True): g[every] for c, g in all_of_them.items()}
                 covariance = self.covariance[np.ix_(every, every)]
                 _, noisy = self.explained(change, covariance, inputs, every, self.predicted, True)
                 return replace(noisy, beside_noise=True) if noisy.enough else found
@@ -261,9 +264,13 @@ class Causes:
     def or_rarer(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
         """What explains a change; where no single cause is enough, what is rarer too."""
         found = self.explained_change(moved, of, level, columns)
-        if found.enough and len(found.best.causes) == 1:
-            return found
-        return self.explained_change(moved, of, level, {**columns, **self.rarer()})
+        for more in (self.engines, self.rarer):
+            if found.enough and len(found.best.causes) == 1:
+                break
+            if further := more():
+                columns = {**columns, **further}
+                found = self.explained_change(moved, of, level, columns)
+        return found
 
     def or_displaced(
         self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array], *, regions: bool
@@ -412,7 +419,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     columns |= of_spectra(predicted)
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
     of_files = partial(_columns_at, exchanged_entries(worlds, model.looked_for), {}, predicted, evaluate)
-    rarer = [*rare, *rarer_candidates(worlds)]
+    rarer = rarer_candidates(worlds)
     if not many:  # what befalls several scenarios, in one of them
         shared = [c for c in (*every, *rarer) if sum(map(bool, c.at(0, 0.0))) > 1]
         rarer += [c.alone(i, s.name) for i, s in enumerate(model.scenarios) for c in shared]
@@ -432,10 +439,10 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
                 out[one] = np.column_stack([mistaken({}, {key: values}) for values in of.values()])
         return out
 
-    asked = cache(partial(_columns_at, rarer, {}, predicted, evaluate))
+    engines, asked = (cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in (rare, rarer))
     return Causes(
-        stack, numbers, predicted, values, of_spectra, of_files, asked, covariance, columns, ends, residual, wide,
-        evaluate, mistaken, exchanged,
+        stack, numbers, predicted, values, of_spectra, of_files, engines, asked, covariance, columns, ends, residual,
+        wide, evaluate, mistaken, exchanged,
     )  # fmt: skip
 
 

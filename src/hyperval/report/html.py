@@ -81,9 +81,7 @@ def anchor(row: Result) -> str:
 
 
 def matrix_of(
-    rows: Iterable[Result],
-    line_of: Callable[[Result], str],
-    link_of: Callable[[str, Sequence[Result]], str],
+    rows: Iterable[Result], line_of: Callable[[Result], str], link_of: Callable[[str, Sequence[Result]], str]
 ) -> dict[str, Sequence[Any]] | None:
     """Planned rows in lines by ``line_of`` and columns by product; None without any.
 

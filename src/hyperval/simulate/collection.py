@@ -365,11 +365,7 @@ def average_reflectance(renderer: SurfaceRenderer) -> tuple[Array, float]:
 
 
 def _write_cube(
-    path: Path,
-    scene: SceneFile,
-    inputs: SimulationInputs,
-    renderer: SurfaceRenderer,
-    chain: Detector,
+    path: Path, scene: SceneFile, inputs: SimulationInputs, renderer: SurfaceRenderer, chain: Detector
 ) -> float:
     """Write the cube; returns the share of samples beyond the detector's full scale."""
 

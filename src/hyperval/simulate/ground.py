@@ -67,11 +67,7 @@ def _coverage(u: Array, half: float, cell: float) -> Array:
 
 
 def square_footprint(
-    centre_line: float,
-    centre_sample: float,
-    side_pixels: float,
-    heading_deg: float,
-    psf_fwhm_pixels: float,
+    centre_line: float, centre_sample: float, side_pixels: float, heading_deg: float, psf_fwhm_pixels: float
 ) -> tuple[int, int, Array]:
     """Line and sample of the first pixel that sees a square plank, and the fills of those from there on (n, m).
 
