@@ -7,9 +7,11 @@ from .candidates import (
     assumed_inputs,
     candidates,
     errors_of_file,
+    exchanged_pairs,
     further_candidates,
     injected_errors,
     injected_prediction,
+    others_in_place,
     rarer_candidates,
 )
 from .posterior import (
@@ -44,7 +46,7 @@ __all__ = [
     "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
     "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf",
     "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "budget_covariance", "candidates", "causes_of",
-    "changed_scenarios", "common_and_own", "errors_of_file", "few_objects", "further_candidates",
-    "injected_errors", "injected_prediction", "kind_of", "posterior", "posteriors",
+    "changed_scenarios", "common_and_own", "errors_of_file", "exchanged_pairs", "few_objects", "further_candidates",
+    "injected_errors", "injected_prediction", "kind_of", "others_in_place", "posterior", "posteriors",
     "quantities", "rarer_candidates", "reason_for", "sampled_covariance", "shares_of_variance", "stacked",
 ]  # fmt: skip

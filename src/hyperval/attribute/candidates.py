@@ -363,21 +363,42 @@ def _geometry(target: Target, p: TargetSubject) -> str:
 
 
 def exchanged_entries(worlds: Sequence[World], looked_for: Mapping[str, Any]) -> list[Candidate]:
-    """Spectra of targets in the file: two in each other's place, or one by another or by one that detectors look for;
-    what the model's filters look for moves with them.
-    """
+    """Spectra of targets in the file, which move what the model's filters look for as well."""
     entries: dict[str, list[Truth]] = {}
     for number, world in enumerate(worlds):
-        targets, alone = world.stated.scenario.scene.targets, partial(_alone, number, len(worlds))
+        targets = world.stated.scenario.scene.targets
         own = {t.name: t.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for t in targets}
-        path = {name: f"scene.targets.[{name}].spectrum" for name in own}
-        known = {str(entry): (name, entry) for name, entry in (*looked_for.items(), *own.items())}.values()
-        for name, (by, entry) in product(own, known):
-            if entry != own[name]:
-                entries[f"{name}: that {'looked for' if by == name else f'of {by}'}"] = alone({path[name]: entry})
-        for i, j in combinations(own, 2):
-            entries[f"{i} and {j}"] = alone({path[i]: own[j], path[j]: own[i]})
+        for words, changed in others_in_place(own, looked_for, "looked for").items():
+            truth = {f"scene.targets.[{name}].spectrum": entry for name, entry in changed.items()}
+            entries[words] = _alone(number, len(worlds), truth)
     return [_one_of("spectra of targets in the file", "scene", entries)] if entries else []
+
+
+def others_in_place(own: Mapping[str, Any], others: Mapping[str, Any], what: str) -> dict[str, dict[str, Any]]:
+    """Of named entries what changes where one has the place of another, or two have each other's.
+
+    Parameters
+    ----------
+    own, others : entries, and further ones that may stand there; ``what`` is said of those of the same name
+
+    Examples
+    --------
+    >>> others_in_place({"red": 1, "green": 1}, {"green": 2}, "looked for")
+    {'red: that of green': {'red': 2}, 'green: that looked for': {'green': 2}}
+    """
+    known = {str(entry): (by, entry) for by, entry in (*others.items(), *own.items())}.values()
+    tried = [(name, by, entry) for name, (by, entry) in product(own, known) if entry != own[name]]
+    out = {f"{name}: that {what if by == name else f'of {by}'}": {name: entry} for name, by, entry in tried}
+    return out | exchanged_pairs(own)
+
+
+def exchanged_pairs(own: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Two of named entries in each other's place, by the names of both.
+
+    >>> exchanged_pairs({"red": 1, "green": 2, "blue": 1})
+    {'red and green': {'red': 2, 'green': 1}, 'green and blue': {'green': 1, 'blue': 2}}
+    """
+    return {f"{i} and {j}": {i: own[j], j: own[i]} for i, j in combinations(own, 2) if own[i] != own[j]}
 
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
@@ -431,7 +452,8 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
     if entries:
         out.append(_one_of("entry of a surface", "scene", entries))
-    return out + _of_atmosphere(worlds) * all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds)
+    is_engine = all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds)
+    return [*out, *(_of_atmosphere(worlds) if is_engine else ())]
 
 
 def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:

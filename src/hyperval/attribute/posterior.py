@@ -38,7 +38,7 @@ MOST_FIRST, MOST_CAUSES = 4, 3
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
 REMAINDER = 0.05  # of a chi-square without noise that causes may leave
-MOST_LEFT = 0.5  # of a change, by its causes
+MOST_LEFT = 0.5  # of the chi-square of a change: what its causes may leave
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
 

@@ -22,7 +22,7 @@ from hyperval.attribute.candidates import (
     exchanged_entries,
     further_candidates,
     rarer_candidates,
-)  # fmt: skip
+)
 from hyperval.attribute.posterior import (
     ALL,
     NONE,
@@ -69,6 +69,7 @@ _OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
     ("wavelength scale", "0.1 %", "scale", 0.001, (-8.0, -2.0, 2.0, 8.0)),
 )
 _EVERYTHING, SINCE = "every input", "since the accepted run"
+UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
 Key = tuple[str, str, str]  # background, detector, metric
@@ -112,8 +113,8 @@ class Causes:
     predicted, values : both, with nothing moved
     of_spectra : errors that are linear in the spectra at a level (n,)
     of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
-    engines, rarer : what is looked for where little else explains a change; of many scenarios first what any few ask of
-        the engine
+    rarer : what is looked for where little else explains a change, one after the other: of many scenarios what few have
+        in ``columns``, which takes runs of the engine; then the rest
     covariance : (n, n) of the vector, with everything that is budgeted
     columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
     ends : numbers with an input one unit up and down
@@ -121,7 +122,7 @@ class Causes:
     wide : (n, k) of what no candidate describes
     evaluate : asks the model again
     mistaken : what is measured now, less what is measured with a mistake in the image
-    exchanged : of what is measured, panels of the empirical line or materials of the truth in each other's place
+    exchanged : of what is measured, what :attr:`ScenarioModel.exchanges` has in each other's place
     """
 
     stack: Stack
@@ -130,8 +131,7 @@ class Causes:
     values: Array
     of_spectra: Callable[[Array], dict[Candidate, Array]]
     of_files: Callable[[], dict[Candidate, Array]]
-    engines: Callable[[], dict[Candidate, Array]]
-    rarer: Callable[[], dict[Candidate, Array]]
+    rarer: Sequence[Callable[[], dict[Candidate, Array]]]
     covariance: Array
     columns: dict[Candidate, Array]
     ends: Ends
@@ -177,7 +177,7 @@ class Causes:
         ...     stack, none = Stack(blocks), {}
         ...     n, files = stack.observed.size, of.get("files", {})
         ...     asked = lambda truths, title: []
-        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, None, None,
+        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, (),
         ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
@@ -199,15 +199,12 @@ class Causes:
         >>> found.first, found.best.causes[0].in_words
         ('position of the target regions', '+3 lines, +2 samples')
         """
-        places, then = [], []
-        for block, at in self.stack.placed():
-            bands, *sides = (np.array(x.split(), dtype=float) for x in told.get(block.quantity, ("", "", "")))
-            _, here, there = np.intersect1d(self.stack.bands[at], bands, return_indices=True)
-            places.append(at.start + here)
-            then.append(np.array(sides)[:, there])
-        of, (observed, predicted) = np.concatenate(places), np.hstack(then)
-        if not of.size:
+        sides = {name: [np.array(text.split(), dtype=float) for text in texts] for name, texts in told.items()}
+        shared = self.stack.shared_with({name: bands for name, (bands, *_) in sides.items()})
+        if not shared:
             return None
+        of = np.concatenate([here for _, here, _ in shared])
+        observed, predicted = np.hstack([np.array(sides[name][1:])[:, there] for name, _, there in shared])
         moved, of_model = change = np.array([self.stack.observed[of] - observed, predicted - self.predicted[of]])
         scale = np.maximum(np.abs([observed, predicted]), self.stack.bands[of] < 0)  # a score is written to digits of 1
         same = np.all(np.abs(change) <= AS_WRITTEN * scale)
@@ -234,8 +231,8 @@ class Causes:
                 return by_setting
             found = self.or_displaced(moved, of, level, columns, regions=True)
             if simulated and found.first == NONE:  # a scene made anew has scores too, beside other noise
-                all_of_them = {**self.of_inputs, **self.engines(), **self.rarer()}
-                inputs = {replace(c, unbounded=True): g[every] for c, g in all_of_them.items()}
+                each = (self.of_inputs, *(more() for more in self.rarer))
+                inputs = {replace(c, unbounded=True): g[every] for columns in each for c, g in columns.items()}
                 covariance = self.covariance[np.ix_(every, every)]
                 _, noisy = self.explained(change, covariance, inputs, every, self.predicted, True)
                 return replace(noisy, beside_noise=True) if noisy.enough else found
@@ -264,7 +261,7 @@ class Causes:
     def or_rarer(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
         """What explains a change; where no single cause is enough, what is rarer too."""
         found = self.explained_change(moved, of, level, columns)
-        for more in (self.engines, self.rarer):
+        for more in self.rarer:
             if found.enough and len(found.best.causes) == 1:
                 break
             if further := more():
@@ -431,7 +428,6 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
             return np.zeros(predicted.size)
 
     def exchanged() -> dict[Candidate, Array]:
-        """Of what is measured, panels of the empirical line or materials of the truth in each other's place."""
         out = dict[Candidate, Array]()
         for what, (key, of) in model.exchanges.items():
             if of:
@@ -439,10 +435,10 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
                 out[one] = np.column_stack([mistaken({}, {key: values}) for values in of.values()])
         return out
 
-    engines, asked = (cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in (rare, rarer))
+    asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in (rare, rarer)]
     return Causes(
-        stack, numbers, predicted, values, of_spectra, of_files, engines, asked, covariance, columns, ends, residual,
-        wide, evaluate, mistaken, exchanged,
+        stack, numbers, predicted, values, of_spectra, of_files, asked, covariance, columns, ends, residual, wide,
+        evaluate, mistaken, exchanged,
     )  # fmt: skip
 
 
@@ -572,7 +568,7 @@ def _of_spectra(
 
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     # The test of all products together concludes too, and informs.
-    words = "no change beyond its uncertainty" if r.group == SINCE and r.first == NOTHING else r.conclusion
+    words = UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
     if r.group != SINCE and (r.too_wide or not r.passes):
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)

@@ -151,13 +151,16 @@ class Stack:
         >>> stack(red=[0.5, 0.1], green=[0.4]).since(stack(grey=[9.0], red=[0.2])).round(9).tolist()
         [0.3, 0.0, 0.0]
         """
-        out, found = np.zeros(self.observed.size), {block.quantity: (block, at) for block, at in other.placed()}
-        for block, at in self.placed():
-            if block.quantity in found:
-                before, there = found[block.quantity]
-                _, i, j = np.intersect1d(self.bands[at], other.bands[there], return_indices=True)
-                out[at.start + i] = block.observed[i] - before.observed[j]
+        out, places = np.zeros(self.observed.size), {block.quantity: at for block, at in other.placed()}
+        for name, here, there in self.shared_with({name: other.bands[at] for name, at in places.items()}):
+            out[here] = self.observed[here] - other.observed[places[name]][there]
         return out
+
+    def shared_with(self, bands: Mapping[str, npt.ArrayLike]) -> list[tuple[str, Index, Index]]:
+        """Quantity, entries here and there of what another run has too, whose ``bands`` are as :attr:`bands`."""
+        same = [(block.quantity, at) for block, at in self.placed() if block.quantity in bands]
+        found = [(name, at, np.intersect1d(self.bands[at], bands[name], return_indices=True)) for name, at in same]
+        return [(name, at.start + here, there) for name, at, (_, here, there) in found if here.size]
 
     def predicted(self, prediction: Products) -> Array:
         """(n,) what a prediction says of the same quantities."""

@@ -15,12 +15,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from functools import cache
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import hyperval
-from hyperval.attribute import ScenarioModel, Truths, attribute, few_objects
+from hyperval.attribute import ScenarioModel, Truths, attribute, exchanged_pairs, few_objects, others_in_place
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
 from hyperval.campaign.products import Collected, collected, doubts, joined, predicted_side
@@ -267,46 +266,37 @@ def entries_of(owner: Any, key: str) -> list[dict[str, Any]]:
 
 def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
     """What may stand in each other's place in a collection: the setting of it, and its value for each pair."""
-    truth, others = (
-        side.campaign.collection.targets,
-        [x for s in side.scenarios for x in entries_of(s.scene, "targets")],
-    )
-    targets = entries_of(side.campaign.detection, "targets")
-    panels = entries_of(side.campaign.collection.empirical_line, "panels")
-    known = {str(each["spectrum"]): each for each in (*others, *targets)}.values()
-    tried = [(own, each) for own in targets for each in known if each["spectrum"] != own["spectrum"]]
-    looked_for = {
-        f"{own['name']}: that of {'the model' if each['name'] == own['name'] else each['name']}": [
-            {**t, "spectrum": each["spectrum"]} if t is own else t for t in targets
-        ]
-        for own, each in tried
-    } | _swapped(targets, "name")
+    collection, truth = side.campaign.collection, side.campaign.collection.targets
+    panels, targets = entries_of(collection.empirical_line, "panels"), entries_of(side.campaign.detection, "targets")
+    materials = truth.rasters.materials if truth and truth.rasters else {}
+    of_model = {t["name"]: t["spectrum"] for s in side.scenarios for t in entries_of(s.scene, "targets")}
+    looked_for = others_in_place({t["name"]: t["spectrum"] for t in targets}, of_model, "of the model")
+    of_panels = exchanged_pairs({panel["region"]: panel["spectrum"] for panel in panels})
+    of_truth = {name: {**materials, **both} for name, both in exchanged_pairs(materials).items()}
     return {
-        "exchanged panels of the empirical line": ("collection.empirical_line.panels", _swapped(panels, "region")),
-        "exchanged materials of the truth": (
-            "collection.targets.rasters.materials", _pairs(truth.rasters.materials if truth and truth.rasters else {}),
+        "exchanged panels of the empirical line": (
+            "collection.empirical_line.panels", _with_spectra(panels, "region", of_panels)
         ),
-        "spectrum that detectors look for": ("detection.targets", looked_for if len(tried) <= _MOST_TRIED else {}),
+        "exchanged materials of the truth": ("collection.targets.rasters.materials", of_truth),
+        "spectrum that detectors look for": (
+            "detection.targets", _with_spectra(targets, "name", looked_for if len(looked_for) <= _MOST_TRIED else {})
+        ),
     }  # fmt: skip
 
 
-def _swapped(entries: Sequence[Mapping[str, Any]], key: str) -> dict[str, list[dict[str, Any]]]:
-    """The same entries with the spectra of two in each other's place.
+def _with_spectra(
+    entries: Sequence[Mapping[str, Any]], key: str, changes: Mapping[str, Mapping[str, Any]]
+) -> dict[str, list[dict[str, Any]]]:
+    """The same entries with some spectra changed, for each of some changes.
 
-    >>> _swapped([{"region": "black", "spectrum": 0.05}, {"region": "grey", "spectrum": 0.2}], "region")
-    {'black and grey': [{'region': 'black', 'spectrum': 0.2}, {'region': 'grey', 'spectrum': 0.05}]}
+    >>> _with_spectra([{"region": "black", "spectrum": 0.05}, {"region": "grey", "spectrum": 0.2}], "region",
+    ...               {"grey: that of black": {"grey": 0.05}})
+    {'grey: that of black': [{'region': 'black', 'spectrum': 0.05}, {'region': 'grey', 'spectrum': 0.05}]}
     """
-    pairs = _pairs({one[key]: one["spectrum"] for one in entries}).items()
-    return {name: [{**one, "spectrum": spectra[one[key]]} for one in entries] for name, spectra in pairs}
-
-
-def _pairs(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """The same with two in each other's place, by the names of both.
-
-    >>> _pairs({"red": 1, "green": 2, "blue": 3})["red and blue"]
-    {'red': 3, 'green': 2, 'blue': 1}
-    """
-    return {f"{a} and {b}": {**values, a: values[b], b: values[a]} for a, b in combinations(values, 2)}
+    return {
+        words: [{**one, "spectrum": spectra.get(one[key], one["spectrum"])} for one in entries]
+        for words, spectra in changes.items()
+    }
 
 
 # What need not run again ----------------------------------------------------------------------------------------------
