@@ -318,6 +318,17 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
 
 
 def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
+    """Another time of overflight, where one is stated.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read
+    >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
+    ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
+    >>> stated = load_scenario("green-planks-grass")
+    >>> there = stated.with_values({f"atmosphere.{name}": value for name, value in at.items()})
+    >>> _later([read(there), read(stated)], timedelta(hours=1), -2.0)
+    [{'atmosphere.time_utc': '2012-09-20T14:00:00+00:00'}, {}]
+    """
     states = [world.stated.scenario.atmosphere for world in worlds]
     times = [s and s.time_utc and parse_utc(s.time_utc) + units * step for s in states]
     return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
@@ -339,7 +350,15 @@ def _fixed_noise(worlds: Sequence[World], units: float) -> list[Truth]:
 
 
 def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
-    """Targets of another size than stated: their sides, where fills follow from those; else their fills."""
+    """Targets of another size than stated: their sides, where fills follow from those; else their fills.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read
+    >>> worlds = [read(load_scenario("green-planks-grass"))]
+    >>> sized = _sized(worlds[0].stated.scenario.scene.targets[0], 0, worlds)
+    >>> {path: fill.round(9).tolist() for path, fill in sized.at(0, 2.0)[0].items()}  # sides longer by 10 %
+    {'fill.[green plank 0.1]': [0.121], 'fill.[green plank 0.2]': [0.242], 'fill.[green plank 0.4]': [0.484]}
+    """
 
     def sized(units: float) -> list[Truth]:
         factor, truth = 1.0 + 0.05 * units, dict[str, Any]()
@@ -405,6 +424,42 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     """What is looked for where little else explains a change: field spectra at another level or one in the place of
     another, fractions that two classes trade, shade, stretched or wider bands, heights, the direction of view, another
     date or sun.
+
+    Examples
+    --------
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read
+    >>> hazy = {"meteorological_range_km": None, "aot550": 0.2, "angstrom_exponent": 1.2}
+    >>> stated = load_scenario("yellow-planks-asphalt")
+    >>> world = read(stated.with_values({f"atmosphere.{name}": value for name, value in hazy.items()}))
+    >>> both = {c.name: c for c in reversed(rarer_candidates([world, world]))}
+    >>> def shown(name, units):
+    ...     for truth in both[name].at(0, units):
+    ...         print({path: np.round(value, 3).ravel()[[0, -1]].tolist() for path, value in truth.items()})
+    >>> shown("light of yellow plank", -4.0)  # of the first scenario: as stated it lies in full light
+    {'scene.targets.[yellow plank].illumination.beam': [0.6, 0.6]}
+    {}
+    >>> shown("fraction of asphalt for grass", 2.0)
+    {'scene.classes.[asphalt].fraction': [0.7, 0.7], 'scene.classes.[grass].fraction': [0.2, 0.2]}
+    {}
+    >>> stretched = both["wavelength scale"].at(0, 1.0)[1]["sensor.wavelength_shift_nm"]
+    >>> centre = world.stated.axis.centre_nm
+    >>> float(stretched.mean().round(9)), float((np.ptp(stretched) / np.ptp(centre)).round(9))
+    (0.0, 0.001)
+    >>> [truth["sensor.band_width"] for truth in both["band width"].at(0, 2.0)]
+    [1.2, 1.2]
+    >>> ((path, level),) = both["level of the spectrum of grass"].at(0, -4.0)[0].items()
+    >>> path, float(np.abs(level / world.stated.surfaces["grass"].mean - 0.8).max().round(9))
+    ('surfaces.[grass].mean', 0.0)
+    >>> both["entry of a surface"].labels[-1], both["entry of a surface"].at(0, 8.0)[0]
+    ('yellow plank in full light', {})
+    >>> [name for name in both if both[name].of_engine]
+    ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
+    >>> shown("ground height", both["ground height"].sizes[-2])
+    {'atmosphere.ground_altitude_km': [0.57, 0.57]}
+    {'atmosphere.ground_altitude_km': [0.57, 0.57]}
+    >>> both["standard atmosphere"].labels[0], both["standard atmosphere"].at(0, 0.0)
+    ('tropical', [{'atmosphere.model': 'tropical'}, {'atmosphere.model': 'tropical'}])
     """
     out, entries, pixels = list[Candidate](), dict[str, list[Truth]](), [dict[str, Any]() for _ in worlds]
     levels = defaultdict[str, list[dict[str, Array]]](lambda: [{} for _ in worlds])
@@ -485,7 +540,16 @@ def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
 
 
 def _files_changed(levels: Mapping[str, Sequence[Mapping[str, Array]]]) -> dict[str, list[Truth]]:
-    """One file of field spectra in the place of another, or both exchanged, wherever they are read."""
+    """One file of field spectra in the place of another, or both exchanged, wherever they are read.
+
+    >>> a, b = {"surfaces.[red].mean": np.array([0.1])}, {"surfaces.[green].mean": np.array([0.4])}
+    >>> changed = _files_changed({"spectra of a.txt": [a], "spectra of b.txt": [b], "all": [{**a, **b}]})
+    >>> for words, (truth,) in changed.items():
+    ...     print(words, {path: value.tolist() for path, value in truth.items()})
+    spectra of b.txt in the place of spectra of a.txt {'surfaces.[red].mean': [0.4]}
+    spectra of a.txt in the place of spectra of b.txt {'surfaces.[green].mean': [0.1]}
+    spectra of b.txt exchanged with spectra of a.txt {'surfaces.[green].mean': [0.1], 'surfaces.[red].mean': [0.4]}
+    """
     ways = {file: [list(means) for means in each] for file, each in levels.items() if file.startswith("spectra of ")}
     means = {file: next(mean for each in levels[file] for mean in each.values()) for file in ways}
     out = dict[str, list[Truth]]()
