@@ -176,16 +176,16 @@ class Causes:
         >>> def causes(*blocks, **of):
         ...     stack, none = Stack(blocks), {}
         ...     n, files = stack.observed.size, of.get("files", {})
-        ...     asked = lambda truths, title: []
-        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, (),
+        ...     asked, rarer = lambda truths, title: [], of.get("rarer", ())
+        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, rarer,
         ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
-        >>> told = {"scores of paint cem": ("-1 -1", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
+        >>> told = {"scores of paint cem": ("-1 -2", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
         >>> found = seen.changed(told, simulated=False)
         >>> found.first, found.enough
         ('spectra of targets in the file', True)
-        >>> told = {"scores of paint cem": ("-1 -1", "0.10001 0.9", "0 1e-05"), "roc of paint cem": ("-1", "-4", "0")}
+        >>> told = {"scores of paint cem": ("-1 -2", "0.10001 0.9", "0 1e-05"), "roc of paint cem": ("-1", "-4", "0")}
         >>> seen.changed(told, simulated=False).first
         'nothing to explain'
 
@@ -194,10 +194,20 @@ class Causes:
         >>> def at(mistake):
         ...     by = np.array([mistake.get("lines", 0), mistake.get("samples", 0)])
         ...     return (np.hypot(3, 2) - np.hypot(*(by - [3, 2]))) * np.array([0.1, 0.0]) * np.any(np.abs(by) > 1)
-        >>> told = {"scores of paint cem": ("-1 -1", f"{0.1 - 0.1 * 13**0.5} 0.9", "0 0")}
+        >>> told = {"scores of paint cem": ("-1 -2", f"{0.1 - 0.1 * 13**0.5} 0.9", "0 0")}
         >>> found = causes(block("scores", 0.1, 0.9), mistaken=at).changed(told, simulated=False)
         >>> found.first, found.best.causes[0].in_words
         ('position of the target regions', '+3 lines, +2 samples')
+
+        What is rarer is asked one after the other, until one cause suffices:
+
+        >>> def rarer(name, column):
+        ...     return lambda: asked.append(name) or {Candidate(name, "scene", "", False): np.c_[column]}
+        >>> told, asked = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 0.2 0.1")}, []
+        >>> three = [rarer("haze", [1.0, 9.0, 1.0]), rarer("date", [0.5, 0.2, 0.1]), rarer("sun", [1.0, 0.0, 0.0])]
+        >>> found = causes(block("scores", 0.1, 0.9, 0.4), rarer=three).changed(told, simulated=False)
+        >>> found.first, found.enough, asked
+        ('date', True, ['haze', 'date'])
         """
         sides = {name: [np.array(text.split(), dtype=float) for text in texts] for name, texts in told.items()}
         shared = self.stack.shared_with({name: bands for name, (bands, *_) in sides.items()})
