@@ -45,7 +45,7 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
-_MOST_TRIED = 12  # spectra in the place of those that detectors look for
+_MOST_TRIED = 18  # spectra in the place of those that detectors look for
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
 UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
