@@ -32,17 +32,17 @@ drawn from the predicted covariance would show.
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy import fft, special
 
-from hyperval.data import Array, Counts, Index, Mask, SampleStatistics
+from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import UsageError
 from hyperval.executors import available_cores, single_blas_thread
 from hyperval.model.intervals import Z95
@@ -208,48 +208,41 @@ class Labels(Mapping[str, Mask]):
         return len(self.members)
 
 
-class Sums:
+class Sums(NamedTuple):
     """Sums over one set of pixels.
 
     Attributes
     ----------
     reference : (B,) point that the sums are about, near the pixels: the mean of some of the first block, so that
-        a set of equal pixels has no variance, not even one of rounding; None without pixels
+        a set of equal pixels has no variance, not even one of rounding
     n : pixels
     first, second : (B,) and (B, B) sums of x - reference and of its products
     """
 
-    def __init__(self, bands: int) -> None:
-        self.reference: Array | None = None
-        self.n = 0
-        self.first, self.second = np.zeros(bands), np.zeros((bands, bands))
+    reference: Array
+    n: int
+    first: Array
+    second: Array
 
-    def add(self, pixels: Array, *, whole: bool) -> None:
-        """Add pixels (B, n), whose memory is taken; ``whole``: they are whole numbers."""
-        if self.reference is None:
+    @classmethod
+    def of(cls, pixels: Array, about: Sums | None, *, whole: bool) -> Sums:
+        """Of pixels (B, n), whose memory is taken, ``about`` the point of others; ``whole``: they are whole numbers."""
+        if about is None:
             centre = pixels[:, :: max(1, pixels.shape[1] // CENTRED_ON)].mean(axis=1)
-            self.reference = np.asarray(np.rint(centre)) if whole else centre
-        self.n += pixels.shape[1]
-        pixels -= self.reference[:, None]
+        reference = about.reference if about is not None else np.rint(centre) if whole else centre
+        pixels -= reference[:, None]
         # NumPy makes the product of an array and its transpose a symmetric rank-k update: half the work.
-        self.second += pixels @ pixels.T
-        self.first += pixels @ np.ones(pixels.shape[1])
+        return cls(reference, pixels.shape[1], pixels @ np.ones(pixels.shape[1]), pixels @ pixels.T)
 
-    def merge(self, other: Sums) -> None:
-        """Add the sums of another set of pixels."""
-        if other.reference is None:
-            return
-        if self.reference is None:
-            self.reference = other.reference
+    def merged(self, other: Sums) -> Sums:
+        """With the sums of another set of pixels."""
         e = other.reference - self.reference
         half = np.outer(e, other.first + 0.5 * other.n * e)
-        self.second += other.second + half + half.T
-        self.first += other.first + other.n * e
-        self.n += other.n
+        first, second = self.first + (other.first + other.n * e), self.second + (other.second + half + half.T)
+        return Sums(self.reference, self.n + other.n, first, second)
 
     def mean_and_covariance(self) -> tuple[Array, Array]:
         """Mean (B,) and unbiased covariance (B, B) of the pixels; 0 of a single one, as nothing is known of it."""
-        assert self.reference is not None  # noqa: S101 - it has pixels
         # First to a whole number c beside the mean, which is exact for whole numbers, then the rest of the way.
         c = np.rint(self.first / self.n)
         mixed = np.outer(c, self.first - 0.5 * self.n * c)
@@ -277,50 +270,40 @@ def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch 
     """
     if labels is None:
         labels = Labels.of(cube.shape, {SCENE: np.broadcast_to(np.True_, cube.shape)})
-    members, number = labels.members, labels.number
+    members, number, sums = labels.members, labels.number, dict[int, Sums]()
     wanted = np.asarray(np.any(list(members.values()), axis=0))
-    count = wanted.size
 
-    whole = cube.dtype.kind in "iu"
-
-    def segment(blocks: Iterator[StoredBlock]) -> tuple[dict[int, Sums], Counts]:
-        """Sums by label, and how many pixels of each label (K,) hold no data."""
-        sums: defaultdict[int, Sums] = defaultdict(lambda: Sums(cube.bands))
-        left_out = np.zeros(count, np.int64)
+    def segment(blocks: Iterator[StoredBlock]) -> dict[int, Sums]:
+        """Sums by label."""
+        found: dict[int, Sums] = {}
         for rows, pixels, usable in blocks:
             label, known = number[rows].ravel(), usable.ravel()
             if not known.all():
-                left_out += np.bincount(label[~known], minlength=count)
                 pixels, label = pixels[:, known], label[known]
-            present = np.flatnonzero(np.bincount(label, minlength=count) * wanted)
-            for key in present.tolist():
+            for key in np.flatnonzero(np.bincount(label, minlength=wanted.size) * wanted).tolist():
                 own = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
-                sums[key].add(own, whole=whole)
-        return sums, left_out
+                before = found.get(key)
+                new = Sums.of(own, before, whole=cube.dtype.kind in "iu")
+                found[key] = before.merged(new) if before else new
+        return found
 
     # One BLAS thread to the end: a second one, woken for the small products there, would spin into the next pass.
     with single_blas_thread():
-        total: defaultdict[int, Sums] = defaultdict(lambda: Sums(cube.bands))
-        left_out = np.zeros(count, np.int64)
-        for sums, missing in stream(cube, segment, watch=watch):
-            left_out += missing
-            while sums:  # taken from there: 2 MB for each label
-                key, value = sums.popitem()
-                total[key].merge(value)
-        return {name: _statistics(cube, name, own, total, left_out) for name, own in members.items()}
+        for found in stream(cube, segment, watch=watch):
+            while found:  # taken from there: 2 MB for each label
+                key, new = found.popitem()
+                sums[key] = sums[key].merged(new) if key in sums else new
+        return {name: _statistics(cube, name, labels, sums) for name in members}
 
 
-def _statistics(cube: Cube, name: str, own: Mask, sums: Mapping[int, Sums], left_out: Counts) -> SampleStatistics:
-    """Of the labels (K,) of a region, in the unit of the cube's values."""
-    joined = Sums(cube.bands)
-    for key in sorted(sums):
-        if own[key]:
-            joined.merge(sums[key])
-    missing = int(own @ left_out)
-    if joined.n == 0:
+def _statistics(cube: Cube, name: str, labels: Labels, sums: Mapping[int, Sums]) -> SampleStatistics:
+    """Of a region by the sums of its labels, in the unit of the cube's values."""
+    own = [sums[key] for key in sorted(sums) if labels.members[name][key]]
+    if not own:
+        missing = np.count_nonzero(labels[name])
         raise UsageError(f"region {name!r} has no valid pixel ({missing} left out as invalid)", expected="one or more")
+    joined, gain = reduce(Sums.merged, own), cube.gain
     mean, covariance = joined.mean_and_covariance()
-    gain = cube.gain
     return SampleStatistics(gain * mean + cube.offset, covariance * np.outer(gain, gain), joined.n, float("nan"))
 
 
