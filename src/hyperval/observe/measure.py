@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 
 from hyperval import pixels as px
-from hyperval.collection import Classification, CollectionSection, Detection, DetectionTarget
+from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.data import Array, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, all_pixels
@@ -33,6 +33,7 @@ from hyperval.progress import track, watch_lines
 from hyperval.scenario import BackgroundClass, Scenario
 from hyperval.statistics_library import ClassStatistics
 
+LINE = "empirical line"
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
 MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold
 MOST_NUMBERS = 8_000_000  # pixels times bands held at once
@@ -150,30 +151,24 @@ def observe(
 
 
 def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str]]:
-    """Every population whose statistics are asked for, as one label image; and the subjects of targets among them."""
+    """Every population whose statistics are asked for, as one label image; and the subjects of targets among them.
+
+    A target's subject has at least two pixels, for its mean spectrum.  Several spectra may stand for one material;
+    their subjects hold the same pixels, and the first one counts.
+    """
     # All pixels of a region count where none would be left.
     members = {n: place.counted(n) if place.counted(n).any() else own for n, own in place.regions.members.items()}
     members[px.SCENE] = place.counted(px.SCENE)
     populations: dict[str, Mask] = {}
     if detection is not None:
         members[BACKGROUND] = place.counted(*detection.background)
-        populations = dict(_target_pixels(place, detection, taken=set(members)))
+        first = {t.material: t for t in reversed(detection.targets)}
+        for target in (t for t in detection.targets if first[t.material] is t):
+            for subject, objects in target_groups(place.targets, target, detection.group).items():
+                own = all_pixels([scored_part(item, place) for item in objects], place.cube.shape)
+                if subject not in members and np.count_nonzero(own) > 1:
+                    populations[subject] = own
     return Labels(place.labels.number, members).with_masks(populations.items()), list(populations)
-
-
-def _target_pixels(place: Place, detection: Detection, taken: set[str]) -> Iterator[tuple[str, Mask]]:
-    """Pixels of every target subject with at least two of them, for its mean spectrum.
-
-    Several spectra may stand for one material; their subjects hold the same pixels, and the first one counts.
-    """
-    first: dict[str, DetectionTarget] = {}
-    for target in detection.targets:
-        first.setdefault(target.material, target)
-    for target in first.values():
-        for subject, members in target_groups(place.targets, target, detection.group).items():
-            union = all_pixels([scored_part(item, place) for item in members], place.cube.shape)
-            if subject not in taken and np.count_nonzero(union) > 1:
-                yield subject, union
 
 
 def _sampling_error(place: Place, region: Mask, sample: SampleStatistics) -> EstimatedPart:
@@ -220,55 +215,49 @@ def _notes(
 def _spectra(
     place: Place, collection: CollectionSection, sampling: Mapping[str, EstimatedPart], resolve: Resolve
 ) -> dict[str, dict[str, SpectralEstimate]]:
-    """Radiance and reflectance of every subject by its statistics and the error of their mean."""
-    cube, stated = place.cube, collection.calibration
-    own, reflectance = {}, {}
-    for name, error in sampling.items():
-        sample, parts = place.statistics[name], dict[str, Array]()
-        if stated is not None and cube.quantity == "radiance":
-            parts["calibration"] = sites.calibration_covariance(sample.mean, cube.axis, stated, resolve)
-        own[name] = _estimate(cube, None, sample, error, parts)
-        if place.line is not None and cube.quantity == "radiance":
-            reflectance[name] = _reflectance(cube, place.line, name, sample, error)
-    return {"radiance": own, "reflectance": reflectance} if cube.quantity == "radiance" else {"reflectance": own}
+    """Radiance and reflectance of every subject by its statistics and the error of their mean.
 
-
-def _reflectance(
-    cube: Cube, line: EmpiricalLine, name: str, sample: SampleStatistics, sampling: EstimatedPart
-) -> SpectralEstimate:
-    """After the empirical line, whose error is common to all pixels and hangs together between bands.
-
-    A panel of the line is no evidence for it: its reflectance is that of the line through the other panels.  Where
-    they fix none, the line goes through the panel whatever it reflects.
+    The error of the empirical line is common to all pixels and hangs together between bands.  A panel of the line is
+    no evidence for it: its reflectance is that of the line through the other panels.  Where they fix none, the line
+    goes through the panel whatever it reflects.
     """
-    others = line.without(name) if name in line.names else line
-    if others is None:
-        own = {"empirical line": line.error_covariance(sample.mean, own=name)}
-        return _estimate(cube, line, sample, None, own, circular=CIRCULAR)
-    parts = {"empirical line": others.error_covariance(sample.mean)}
-    return _estimate(cube, others, sample, sampling, parts, others.estimated(sample.mean))
+    cube, line, stated = place.cube, place.line, collection.calibration
+    if cube.quantity != "radiance":
+        return {"reflectance": {n: _estimate(cube, place.statistics[n], error, {}) for n, error in sampling.items()}}
+    radiance, reflectance = dict[str, SpectralEstimate](), dict[str, SpectralEstimate]()
+    for name, error in sampling.items():
+        sample = place.statistics[name]
+        parts = stated and {sites.CALIBRATION: sites.calibration_covariance(sample.mean, cube.axis, stated, resolve)}
+        radiance[name] = _estimate(cube, sample, error, parts or {})
+        if line is None:
+            continue
+        if (others := line.without(name) if name in line.names else line) is None:
+            own = {LINE: line.error_covariance(sample.mean, own=name)}
+            reflectance[name] = _estimate(cube, sample, None, own, line, circular=CIRCULAR)
+        else:
+            own, known = {LINE: others.error_covariance(sample.mean)}, others.estimated(sample.mean)
+            reflectance[name] = _estimate(cube, sample, error, own, others, known)
+    return {"radiance": radiance, "reflectance": reflectance}
 
 
 def _estimate(
     cube: Cube,
-    line: EmpiricalLine | None,
     sample: SampleStatistics,
     sampling: EstimatedPart | None,
     parts: Mapping[str, Array],
+    line: EmpiricalLine | None = None,
     estimated: tuple[EstimatedPart, ...] = (),
-    circular: str = "",
+    **known: Any,
 ) -> SpectralEstimate:
     """A mean after the line, if any, with the error of its sampling and the other ``parts``."""
     mean, gain = (sample.mean, np.ones(cube.bands)) if line is None else (line.reflectance(sample.mean), line.gain)
-    scale = np.outer(gain, gain)
-    if sampling is not None and sample.n > 1:
-        sampling = sampling.of_each(lambda c: c / scale)
-        parts, estimated = {"sampling": sampling.covariance, **parts}, (sampling, *estimated)
-    return sites.spectral_estimate(
-        mean, parts, pixel_covariance=sample.covariance / scale if sample.n > 1 else None, n=sample.n,
-        estimated=estimated, circular=circular,
-        rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0,
-    )  # fmt: skip
+    scale, spread = np.outer(gain, gain), sample.n > 1
+    if sampling is not None and spread:
+        own = sampling.of_each(lambda c: c / scale)
+        parts, estimated = {"sampling": own.covariance, **parts}, (own, *estimated)
+    known["rounding"] = cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0
+    known["pixel_covariance"] = sample.covariance / scale if spread else None
+    return sites.spectral_estimate(mean, parts, n=sample.n, estimated=estimated, **known)
 
 
 def _some_pixels(place: Place, name: str) -> Array:
