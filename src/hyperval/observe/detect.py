@@ -147,12 +147,12 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
         if bank.detectors[map_name(t.name, name)].image is not None
     }
     maps, notes = _score_maps(place, detection, bank, scenes)
-    curves, outlined = _Curves(place, detection, bank), dict[str, dict[str, TargetObject]]()
+    curves, outlined = _Curves(place, detection, bank), dict[str, list[TargetObject]]()
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
         for detector in detection.detectors:
             key = map_name(target.name, detector)
-            outlined.setdefault(key, {}).update({o.name: o for members in groups.values() for o in members})
+            outlined.setdefault(key, []).extend(o for members in groups.values() for o in members)
             curves.add(key, target.name, detector, groups, maps[key])
     for name, scores in maps.items() if not detection.targets else ():
         noise = curves.background(scores, ANOMALIES, name)
@@ -171,14 +171,14 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
             "it favours targets of many pixels or pieces, of which the best counts for all"
         )
     areas, nominal = target_areas(place, detection, maps)
-    outlines = {key: TargetMasks(list(members.values())) for key, members in outlined.items()}
+    outlines = {key: TargetMasks(members) for key, members in outlined.items()}
     products = curves.products | {"abundance": areas}
     return Detected(bank, maps, outlines, products, nominal, (*bank.notes, *notes))
 
 
 def _target_spectra(place: Place, detection: Detection, resolve: Resolve) -> dict[str, Array]:
     """(B,) reflectance of each target."""
-    if place.by_number:
+    if place.cube.axis.numbered:
         return {t.name: _by_number(t, place.cube.bands, resolve) for t in detection.targets}
     sources = Sources(place.cube.axis, {}, resolve)
     return {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}

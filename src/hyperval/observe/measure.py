@@ -186,7 +186,7 @@ def _notes(
 ) -> tuple[str, ...]:
     """What is to be said of an observation."""
     axis, notes, measured = place.cube.axis, list(place.notes), place.statistics
-    if not place.by_number:
+    if not place.cube.axis.numbered:
         means = [measured[name].mean for name in place.regions or (px.SCENE,)]
         notes += sites.wavelength_notes(means, axis, reflectance=place.cube.quantity == "reflectance")
     if detection is not None:

@@ -83,7 +83,6 @@ class Place:
     notes : what was assumed or found on opening
     table : geographic lookup table of a cube in scanner geometry, None without
     leave_out : names of the regions that are left out
-    by_number : the bands go by number, their wavelengths are not known
     statistics : of the regions and of the subjects of a detection, in the cube's values, once they are measured
     line : the empirical line, once it is fitted
     """
@@ -97,7 +96,6 @@ class Place:
     notes: tuple[str, ...] = ()
     table: LookupTable | None = None
     leave_out: frozenset[str] = frozenset()
-    by_number: bool = False
     statistics: Mapping[str, SampleStatistics] = field(default_factory=dict)
     line: EmpiricalLine | None = None
 
@@ -126,13 +124,9 @@ class Place:
         return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
 
     @cached_property
-    def classes(self) -> npt.NDArray[np.int32]:
+    def classes(self) -> npt.NDArray[Any]:
         """(lines, samples) number of the class of each pixel: pixels that lie in the same regions are of one."""
-        if not self.regions:
-            return np.zeros(self.cube.shape, np.int32)
-        inside = np.stack(list(self.regions.members.values()), axis=1)
-        _, number = np.unique(inside, axis=0, return_inverse=True)
-        return np.asarray(number.reshape(-1).astype(np.int32)[self.labels.number])
+        return Labels.of(self.cube.shape, self.regions).number
 
     @property
     def clear_bands(self) -> Mask:
@@ -254,7 +248,7 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
     labels = Labels.of(cube.shape, {name: region.mask for name, region in regions.items()} | {_NEAR: near})
     return Place(
         cube, labels, targets, area_m2, truth.pixels if truth else "touched", by_rule, tuple(notes), table,
-        frozenset(collection.leave_out), collection.cube.by_number,
+        frozenset(collection.leave_out),
     )  # fmt: skip
 
 

@@ -108,11 +108,8 @@ def _cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Writ
     profile = {
         "driver": "GTiff", "height": cube.lines, "width": cube.samples, "count": cube.bands, "dtype": "int16",
         "nodata": NO_DATA, "interleave": "pixel", "bigtiff": "if_safer", "tiled": False, "blockysize": 1,
+        "transform": cube.transform, "crs": cube.crs,
     }  # fmt: skip
-    if cube.transform is not None:
-        profile["transform"] = cube.transform
-    if cube.crs is not None:
-        profile["crs"] = cube.crs
     with warnings.catch_warnings(), rasterio.Env(GDAL_CACHEMAX=_CACHE_MB, GDAL_PAM_ENABLED="NO"):
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         with whole_file(path) as temporary:

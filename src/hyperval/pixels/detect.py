@@ -102,8 +102,11 @@ class PixelDetector:
         if self.quadratic is not None:
             z = flat if self.quadratic == "length" else _known(whitener).whitened(flat)
             value = _dot(z, z)
-        score = y[0] if self.combine is None else self.combine(y, value)
-        return np.asarray(score.reshape(spectra.shape[:-1]))
+        return np.asarray(self.of(y, value).reshape(spectra.shape[:-1]))
+
+    def of(self, y: Array, quadratic: Array | None) -> Array:
+        """Score (N,) from y (K, N) and the quadratic (N,), which is None where none is asked for."""
+        return y[0] if self.combine is None else self.combine(y, quadratic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +326,7 @@ def score_cube(
                     if name in kept:
                         score = y[a:b] if value is None else np.vstack([y[a:b], value])
                     else:
-                        score = _finite(y[a] if detector.combine is None else detector.combine(y[a:b], value))
+                        score = _finite(detector.of(y[a:b], value))
                     score = np.where(usable.ravel(), score, np.nan)
                     kept.get(name, maps[name])[..., lines, :] = score.reshape(*score.shape[:-1], *usable.shape)
 
@@ -342,9 +345,8 @@ def _of_whole(detector: PixelDetector, values: Array, scene: Any) -> Array:
         score = np.asarray(detector.image(np.moveaxis(values, 0, -1), scene), dtype=float)
         score = score[known] if score.shape == known.shape else score
     else:
-        assert detector.combine is not None  # noqa: S101 - kept for it
         y = values[:, known]
-        score = np.asarray(detector.combine(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
+        score = np.asarray(detector.of(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
     if score.shape != (int(known.sum()),):
         raise UsageError(f"it gives {score.shape} scores for {int(known.sum())} pixels", expected="one a pixel")
     out[known] = _finite(score)

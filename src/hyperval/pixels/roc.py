@@ -113,9 +113,7 @@ class AlarmBlocks:
         from scipy import sparse
 
         values = ascending(scores, "background")
-        out = cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
-        vars(out)["ascending"] = values  # sorted once
-        return out
+        return cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
 
     @cached_property
     def pixels(self) -> Counts:
@@ -856,12 +854,9 @@ def footprint_tiles(score_map: Array, shape: Mask, exclude: Mask | None = None) 
     -------
     scores (n, pixels of the footprint); and the first lines and samples (n,) of the placements
     """
-    scores = score_map if exclude is None else np.where(exclude, np.nan, score_map)
-    h, w = shape.shape
-    rows, columns = scores.shape[0] // h, scores.shape[1] // w
-    if rows * columns == 0:
+    scores, (h, w) = score_map if exclude is None else np.where(exclude, np.nan, score_map), shape.shape
+    if np.any(np.greater(shape.shape, scores.shape)):
         raise UsageError(f"a footprint of {h} x {w} pixels does not fit a score map of {scores.shape}")
-    tiles = scores[: rows * h, : columns * w].reshape(rows, h, columns, w).transpose(0, 2, 1, 3)
-    values = tiles.reshape(rows * columns, h * w)[:, shape.ravel()]
-    free = np.flatnonzero(~np.isnan(values).any(axis=1))
-    return np.asarray(values[free]), free // columns * h, free % columns * w
+    values = np.lib.stride_tricks.sliding_window_view(scores, shape.shape)[::h, ::w][..., shape]
+    rows, columns = np.nonzero(~np.isnan(values).any(axis=-1))
+    return values[rows, columns], rows * h, columns * w
