@@ -438,12 +438,8 @@ def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceC
     )
 
 
-class ObjectSum(NamedTuple):
-    """Sum of scores or abundances over an object, the pixels summed, and the same sum elsewhere on the background."""
-
-    total: float
-    pixels: int
-    elsewhere: Sequence[float] | Array
+# Sum of scores or abundances over an object, the pixels summed, and the same sum elsewhere on the background.
+ObjectSum = tuple[float, int, Sequence[float] | Array]
 
 
 def target_areas(
@@ -472,11 +468,10 @@ def target_areas(
 
 def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
     """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere."""
-    found = list(objects)
-    each = _pixel_area(place) / len(found)
-    variance = sum(float(np.var(s.elsewhere, ddof=1)) if len(s.elsewhere) > 1 else math.nan for s in found)
-    total, pixels = sum(s.total for s in found), sum(s.pixels for s in found)
-    return Abundance(total * each, math.sqrt(variance) * each, pixels, nominal)
+    totals, pixels, elsewhere = zip(*objects, strict=True)
+    each = _pixel_area(place) / len(totals)
+    variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
+    return Abundance(sum(totals) * each, math.sqrt(variance) * each, sum(pixels), nominal)
 
 
 def _pixel_area(place: Place) -> float:
@@ -502,7 +497,7 @@ def _footprint_sums(
         key = shape.shape, shape.tobytes()
         if key not in spread:
             spread[key] = px.footprint_tiles(scores, shape, taken)[0].sum(axis=1)
-        return ObjectSum(float(np.nansum(scores[near][summed])), int(summed.sum()), spread[key])
+        return float(np.nansum(scores[near][summed])), int(summed.sum()), spread[key]
 
     return of
 
@@ -594,7 +589,7 @@ def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite 
     between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
     parts = fully_constrained(whitened(found.pixels, noise), whitened(between, noise)[found.place])[:, 0]
     own, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
-    return ObjectSum(own, int(np.count_nonzero(found.place == 0)), elsewhere)
+    return own, int(np.count_nonzero(found.place == 0)), elsewhere
 
 
 def _footprints(

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -436,22 +436,6 @@ Key = tuple[str, int | Literal["auto"], bool]
 Mixture = tuple[px.ClassMixture, Components | None]
 
 
-class RegionPixels(NamedTuple):
-    """Valid pixels of a region in reflectance, at most 20,000 of them drawn at random (seed fixed).
-
-    Attributes
-    ----------
-    values : (n, B); 0 in a band without a gain, as in the statistics of the class
-    lines, samples : (n,) where they are
-    lead : good bands in the windows of the atmosphere
-    """
-
-    values: Array
-    lines: Index
-    samples: Index
-    lead: Index
-
-
 class RegionLaws:
     """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
 
@@ -460,8 +444,12 @@ class RegionLaws:
         self._tails, self._statistics = observed.observation.distribution, observed.statistics
         self.parts, self._fitted, self._without = cache(self._numbered), cache(self._fit), cache(self._left_out)
 
-    def _pixels(self, region: str) -> RegionPixels:
-        """The pixels of a region that its laws are fitted to."""
+    def _pixels(self, region: str) -> tuple[Array, Index, Index, Index]:
+        """The pixels of a region that its laws are fitted to, at most 20,000 drawn at random (seed fixed).
+
+        Their reflectance (n, B), 0 in a band without a gain as in the statistics of the class; lines and samples (n,)
+        where they are; and the good bands in the windows of the atmosphere.
+        """
         axis, rng = self._place.cube.axis, np.random.default_rng(_LAW_SEED)
         most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
         lines, samples = px.drawn_pixels(self._place.pixels_of(region), most, rng)
@@ -470,7 +458,7 @@ class RegionLaws:
         pixels = np.where(known, pixels, 0.0)
         valid &= np.isfinite(pixels).all(axis=1)
         lead = np.flatnonzero(self._place.clear_bands & known)
-        return RegionPixels(pixels[valid], lines[valid], samples[valid], lead)
+        return pixels[valid], lines[valid], samples[valid], lead
 
     def _numbered(self, region: str) -> Index:
         """(lines, samples) part of the image that a region's pixels are left out with; -1 of other pixels."""
@@ -506,16 +494,16 @@ class RegionLaws:
     def _left_out(self, region: str, key: Key | None, tails: bool) -> list[ClassStatistics]:
         """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
         out, mixture = [], key and self._fitted(*key)
-        pixels, whole = self._pixels(region), self._statistics[region]
-        part, lead = self.parts(region)[pixels.lines, pixels.samples], pixels.lead
-        for number, (mean, covariance) in enumerate(px.moments_without_each(pixels.values, part)):
+        (pixels, lines, samples, lead), whole = self._pixels(region), self._statistics[region]
+        part = self.parts(region)[lines, samples]
+        for number, (mean, covariance) in enumerate(px.moments_without_each(pixels, part)):
             dof, scale = whole.tail_dof, whole.tail_scale
             if tails and dof is not None:  # what all pixels can tell of it bounds what the others make of it
-                rest, known = pixels.values[part != number][:, lead], self._tails[region]
+                rest, known = pixels[part != number][:, lead], self._tails[region]
                 within = known.leading_lower, known.leading_upper
                 fit = px.leading_tails(rest, mean[lead], covariance[np.ix_(lead, lead)], within)
                 dof, scale = fit.dof if np.isfinite(fit.dof) else None, fit.scale
-            own = None if mixture is None else mixture[0].components_without(pixels.values, part, number)
+            own = None if mixture is None else mixture[0].components_without(pixels, part, number)
             out.append(replace(whole, mean=mean, covariance=covariance, tail_dof=dof, tail_scale=scale, components=own))
         return out
 
@@ -537,11 +525,11 @@ class RegionLaws:
 
     def _fit(self, region: str, count: int | Literal["auto"], tails: bool) -> Mixture | None:
         """The mixture of a region; blocks for the choice of its number are those of false alarms: about 64."""
-        pixels, place = self._pixels(region), self._place
+        (pixels, lines, samples, lead), place = self._pixels(region), self._place
         side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
-        block = (pixels.lines // side) * (place.cube.samples // side + 1) + pixels.samples // side
-        made = px.class_mixture(pixels.values, block, count, tails=tails, lead=pixels.lead, seed=_LAW_SEED)
-        return None if made is None else (made, made.components(pixels.values))
+        block = (lines // side) * (place.cube.samples // side + 1) + samples // side
+        made = px.class_mixture(pixels, block, count, tails=tails, lead=lead, seed=_LAW_SEED)
+        return None if made is None else (made, made.components(pixels))
 
 
 def classification_errors(place: Place, task: Classification) -> dict[tuple[str, str], ClassificationError]:
