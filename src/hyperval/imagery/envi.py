@@ -195,11 +195,10 @@ class EnviRaster(Raster):
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""
-        lines, samples, bands = self.size
-        order = {"bsq": (1, 2, 0), "bil": (0, 2, 1), "bip": (0, 1, 2)}[self.header.interleave]
-        stored = {"bsq": (bands, lines, samples), "bil": (lines, bands, samples), "bip": self.size}
-        values = np.memmap(self.path, self.dtype, "r", self.header.header_offset, stored[self.header.interleave])
-        return np.array(values.transpose(order)[rows, cols])
+        refuse(self.path.stat().st_size < self.header.expected_bytes, "image.shrunk", self.path)
+        axes = {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}[self.header.interleave]
+        values = np.memmap(self.path, self.dtype, "r", self.header.header_offset, tuple(self.size[a] for a in axes))
+        return np.array(values.transpose(np.argsort(axes))[rows, cols])
 
 
 def open_envi(data: Path, header: Path) -> EnviRaster:
