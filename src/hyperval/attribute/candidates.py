@@ -451,8 +451,9 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> ((path, level),) = both["level of the spectrum of grass"].at(0, -4.0)[0].items()
     >>> path, float(np.abs(level / world.stated.surfaces["grass"].mean - 0.8).max().round(9))
     ('surfaces.[grass].mean', 0.0)
-    >>> both["entry of a surface"].labels[-1], both["entry of a surface"].at(0, 8.0)[0]
-    ('yellow plank in full light', {})
+    >>> entries = both["entry of a surface"]
+    >>> entries.labels[-1], entries.at(0, 8.0)[0], sorted(entries.at(0, 8.0)[1].values())
+    ('yellow plank in full light', {}, [1.0, 1.0])
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
     >>> shown("ground height", both["ground height"].sizes[-2])
@@ -512,6 +513,17 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
 
 
 def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
+    """What is stated of atmosphere, sun and view, at other values.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read
+    >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
+    ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
+    >>> there = load_scenario("green-planks-grass").with_values({f"atmosphere.{name}": v for name, v in at.items()})
+    >>> (date,) = (c for c in _of_atmosphere([read(there)]) if c.name == "date of overflight")
+    >>> [date.at(0, size)[0]["atmosphere.time_utc"][:10] for size in date.sizes]
+    ['2012-08-21', '2012-10-20', '2012-07-22', '2012-11-19']
+    """
     states = [world.stated.scenario.atmosphere for world in worlds]
     out = [_of_state(worlds, *row) for row in _OF_STATE if all(getattr(s, row[0], None) is not None for s in states)]
     if any(s is not None and s.time_utc for s in states):
