@@ -395,18 +395,7 @@ def load_model(model: type[M], path: Path) -> M:
     return loaded
 
 
-def _keys_of(model: type[BaseModel], seen: frozenset[type] = frozenset()) -> list[str]:
+def _keys_of(model: type[BaseModel]) -> list[str]:
     """Every key that occurs in ``model`` or in the models it holds: candidates for "did you mean"."""
-    keys: list[str] = []
-    for name, info in model.model_fields.items():
-        keys.append(info.alias or name)
-        for inner in _models_in(info.annotation):
-            if inner not in seen:
-                keys += _keys_of(inner, seen | {inner})
-    return keys
-
-
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [m for part in getattr(annotation, "__args__", ()) for m in _models_in(part)]
+    schema = model.model_json_schema()
+    return [key for each in (schema, *schema.get("$defs", {}).values()) for key in each.get("properties", {})]

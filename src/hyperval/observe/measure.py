@@ -247,7 +247,7 @@ def _estimate(
     parts: Mapping[str, Array],
     line: EmpiricalLine | None = None,
     estimated: tuple[EstimatedPart, ...] = (),
-    **known: Any,
+    circular: str = "",
 ) -> SpectralEstimate:
     """A mean after the line, if any, with the error of its sampling and the other ``parts``."""
     mean, gain = (sample.mean, np.ones(cube.bands)) if line is None else (line.reflectance(sample.mean), line.gain)
@@ -255,9 +255,11 @@ def _estimate(
     if sampling is not None and spread:
         own = sampling.of_each(lambda c: c / scale)
         parts, estimated = {"sampling": own.covariance, **parts}, (own, *estimated)
-    known["rounding"] = cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0
-    known["pixel_covariance"] = sample.covariance / scale if spread else None
-    return sites.spectral_estimate(mean, parts, n=sample.n, estimated=estimated, **known)
+    return sites.spectral_estimate(
+        mean, parts, pixel_covariance=sample.covariance / scale if spread else None, n=sample.n,
+        estimated=estimated, circular=circular,
+        rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0,
+    )  # fmt: skip
 
 
 def _some_pixels(place: Place, name: str) -> Array:

@@ -124,9 +124,13 @@ class Place:
         return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
 
     @cached_property
-    def classes(self) -> npt.NDArray[Any]:
+    def classes(self) -> npt.NDArray[np.int32]:
         """(lines, samples) number of the class of each pixel: pixels that lie in the same regions are of one."""
-        return Labels.of(self.cube.shape, self.regions).number
+        if not self.regions:
+            return np.zeros(self.cube.shape, np.int32)
+        inside = np.stack(list(self.regions.members.values()), axis=1)
+        _, number = np.unique(inside, axis=0, return_inverse=True)
+        return np.asarray(number.reshape(-1).astype(np.int32)[self.labels.number])
 
     @property
     def clear_bands(self) -> Mask:

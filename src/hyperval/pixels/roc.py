@@ -113,7 +113,9 @@ class AlarmBlocks:
         from scipy import sparse
 
         values = ascending(scores, "background")
-        return cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
+        out = cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
+        vars(out)["ascending"] = values  # sorted once
+        return out
 
     @cached_property
     def pixels(self) -> Counts:

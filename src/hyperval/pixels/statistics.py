@@ -225,14 +225,18 @@ class Sums(NamedTuple):
     second: Array
 
     @classmethod
-    def of(cls, pixels: Array, about: Sums | None, *, whole: bool) -> Sums:
-        """Of pixels (B, n), whose memory is taken, ``about`` the point of others; ``whole``: they are whole numbers."""
-        if about is None:
-            centre = pixels[:, :: max(1, pixels.shape[1] // CENTRED_ON)].mean(axis=1)
-        reference = about.reference if about is not None else np.rint(centre) if whole else centre
+    def of(cls, pixels: Array, before: Sums | None, *, whole: bool) -> Sums:
+        """Of pixels (B, n) and those ``before``, whose memory is taken; ``whole``: they are whole numbers."""
+        if before is None:
+            centre, bands = pixels[:, :: max(1, pixels.shape[1] // CENTRED_ON)].mean(axis=1), len(pixels)
+            before = cls(np.rint(centre) if whole else centre, 0, np.zeros(bands), np.zeros((bands, bands)))
+        reference, n, first, second = before
         pixels -= reference[:, None]
-        # NumPy makes the product of an array and its transpose a symmetric rank-k update: half the work.
-        return cls(reference, pixels.shape[1], pixels @ np.ones(pixels.shape[1]), pixels @ pixels.T)
+        # In place: of many regions each block has some pixels.  NumPy makes the product of an array and its transpose
+        # a symmetric rank-k update: half the work.
+        second += pixels @ pixels.T
+        first += pixels @ np.ones(pixels.shape[1])
+        return cls(reference, n + pixels.shape[1], first, second)
 
     def merged(self, other: Sums) -> Sums:
         """With the sums of another set of pixels."""
@@ -282,9 +286,7 @@ def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch 
                 pixels, label = pixels[:, known], label[known]
             for key in np.flatnonzero(np.bincount(label, minlength=wanted.size) * wanted).tolist():
                 own = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
-                before = found.get(key)
-                new = Sums.of(own, before, whole=cube.dtype.kind in "iu")
-                found[key] = before.merged(new) if before else new
+                found[key] = Sums.of(own, found.get(key), whole=cube.dtype.kind in "iu")
         return found
 
     # One BLAS thread to the end: a second one, woken for the small products there, would spin into the next pass.
