@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import Any
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -39,6 +39,7 @@ CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; pa
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
 REMAINDER = 0.05  # of a chi-square without noise that causes may leave
 MOST_LEFT = 0.5  # of the chi-square of a change: what its causes may leave
+_REACH = np.geomspace(1e-3, 1.0, 60)  # of a bound: where the likelihood of a size is asked at first
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
 
@@ -103,7 +104,7 @@ class Fit:
     amplitudes : (k,) most likely sizes, in units; of alternatives the number of one
     shown : (n,) what it most likely makes of e
     made : the same, where its size is held
-    freed : (n, j) directions along which more of it would be, each with its standard deviation
+    freed, variances : (n, j) orthonormal directions along which more of it would be, and how much (j,)
     limited : whether it would have to go farther than it can
     factor2 : on all variances, where no candidate is meant
     """
@@ -114,6 +115,7 @@ class Fit:
     shown: Array
     made: Array
     freed: Array
+    variances: Array
     limited: bool = False
     factor2: float = 1.0
 
@@ -130,9 +132,24 @@ class Fit:
     @property
     def in_words(self) -> str:
         """How far it would have to move."""
-        if self.candidate is None:
-            return NONE
-        return self.candidate.in_words(self.amplitudes) + (", as far as it can" if self.limited else "")
+        words = self.candidate.in_words(self.amplitudes) if self.candidate else NONE
+        return words + ", as far as it can" * self.limited
+
+
+@cache
+def _spreads(most: float, is_named: bool) -> tuple[Array, Array, Array]:
+    """Spreads tau (T,) of directions that may go so far, factors (S,) on all variances, ln of their prior (S, T)."""
+    spreads = np.geomspace(0.02, most, 41)
+    tau, scale2 = (spreads, np.ones(1)) if is_named else (np.append(0.0, spreads), _FACTORS**2)
+    weight = np.where(tau > 0.0, tau / (TYPICAL**2 + tau**2), 1.0)  # half-Cauchy, by ln tau
+    return tau, scale2, np.log(weight / weight.sum()) - 0.5 * np.log(scale2)[:, None]
+
+
+@cache
+def _between(sizes: tuple[float, ...]) -> scipy.interpolate.CubicSpline:
+    """Weights of the values at some sizes in the value at another one."""
+    order = np.argsort(sizes)
+    return scipy.interpolate.CubicSpline(np.array(sizes)[order], np.eye(len(sizes))[order])
 
 
 class Directions:
@@ -148,11 +165,7 @@ class Directions:
         keep = values > _ROUGH * max(float(values[-1]), 1e-300)
         self.values, self.vectors = values[keep], vectors[:, keep]
         self.most = candidate.most if candidate is not None else MOST_STEPS
-        spreads = np.geomspace(0.02, self.most, 41)
-        self.tau = spreads if candidate is not None else np.append(0.0, spreads)
-        self.scale2 = np.ones(1) if candidate is not None else _FACTORS**2
-        weight = np.where(self.tau > 0.0, self.tau / (TYPICAL**2 + self.tau**2), 1.0)  # half-Cauchy, by ln tau
-        self.prior = np.log(weight / weight.sum()) - 0.5 * np.log(self.scale2)[:, None]
+        self.tau, self.scale2, self.prior = _spreads(self.most, candidate is not None)
         grown = self.scale2[:, None, None] + self.tau[:, None] ** 2 * self.values
         self._inverse, self._logs = 1.0 / grown, np.log(grown).sum(axis=2)
 
@@ -167,12 +180,12 @@ class Directions:
         best_s, best = np.unravel_index(int(np.argmax(logs)), logs.shape)
         t2, s2 = float(self.tau[best] ** 2), float(self.scale2[best_s])
         z = self.vectors @ (t2 / (s2 + t2 * self.values) * dots)
-        evidence = float(special.logsumexp(logs))
+        evidence = float(np.logaddexp.reduce(logs, axis=None))
         if self.candidate is not None and np.max(np.abs(z), initial=0.0) > self.most:
             made = self.columns @ np.clip(z, -self.most, self.most)
-            return Fit(self.candidate, evidence, z, made, made, np.zeros((e.size, 0)), True)
-        freed = np.sqrt(t2) * self.columns
-        return Fit(self.candidate, evidence, z, self.columns @ z, np.zeros_like(e), freed, False, s2)
+            return Fit(self.candidate, evidence, z, made, made, np.zeros((e.size, 0)), np.zeros(0), True)
+        freed, variances = self.columns @ (self.vectors / np.sqrt(self.values)), t2 * self.values
+        return Fit(self.candidate, evidence, z, self.columns @ z, np.zeros_like(e), freed, variances, False, s2)
 
     def drawn(self, rng: np.random.Generator, length: float) -> Array:
         """What it makes, so long or nearly; short of its bounds."""
@@ -190,15 +203,13 @@ class Family:
 
     def __init__(self, candidate: Candidate, columns: Array):
         self.candidate, self.low, self.high = candidate, *candidate.ends
-        order = np.argsort([0.0, *candidate.sizes])
-        self.nodes = np.array([0.0, *candidate.sizes])[order]
-        self.columns = np.column_stack([np.zeros(len(columns)), columns])[:, order]
+        self._between = _between((0.0, *candidate.sizes))
+        self.columns = np.column_stack([np.zeros(len(columns)), columns])
         self.gram = self.columns.T @ self.columns
-        self._between = scipy.interpolate.CubicSpline(self.nodes, np.eye(self.nodes.size))
 
     def weights(self, a: Array, derivative: int = 0) -> Array:
         """(len(a), m) of the columns at sizes ``a``, or its derivative."""
-        inside = np.clip(a, self.nodes[0], self.nodes[-1])
+        inside = np.clip(a, self._between.x[0], self._between.x[-1])
         slope = self._between(inside, 1)
         return np.asarray(slope if derivative else self._between(inside) + (a - inside)[:, None] * slope)
 
@@ -208,10 +219,9 @@ class Family:
 
         def log_likelihood(a: Array) -> Array:
             w = self.weights(a)
-            return np.asarray(w @ dots - 0.5 * np.einsum("am,mn,an->a", w, self.gram, w))
+            return np.asarray(w @ dots - 0.5 * np.sum(w @ self.gram * w, axis=1))
 
-        reach = np.geomspace(1e-3, 1.0, 60)
-        a = np.unique(np.concatenate([self.low * reach, [0.0], self.high * reach]))
+        a = np.concatenate([self.low * _REACH[::-1], [0.0], self.high * _REACH])
         values = log_likelihood(a)
         for _ in range(12):
             best = int(np.argmax(values))
@@ -228,10 +238,11 @@ class Family:
         evidence = values[best] + np.log(np.trapezoid(np.exp(values - values[best]) * prior, a))
         size = a[best : best + 1]
         tangent = self.columns @ self.weights(size, 1)[0]
-        freed = tangent[:, None] * max(abs(float(size[0])), 1e-3)
+        length = max(float(np.linalg.norm(tangent)), 1e-300)
+        freed = tangent[:, None] / length, np.array([(length * max(abs(float(size[0])), 1e-3)) ** 2])
         limited = bool(size[0] < 0.98 * self.low or size[0] > 0.98 * self.high)
         made = self.columns @ self.weights(size)[0]
-        return Fit(self.candidate, float(evidence), size, made, made, freed, limited)
+        return Fit(self.candidate, float(evidence), size, made, made, *freed, limited)
 
     def drawn(self, rng: np.random.Generator, length: float) -> Array:
         """What it makes at a size of either sign at which that is so long, or nearly; short of its bounds."""
@@ -251,9 +262,9 @@ class Alternatives:
         """Of residuals e (n,)."""
         logs = self.columns.T @ e - self._half
         best = int(np.argmax(logs))
-        evidence = float(special.logsumexp(logs) - np.log(logs.size))
+        evidence = float(np.logaddexp.reduce(logs) - np.log(logs.size))
         made = self.columns[:, best]
-        return Fit(self.candidate, evidence, np.array([float(best)]), made, made, np.zeros((e.size, 0)))
+        return Fit(self.candidate, evidence, np.array([float(best)]), made, made, np.zeros((e.size, 0)), np.zeros(0))
 
     def drawn(self, rng: np.random.Generator, length: float) -> Array:
         """What one of them makes, however long."""
@@ -265,11 +276,9 @@ Effect = Directions | Family | Alternatives
 
 def effect_of(candidate: Candidate | None, columns: Array) -> Effect:
     """What a candidate does to whitened residuals (n, k), by its kind."""
-    if candidate is None:
-        return Directions(None, columns)
-    if candidate.labels:
+    if candidate is not None and candidate.labels:
         return Alternatives(candidate, columns)
-    return Family(candidate, columns) if candidate.sizes else Directions(candidate, columns)
+    return Family(candidate, columns) if candidate is not None and candidate.sizes else Directions(candidate, columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -480,6 +489,8 @@ class Reasoner:
         share = (1.0 - NOTHING_PRIOR - NONE_PRIOR) / max(len(kinds), 1)
         self.prior = {c: float(np.log(share / kinds[kind_of(c.name)])) for c in columns}
         self._effects = [effect_of(c, g) for c, g in columns.items()]
+        self._together = np.column_stack([*columns.values(), wide])
+        self._ends = np.cumsum([g.shape[1] for g in columns.values()])
         self._none = Directions(None, wide)
 
     def posterior(self, group: str, e: Array) -> Posterior:
@@ -500,7 +511,7 @@ class Reasoner:
         found.sort(key=lambda h: -h.weight)
         found = [self._shared_first(h, e) if h.weight > found[0].weight - CLOSE else h for h in found]
         logs = np.array([h.weight for h in found])
-        weights = np.exp(logs - special.logsumexp(logs))
+        weights = np.exp(logs - np.logaddexp.reduce(logs))
         probability = dict.fromkeys((NOTHING, NONE, *(f.name for f in singles)), 0.0)
         for h, weight in zip(found, weights, strict=True):
             probability[h.first] += float(weight)
@@ -546,7 +557,7 @@ class Reasoner:
         many = not self.noisy and fit.name == SINGLE_BANDS and float(np.sum(z2)) ** 2 > few
         if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
-        rest, _ = _after(fit, e, {})
+        rest = _after(fit, e - fit.made)
         causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
         if not self.noisy and fit.candidate is None and left and left[-1] > REMAINDER * whole:
             causes, left = (), ()
@@ -554,17 +565,18 @@ class Reasoner:
 
     def _without(self, causes: Sequence[Fit], e: Array) -> tuple[Array, dict[Candidate | None, Array]]:
         """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
-        columns = dict[Candidate | None, Array](self.columns.items()) | {None: self.wide}
+        columns = self._together
         for fit in causes:
-            e, columns = _after(fit, e, {c: g for c, g in columns.items() if c is None or c is not fit.candidate})
-        return e, columns
+            e, columns = _after(fit, e - fit.made), _after(fit, columns)
+        return e, dict(zip([*self.columns, None], np.split(columns, self._ends, axis=1), strict=True))
 
     def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
         """Its causes and one more each."""
-        rest, columns = self._without(h.causes, e)
-        if float(scipy.stats.chi2.sf(rest @ rest, rest.size)) <= SUFFICES:
+        if special.chdtrc(e.size, h.left[-1]) <= SUFFICES:
+            rest, columns = self._without(h.causes, e)
             for candidate, g in columns.items():
-                yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
+                if candidate is None or all(candidate is not f.candidate for f in h.causes):
+                    yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
 
     def _shared_first(self, h: Hypothesis, e: Array) -> Hypothesis:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part."""
@@ -576,7 +588,7 @@ class Reasoner:
         for cause in order:
             rest, columns = self._without(causes, e)
             causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
-            rest, _ = _after(causes[-1], rest, {})
+            rest = _after(causes[-1], rest - causes[-1].made)
             left.append(float(rest @ rest))
         good = left[0] - left[1] > GOOD_PART * (left[0] - h.left[-1]) and not causes[0].limited
         return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
@@ -604,17 +616,10 @@ def kind_of(name: str) -> str:
     return "light" if name in LIGHT else name if name == NONE else name.partition(" of ")[0]
 
 
-def _after(fit: Fit, e: Array, columns: Mapping[Any, Array]) -> tuple[Array, dict[Any, Array]]:
-    """Residuals without what a cause made, in units of an uncertainty that holds its freed directions; and columns."""
-    values, vectors = linalg.eigh(fit.freed.T @ fit.freed) if fit.freed.size else (np.zeros(0), np.zeros((0, 0)))
-    keep = values > _ROUGH * max(float(values.max(initial=0.0)), 1e-300)
-    values, u = values[keep], fit.freed @ (vectors[:, keep] / np.sqrt(values[keep]))
-    less = 1.0 - np.sqrt(fit.factor2 / (fit.factor2 + values))
-
-    def turned(x: Array) -> Array:
-        return np.asarray((x - u @ ((u.T @ x).T * less).T) / np.sqrt(fit.factor2))
-
-    return turned(e - fit.made), {c: turned(g) for c, g in columns.items()}
+def _after(fit: Fit, x: Array) -> Array:
+    """Columns (n,) or (n, k) in units of an uncertainty that holds the freed directions of a cause."""
+    less = 1.0 - np.sqrt(fit.factor2 / (fit.factor2 + fit.variances))
+    return np.asarray((x - fit.freed @ ((fit.freed.T @ x).T * less).T) / np.sqrt(fit.factor2))
 
 
 def posteriors(
@@ -660,11 +665,12 @@ def posteriors(
 
 
 def posterior(
-    group: str, residual: Array, covariance: Array, columns: Mapping[Candidate, Array], wide: Array
+    group: str, residual: Array, covariance: Array, columns: Mapping[Candidate, Array], wide: Array, noisy: bool = True
 ) -> Posterior:
     """Of the causes of residuals (n,), observed minus predicted, with covariance (n, n)."""
     data = Whitened(residual, covariance)
-    return Reasoner({c: data.whiten(g) for c, g in columns.items()}, data.whiten(wide)).posterior(group, data.residual)
+    known = Reasoner({c: data.whiten(g) for c, g in columns.items()}, data.whiten(wide), noisy=noisy)
+    return known.posterior(group, data.residual)
 
 
 def common_and_own(

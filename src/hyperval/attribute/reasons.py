@@ -32,6 +32,7 @@ from hyperval.attribute.posterior import (
     Reasoner,
     Whitened,
     budget_covariance,
+    posterior,
     posteriors,
 )  # fmt: skip
 from hyperval.attribute.residuals import POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
@@ -295,8 +296,8 @@ class Causes:
                 if by not in effects and any(by):
                     effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
-            what = "regions" if regions else "target regions"
-            place = Candidate(f"position of the {what}", "scene", "", False, labels=labels)
+            where = f"position of the {'regions' if regions else 'target regions'}"
+            place = Candidate(where, "scene", "", False, labels=labels)
             found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
             before, nearest = nearest, list(effects)[int(best.amplitudes[0])] if best else nearest
@@ -328,10 +329,9 @@ class Causes:
         """What explains residuals (k,) of the entries ``of``: between sizes the model is interpolated, and asked at
         those that are found; columns with those.
         """
-        columns, data = dict(columns), Whitened(residual, covariance)
+        columns = dict(columns)
         for last in range(MOST_ROUNDS, -1, -1):
-            whitened = {c: data.whiten(g) for c, g in columns.items()}
-            found = Reasoner(whitened, data.whiten(self.wide[of]), noisy=noisy).posterior(ALL, data.residual)
+            found = posterior(ALL, residual, covariance, columns, self.wide[of], noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate and f.candidate.asked}
             # At none of those that the model was asked at.
@@ -605,12 +605,11 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     """Of each quantity the reduced chi-square before and after the cause that is named first."""
     if not r.best.causes or r.first == NONE:
         return
-    residual = causes.residual
-    data, first = Whitened(residual, causes.covariance), r.best.causes[0]
-    left = residual - data.coloured(first.shown)
+    data, first = Whitened(causes.residual, causes.covariance), r.best.causes[0]
+    left = causes.residual - data.coloured(first.shown)
     for block, at in causes.stack.placed():
         own = causes.covariance[at, at]
-        before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (residual, left))
+        before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (causes.residual, left))
         found = row("reduced_chi_square", after, n=block.observed.size, before=before, reason=f"{before:.4g} before")
         yield from named([found], "attribution", block.quantity, first.name)
 
@@ -771,8 +770,7 @@ def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
 
 def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
-    tried = {key: [(o.item.name, o.alarms[key]) for o in outcomes if key in o.alarms] for key in before}
-    tried = {key: each for key, each in tried.items() if each}
+    tried = {k: each for k in before if (each := [(o.item.name, o.alarms[k]) for o in outcomes if k in o.alarms])}
     for key, each in tried.items():
         yield _ratio_row(key, "attribution", before[key], reason_for(before[key], each))
     for key, each in tried.items():

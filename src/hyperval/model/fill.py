@@ -108,18 +108,18 @@ def touched_pixel_fill(geometry: Geometry) -> FillDistribution:
 
     They are what a truth by outlines has: those that hold a corner alone, nearly empty, and the full ones.
     """
-    fills, touched = _around(geometry)
+    fills, touched = _around(_outline(geometry))
     return _alike(fills[touched])
 
 
 def touched_counts(geometry: Geometry) -> Index:
     """(K,) number of pixels that the target's outline meets (f of 3.10), for K equally likely positions."""
-    return np.asarray(_around(geometry)[1].sum(axis=(1, 2)))
+    return np.asarray(_around(_outline(geometry))[1].sum(axis=(1, 2)))
 
 
 def object_fills(geometry: Geometry, n: int) -> Array:
     """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10)."""
-    fills = _around(geometry)[0]
+    fills = _around(_outline(geometry))[0]
     fills = np.sort(fills.reshape(len(fills), -1), axis=1)[:, ::-1]
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
@@ -130,6 +130,11 @@ def lattice_positions(count: int) -> Array:
     """(count, 2) places on the pixel grid to average f of (3.10) over, (x, y) from a pixel's centre [pixels]."""
     i = np.arange(count)
     return np.asarray(np.stack([(i + 0.5) / PHASES, (i * _LATTICE + 0.5) / PHASES], axis=1) % 1.0 - 0.5)
+
+
+def _outline(geometry: Geometry, **changes: str) -> Geometry:
+    """Without which pixels count: targets that differ in that alone have the same fills around them."""
+    return geometry.model_copy(update={"pixels": "best", "n": None, **changes})
 
 
 @lru_cache(maxsize=256)
@@ -175,7 +180,6 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     (heading 0), axis 2 across.
     """
     at = np.asarray(offset, dtype=float)
-    angle = np.deg2rad(np.asarray(heading_deg, dtype=float))
     length, width = geometry.sides_pixels
     if max(length, width) > MAX_PIXELS_ACROSS:
         raise UsageError(
@@ -186,7 +190,7 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     least = min(s_y, s_x)  # decides how finely the integrand is cut
     half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * max(s_y, s_x))) + 1
     borders = np.arange(-half - 0.5, half + 1.0)  # each pixel ends where the next begins
-    c, d = np.cos(angle), np.sin(angle)
+    c, d = (f(np.deg2rad(heading_deg)) for f in (np.cos, np.sin))
     # Corners of the target along y fix where the chord length has kinks.
     corner = np.stack([0.5 * (i * length * c + j * width * d) for i in (-1, 1) for j in (-1, 1)], axis=1)
     low, high = corner.min(axis=1), corner.max(axis=1)
@@ -295,7 +299,7 @@ def shared_pixel_fills(
     others = np.zeros((*fills.shape, len(neighbours)))
     for j, (geometry, offset) in enumerate(neighbours):
         away = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
-        others[..., j] = _looked_up(_fill_table(geometry.model_copy(update={"phase": "random"})), chosen - away)
+        others[..., j] = _looked_up(_fill_table(_outline(geometry, phase="random")), chosen - away)
     over = np.maximum(fills + others.sum(axis=2), 1.0)
     return fills / over, others / over[..., None]
 
@@ -303,9 +307,8 @@ def shared_pixel_fills(
 @lru_cache(maxsize=64)
 def _fullest(own: Geometry, n: int) -> tuple[Array, ...]:
     """(K, n) fills of the fullest pixels of a target, and where they are (K, n, 2) from its centre."""
-    centred = own.phase == "centred"
-    place = np.zeros((1, 2)) if centred else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
-    table = _fill_table(own.model_copy(update={"phase": "random"}))
+    place = np.zeros((1, 2)) if own.phase == "centred" else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
+    table = _fill_table(_outline(own, phase="random"))
     half = (table.shape[0] // _STEPS - 1) // 2
     grid = np.stack(np.meshgrid(*2 * (np.arange(-half, half + 1.0),), indexing="ij"), axis=-1).reshape(-1, 2)
     at_pixels = grid[None] - place[:, None]  # (K, P, 2) pixel's centre from the target's
@@ -330,8 +333,7 @@ def _fill_table(geometry: Geometry) -> Array:
     from scipy.ndimage import spline_filter  # a tenth of a second with what it loads
 
     step = (np.arange(_STEPS) + 0.5) / _STEPS - 0.5
-    x, y = np.meshgrid(step, step)
-    offset = np.stack([x.ravel(), y.ravel()], axis=1)
+    offset = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2)
     fills = pixel_fills(geometry, offset, np.full(len(offset), geometry.heading_deg, dtype=float))
     across = fills.shape[1]
     # A centre at step i puts pixel p at p - step_i: rising with p, falling with i.
@@ -383,8 +385,7 @@ def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
         return object_fills(widened(fill.geometry, wider), pixels_of_object(fill))
     if fill.listed is not None:
         size = pixels_of_object(fill)
-        rows = [sorted(row, reverse=True) + [0.0] * (size - len(row)) for row in fill.listed]
-        return np.array(rows)
+        return np.array([sorted(row, reverse=True) + [0.0] * (size - len(row)) for row in fill.listed])
     return fill_distribution(fill).values[:, None]
 
 

@@ -204,8 +204,7 @@ def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
 def _read(at: Array, x: Array, z: Array) -> Array:
     """A curve z over x, both rising, at places ``at``; beyond its ends with the slope over ``at`` there."""
     below, above = (z[1] - z[0]) / (at[1] - at[0]), (z[-1] - z[-2]) / (at[-1] - at[-2])
-    inside = np.interp(at, x, z)
-    return np.asarray(inside + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
+    return np.asarray(np.interp(at, x, z) + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
 
 
 def with_limits(
@@ -281,8 +280,7 @@ def tolerance(u: Array, samples: int) -> Array:
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         digit = 0.5 * 10.0 ** np.floor(np.log10(u))
-    quantile_error = np.sqrt(0.025 * 0.975 / samples) / 0.058445
-    return np.asarray(digit + 2.0 * quantile_error * u)
+    return np.asarray(digit + 2.0 * np.sqrt(0.025 * 0.975 / samples) / 0.058445 * u)
 
 
 def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int, at: float = np.nan) -> dict[str, Any]:
@@ -378,9 +376,8 @@ def with_intervals(
 
 
 def with_uncertainty(
-    products: PredictedProducts, world: World, inputs: Sequence[UncertainInput], changes: Mapping[RocKey, Changes],
-    predicted: Callable[[World, Iterable[Truth]], Iterable[PredictedProducts]],
-) -> PredictedProducts:  # fmt: skip
+    products: PredictedProducts, world: World, inputs: Sequence[UncertainInput], changes: Mapping[RocKey, Changes]
+) -> PredictedProducts:
     """The prediction of a world with the intervals of its curves: from its directions, or from draws of its inputs.
 
     ``inputs`` : to be drawn from where the scenario asks for it, or errors shift the mean of P_D by so much that their
@@ -392,12 +389,15 @@ def with_uncertainty(
     if not inputs or not (far or u.method != "linear"):
         return with_limits(scenario, products, changes, shifts, {})
     there, cost = emulated(world, inputs)
-    of_world = partial(predicted, there)
-    draws = tabulated(of_world(track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")))
-    linear = u.method == "linear"
-    curves = {key: draws["curve", *key] for key in far if linear}
-    products = with_limits(scenario, products, changes, shifts, curves)
-    return products if linear else with_intervals(products, inputs, of_world, draws, u, cost)
+    of_world = partial(_predictions, there)
+    truths = track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")
+    if u.method == "linear":  # nothing but these curves is looked at
+        whole = any(unit == "object" for *_, unit in far)
+        drawn = [p.roc for p in of_world(truths, object_curves=whole, spectra=False)]
+        curves = {key: np.array([roc[key].pd for roc in drawn]) for key in far}
+        return with_limits(scenario, products, changes, shifts, curves)
+    draws = tabulated(of_world(truths))
+    return with_intervals(with_limits(scenario, products, changes, shifts, {}), inputs, of_world, draws, u, cost)
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
@@ -702,7 +702,7 @@ def predict(
     linear = [i for i in inputs if scenario.atmosphere is not None or not i.of_light]
     of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
     products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
-    return with_uncertainty(products, world, inputs if truth is None else [], changes, _predictions)
+    return with_uncertainty(products, world, inputs if truth is None else [], changes)
 
 
 def predictions(
@@ -726,7 +726,7 @@ def predictions(
 
 
 def _predictions(
-    world: World, truths: Iterable[Truth], objects: bool | int = False, object_curves: bool = True
+    world: World, truths: Iterable[Truth], objects: bool | int = False, object_curves: bool = True, spectra: bool = True
 ) -> Iterator[PredictedProducts]:
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
     world = replace(world, stated=replace(world.stated, scenario=certain, kept={}))
@@ -734,8 +734,8 @@ def _predictions(
     while some := list(islice(waiting, _TOGETHER)):
         out: dict[int, PredictedProducts] = {}
         for index, e in evaluations(with_truths(world, some), errors):
-            spectra = [spectral_prediction(e, u, None) for u in range(len(e))]
-            found = detect(e, object_curves=object_curves, densities=False, points=range(len(e)), spectra=spectra)
+            of_spectra = [spectral_prediction(e, u, None) for u in range(len(e) if spectra else 0)]
+            found = detect(e, object_curves=object_curves, densities=False, points=range(len(e)), spectra=of_spectra)
             for u, (number, prediction) in enumerate(zip(index.tolist(), found, strict=True)):
                 if objects and prediction.roc:
                     scores = object_scores(e, np.array([u]), None if objects is True else objects)

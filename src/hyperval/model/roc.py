@@ -324,7 +324,7 @@ class Host:
 
     def between(self, threshold: Array, means: Array, sds: Array) -> Callable[[slice], Array]:
         """The same of many fills, read between some of them, in probit: some thresholds -> (n, k, J)."""
-        from scipy.interpolate import PchipInterpolator  # a quarter of a second, which single fills do not need
+        from scipy.interpolate import PchipInterpolator, PPoly  # a quarter of a second, which single fills do not need
 
         shares, alike = np.unique(self.share, axis=0, return_inverse=True)
         alike, curves = np.broadcast_to(alike.reshape(-1), len(means)), []
@@ -337,13 +337,15 @@ class Host:
             chosen = chosen[np.unique(share[chosen], return_index=True)[1]]
             some, at = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
             p = some.exceedance(threshold[rows], means[at], sds[at])
-            curves.append((rows, share, share[chosen], np.nan_to_num(probit(p))))
+            z, nodes = np.nan_to_num(probit(p)), share[chosen]
+            one = nodes.size == 1
+            curve = PPoly([[z[:, :, 0]]], nodes[0] + [0.0, 1.0]) if one else PchipInterpolator(nodes, z, axis=2)
+            curves.append((rows, share, curve.c, curve.x))
 
         def read(part: slice) -> Array:
             out = np.empty((means.shape[0], threshold[:, part].shape[1], means.shape[1]))
-            for rows, share, nodes, z in curves:
-                one = nodes.size == 1
-                out[rows] = ndtr(z[:, part] if one else PchipInterpolator(nodes, z[:, part], axis=2)(share))
+            for rows, share, coefficients, nodes in curves:
+                out[rows] = ndtr(PPoly.construct_fast(coefficients[..., part], nodes, axis=2)(share))
             out[~np.isfinite(means[:, 0])] = np.nan
             return out
 
