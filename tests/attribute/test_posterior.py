@@ -19,7 +19,6 @@ N = 50
 X = np.linspace(0.0, 1.0, N)
 GAIN = attribute.Candidate("gain", "sensor", "1 %", False, sizes=(-20.0, 25.0))
 TILT = attribute.Candidate("tilt", "sensor", "1 %", True)
-TWIN = attribute.Candidate("twin", "sensor", "1 %", False, sizes=(-20.0, 25.0))
 COLUMNS = {GAIN: np.outer(np.ones(N), GAIN.sizes), TILT: (X - 0.5)[:, None]}
 WIDE = np.transpose([np.interp(X, np.linspace(0, 1, 9), one) for one in np.eye(9)])
 WAVE = 0.1 * np.sin(40 * X)
@@ -57,11 +56,6 @@ def test_a_noise_that_is_wrong_is_named_where_the_sum_of_all_residuals_passes():
     found = attribute.posterior("all", residual, np.eye(n), columns, np.zeros((n, 1)) + 0.1)
     assert found.p_value > 0.05
     assert found.first == "electrons"
-
-
-def test_inputs_alike_are_named_as_a_group():
-    found = _posterior(3.0 + WAVE, COLUMNS | {TWIN: np.outer(np.ones(N), TWIN.sizes)})
-    assert {found.first, *found.alike} == {"gain", "twin"}
 
 
 def test_what_befalls_all_subjects_comes_before_what_befalls_one():

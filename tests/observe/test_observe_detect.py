@@ -274,8 +274,11 @@ def test_invalid_pixels_have_no_score_and_count_nowhere(world):
 def test_two_spectra_of_one_material(world):
     world.detection["targets"].append({"name": "second", "material": "paint", "spectrum": {"constant": 0.5}})
     world.detection["group"] = "{target} {group}"
-    subjects = {s for s, _, _ in world.observe().observation.roc}
-    assert subjects == {f"{t} {f}" for t in ("paint", "second") for f in FILLS}
+    for planted, means in ((PLANTED, 2), ({(10, 10): 0.8}, 0)):  # of one pixel the error of a mean is not known
+        world.text("targets.csv", target_rows(planted))
+        seen = world.observe().observation
+        assert {s for s, _, _ in seen.roc} == {f"{t} fill {f}" for t in ("paint", "second") for f in planted.values()}
+        assert sum(name.startswith("paint") for name in seen.reflectance) == means
 
 
 def test_a_band_without_variance_is_left_out_or_named(world):

@@ -594,7 +594,15 @@ class Reasoner:
         return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
 
     def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float]) -> tuple[str, ...]:
-        """Candidates whose odds are near those of the first, or whose effect has its pattern."""
+        """Candidates whose odds are near those of the first, or whose effect has its pattern.
+
+        >>> a, b, c = (Candidate(name, "input", "1 %", False, sizes=(-20.0, 25.0)) for name in "abc")
+        >>> columns = {one: np.outer(effect, one.sizes) for one, effect in ((a, np.ones(9)), (b, np.ones(9)))}
+        >>> columns[c] = np.outer(np.arange(9.0), c.sizes)
+        >>> found = Reasoner(columns, np.eye(9)).posterior("all", 3.0 + np.cos(np.arange(9.0)))
+        >>> found.first, found.alike
+        ('a', ('b',))
+        """
         best = next((f for f in singles if f.name == first), None)
         if best is None:
             return ()

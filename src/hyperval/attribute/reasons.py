@@ -375,6 +375,27 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     Raises
     ------
     UsageError : nothing that both sides hold.
+
+    Examples
+    --------
+    What befalls two scenarios is looked for in each of them too; of four not, as each takes runs of its own.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read
+    >>> from hyperval.products import PredictedProducts, SpectralEstimate
+    >>> stated = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
+    >>> world, lawn = read(stated), SpectralEstimate(np.full(360, 0.2), 1e-4 * np.eye(360))
+    >>> seen = PredictedProducts(world.stated.axis, reflectance={"lawn": lawn})
+    >>> def causes(lines):
+    ...     model = ScenarioModel(
+    ...         [stated.model_copy(update={"name": f"line {i}"}) for i in range(lines)],
+    ...         lambda scenarios, truths, budgeted: iter([seen] * len(truths)), None, looked_for={"green plank": 0.3},
+    ...     )
+    ...     return causes_of(model, seen, [world] * lines, seen)
+    >>> [[c.name for c in causes(n).rarer[1]() if c.name.startswith("wavelength shift")] for n in (1, 2, 4)]
+    [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
+    >>> [one.labels for one in causes(1).of_files()]
+    [('green plank: that looked for',)]
     """
     base = model.assuming(model.scenarios)
     stack = stacked(base, observed)
@@ -577,6 +598,12 @@ def _of_spectra(
 
 
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
+    """Rows of what explains one group of residuals, or a change.
+
+    >>> since = Posterior(SINCE, 0.0, 40, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+    >>> next(_posterior_rows(since)).reason
+    'spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty'
+    """
     # The test of all products together concludes too, and informs.
     words = UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)

@@ -265,7 +265,15 @@ def entries_of(owner: Any, key: str) -> list[dict[str, Any]]:
 
 
 def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
-    """What may stand in each other's place in a collection: the setting of it, and its value for each pair."""
+    """What may stand in each other's place in a collection: the setting of it, and its value for each pair.
+
+    >>> from types import SimpleNamespace as Of
+    >>> truth = Of(rasters=Of(materials={"red": "red.hdr", "green": "green.hdr", "blue": "blue.hdr"}))
+    >>> campaign = Of(collection=Of(empirical_line=None, targets=truth), detection=None)
+    >>> setting, pairs = exchanges_of(Of(campaign=campaign, scenarios=[]))["exchanged materials of the truth"]
+    >>> setting, len(pairs), pairs["red and blue"]
+    ('collection.targets.rasters.materials', 3, {'red': 'blue.hdr', 'green': 'green.hdr', 'blue': 'red.hdr'})
+    """
     collection, truth = side.campaign.collection, side.campaign.collection.targets
     panels, targets = entries_of(collection.empirical_line, "panels"), entries_of(side.campaign.detection, "targets")
     materials = truth.rasters.materials if truth and truth.rasters else {}
