@@ -64,7 +64,7 @@ AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted 
 CHANGE_FLOOR, OFF, STILL = 2e-3, 0.01, 1e-4
 # What befalls an image whose spectra are not compared: it is measured again.
 _OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
-    ("gain of the data", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
+    ("gain of the data against the spectra", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
     ("offset of the data", "0.01 of the mean", "offset", 0.01, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
     ("wavelength shift", "0.5 nm", "nm", 0.5, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
     ("wavelength scale", "0.1 %", "scale", 0.001, (-8.0, -2.0, 2.0, 8.0)),
@@ -603,6 +603,8 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     >>> since = Posterior(SINCE, 0.0, 40, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
     >>> next(_posterior_rows(since)).reason
     'spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty'
+    >>> next(_posterior_rows(replace(since, group=ALL, chi_square=40.0, p_value=0.47))).reason
+    'nothing to explain: reduced chi-square 1 of 40 residuals (p = 0.47)'
     """
     # The test of all products together concludes too, and informs.
     words = UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion

@@ -246,7 +246,7 @@ def scenario_model(side: Collected) -> ScenarioModel:
     def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, float]) -> Products:
         changed, detection = with_settings(side.campaign, changes), None
         if changed.detection is not None:  # no residual is an area
-            detection = changed.detection.model_copy(update={"unmixing": None})
+            detection = changed.detection.model_copy(update={"unmixing": None, "areas": []})
         before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
             bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
