@@ -346,12 +346,12 @@ def _gain(table: ResultTable) -> Figure | None:
         return None
     nm, gain, low, high = marks["sensor_gain"].columns.values()
     far = int(np.argmax(np.abs(gain - 1.0)))
-    title = "Gain and offset [uW cm-2 sr-1 nm-1] of the sensor that would explain the radiance of all subjects"
+    title = "Gain and offset of the sensor that would explain the radiance of all subjects"
     alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
     alt += f"{nm[far]:.0f} nm."
     offset = [marks.pop("sensor_offset")] if "sensor_offset" in marks else []
     parts = [Part(Axis("measured / predicted radiance"), tuple(marks.values()), (("y", 1.0),))]
-    parts += [Part(Axis("offset"), (mark,), (("y", 0.0),)) for mark in offset]
+    parts += [Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)) for mark in offset]
     return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
 
 
