@@ -49,12 +49,10 @@ class Injected(Model):
     @property
     def words(self) -> str:
         """How far it is seen, with numbers."""
-        if self.not_applicable is not None:
-            return Sight.NOT_APPLICABLE
         rows, criteria = sum(self.informing.values()), len(self.gates)
         parts = [f"{criteria} {'criterion' if criteria == 1 else 'criteria'}"] if criteria else []
         parts += [f"{rows} informational comparison{'' if rows == 1 else 's'}"] if rows else []
-        return ", ".join(parts) or "undetected"
+        return ", ".join(parts) or self.sight
 
     @property
     def which(self) -> str:
@@ -157,11 +155,8 @@ def gate_values(rows: Iterable[Result]) -> dict[str, float]:
 
 def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
-    return {
-        str(item["reference"]): str(item["sha256"])
-        for item in inputs
-        if ":" not in str(item["reference"]) and str(item["reference"]).endswith((".yaml", ".yml"))
-    }
+    digests = {str(item["reference"]): str(item["sha256"]) for item in inputs}
+    return {name: digest for name, digest in digests.items() if ":" not in name and name.endswith((".yaml", ".yml"))}
 
 
 def accepted_table(name: str, folder: Path) -> PowerTable | None:

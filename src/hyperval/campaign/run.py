@@ -31,7 +31,7 @@ from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import Truth, World, predict, predictions, read
-from hyperval.observe import Observed, open_place
+from hyperval.observe import SCENE, Observed, open_place
 from hyperval.observe import observe as observe_collection
 from hyperval.observe import write_reflectance as reflectance_cube
 from hyperval.products import PredictedProducts, Products
@@ -45,6 +45,7 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
+_BANDS = ("windows", "good", "all")  # that detectors may be given
 _MOST_TRIED = 18  # spectra in the place of those that detectors look for
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
@@ -244,9 +245,8 @@ def scenario_model(side: Collected) -> ScenarioModel:
             yield joined(side, scenarios, parts)
 
     def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, float]) -> Products:
-        changed, detection = with_settings(side.campaign, changes), None
-        if changed.detection is not None:  # no residual is an area
-            detection = changed.detection.model_copy(update={"unmixing": None, "areas": []})
+        changed = with_settings(side.campaign, changes)  # no residual is an area
+        detection = changed.detection and changed.detection.model_copy(update={"unmixing": None, "areas": []})
         before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
             bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
@@ -269,13 +269,20 @@ def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
 
     >>> from types import SimpleNamespace as Of
     >>> truth = Of(rasters=Of(materials={"red": "red.hdr", "green": "green.hdr", "blue": "blue.hdr"}))
-    >>> campaign = Of(collection=Of(empirical_line=None, targets=truth), detection=None)
-    >>> setting, pairs = exchanges_of(Of(campaign=campaign, scenarios=[]))["exchanged materials of the truth"]
+    >>> detection = Of(background=["lawn"], bands="good")
+    >>> campaign = Of(collection=Of(empirical_line=None, targets=truth), detection=detection)
+    >>> side = Of(campaign=campaign, scenarios=[], observed=Of(place=Of(regions=["lawn", "lot"])))
+    >>> found = exchanges_of(side)
+    >>> setting, pairs = found["exchanged materials of the truth"]
     >>> setting, len(pairs), pairs["red and blue"]
     ('collection.targets.rasters.materials', 3, {'red': 'blue.hdr', 'green': 'green.hdr', 'blue': 'red.hdr'})
+    >>> found["pixels behind the filters"], found["bands of the detectors"][1].keys()
+    (('detection.background', {'lot': ['lot'], 'scene': ['scene']}), dict_keys(['windows', 'all']))
     """
-    collection, truth = side.campaign.collection, side.campaign.collection.targets
-    panels, targets = entries_of(collection.empirical_line, "panels"), entries_of(side.campaign.detection, "targets")
+    collection, detection, truth = side.campaign.collection, side.campaign.detection, side.campaign.collection.targets
+    panels, targets = entries_of(collection.empirical_line, "panels"), entries_of(detection, "targets")
+    behind = detection.background if detection else []
+    others = [n for n in (*side.observed.place.regions, SCENE) if [n] != behind] if side.observed.place else []
     materials = truth.rasters.materials if truth and truth.rasters else {}
     of_model = {t["name"]: t["spectrum"] for s in side.scenarios for t in entries_of(s.scene, "targets")}
     looked_for = others_in_place({t["name"]: t["spectrum"] for t in targets}, of_model, "of the model")
@@ -289,6 +296,8 @@ def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
         "spectrum that detectors look for": (
             "detection.targets", _with_spectra(targets, "name", looked_for if len(looked_for) <= _MOST_TRIED else {})
         ),
+        "pixels behind the filters": ("detection.background", {n: [n] for n in others if behind}),
+        "bands of the detectors": ("detection.bands", {b: b for b in _BANDS if detection and b != detection.bands}),
     }  # fmt: skip
 
 
