@@ -91,14 +91,12 @@ def drawings_of(
         for figure in figures:
             shown = figure.views[: MAX_PANELS * _MOST_PAGES]
             pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
-            title = figure.title
-            if len(shown) < len(figure.views):
-                title += left_out(len(shown), len(figure.views))
+            left = left_out(len(shown), len(figure.views)) if len(shown) < len(figure.views) else ""
             for number, views in enumerate(pages, start=1):
                 name = figure.name if len(pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
                 canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
-                own = name, figure.section, title, figure.alt, content.getvalue(), kind
+                own = name, figure.section, figure.title + left, figure.alt, content.getvalue(), kind
                 out.append(Drawing(*own, legend=figure.legend))
     return out
 
@@ -108,8 +106,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
     columns = 1 if len(views) == 1 else 2 if len(views) <= 4 else 3
     rows, parts = math.ceil(len(views) / columns), max(len(view.parts) for view in views)
     scale = _JOURNAL_SCALE if journal else 1.0
-    size = scale * figure.width_in, scale * (1.0 + rows * _height_in(views[0]))
-    canvas = Canvas(figsize=size, layout="constrained")
+    height_in = scale * (1.0 + rows * _height_in(views[0]))
+    canvas = Canvas(figsize=(scale * figure.width_in, height_in), layout="constrained")
     FigureCanvasAgg(canvas)
     if not journal:
         words = plain(figure.head or figure.title) + (" (simulated collection)" if simulated else "")
@@ -134,7 +132,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
                 axes.tick_params(labelbottom=False)
             above = axes
     handles, labels = legend_of(*views)
-    place: dict[str, Any] = {"loc": "outside lower center", "ncols": 4}
+    fit = int(figure.width_in / (0.08 * sum(map(len, labels)) / max(len(labels), 1) + 0.55))  # beside each other
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": min(max(fit, 1), 4)}
     if figure.legend_title:
         place = {"loc": "outside right center", "title": plain(figure.legend_title)}
     if labels:
