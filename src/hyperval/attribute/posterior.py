@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -136,7 +136,7 @@ class Fit:
         return words + ", as far as it can" * self.limited
 
 
-@cache
+@lru_cache(maxsize=256)
 def _spreads(most: float, is_named: bool) -> tuple[Array, Array, Array]:
     """Spreads tau (T,) of directions that may go so far, factors (S,) on all variances, ln of their prior (S, T)."""
     spreads = np.geomspace(0.02, most, 41)
@@ -145,7 +145,7 @@ def _spreads(most: float, is_named: bool) -> tuple[Array, Array, Array]:
     return tau, scale2, np.log(weight / weight.sum()) - 0.5 * np.log(scale2)[:, None]
 
 
-@cache
+@lru_cache(maxsize=256)
 def _between(sizes: tuple[float, ...]) -> scipy.interpolate.CubicSpline:
     """Weights of the values at some sizes in the value at another one."""
     order = np.argsort(sizes)

@@ -200,6 +200,13 @@ class Causes:
         >>> found.first, found.best.causes[0].in_words
         ('position of the target regions', '+3 lines, +2 samples')
 
+        A band that held nothing in the accepted run has no part by which it moved:
+
+        >>> spectrum = ResidualBlock("radiance", "paint", "", np.full(3, 0.4), 1e-6 * np.eye(3), len, np.arange(3))
+        >>> told = {"radiance of paint": ("0 1 2", "0 0.4 0.4", "0 0 0")}
+        >>> causes(spectrum, mistaken=lambda mistake: np.zeros(3)).changed(told, simulated=False).first
+        'none of these'
+
         What is rarer is asked one after the other, until one cause suffices:
 
         >>> def rarer(name, column):
@@ -313,9 +320,9 @@ class Causes:
         variance, change = np.zeros(level.size), np.zeros(level.size)
         change[of] = moved
         for block, at in self.stack.placed():
-            scale, floor = (np.abs(level[at]), SPECTRUM_FLOOR) if block.bands is not None else (1.0, CHANGE_FLOOR)
-            part = np.sqrt(np.mean((change[at] / np.maximum(scale, 1e-300)) ** 2))
-            variance[at] = np.maximum(scale**2 * (floor**2 + (OFF * part) ** 2), 1e-300)
+            size, floor = (np.abs(level[at]), SPECTRUM_FLOOR) if block.bands is not None else (np.ones(1), CHANGE_FLOOR)
+            size = size.clip(1e-3 * size.max() + 1e-12)
+            variance[at] = size**2 * (floor**2 + OFF**2 * np.mean((change[at] / size) ** 2))
         own = {replace(c, unbounded=True): g[of] for c, g in columns.items() if np.any(g[of])}
         return self.explained(moved, np.diag(variance[of]), own, of, level, False)[1]
 
