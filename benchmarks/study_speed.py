@@ -103,7 +103,7 @@ def main() -> None:
     still = read(scenario, Origins())
     nodes = {RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())}
     hazy = read(scenario, Origins(), nodes=nodes)
-    hazy.stated.atmosphere.prepare([], True)
+    hazy.stated.atmosphere.prepare([])
     print("evaluations a second; 360 bands, 5 classes, radiance, SNR, ROC of 181 points; one BLAS thread a worker")
     head = ("predict", "1, cpu", "ratio", "2, cpu", "scaling", "1, wall", "2, wall")
     print(f"{'design':26s}" + "".join(f"{h:>9s}" for h in head))
