@@ -77,6 +77,13 @@ def test_what_is_not_there_is_refused():
         replace(of_region(None), components=two_clusters().at(np.arange(4)))
 
 
+def test_ace_of_a_population_is_its_own_whatever_others_there_are():
+    few, loose = "elm: none, samples: 1500, detectors: [ace]", "{name: loose, fill: {mean: 0.15, sd: 0.05}}"
+    changes = ({loose: other, "detectors: [cem]": few} for other in (loose, "{name: loose, fill: {fixed: 1.0}}"))
+    beside = [predict(scenario("", **each), Origins(AXIS)).roc["tenth", "ace", "pixel"].pd for each in changes]
+    assert beside[0] == pytest.approx(beside[1], abs=1e-9)
+
+
 SLOW = pytest.mark.slow
 GAIN = {"grass": 1.5, "asphalt": 0.7}  # of the classes' covariances
 SQUARE = "{geometry: {side_m: 0.3, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"

@@ -763,7 +763,5 @@ def _line(world: World, *, gain: float, offset: float) -> Truth:
 
 
 def _through_line(estimate: SpectralEstimate, gain: float, offset: float) -> SpectralEstimate:
-    pixels = estimate.pixel_covariance
-    return replace(
-        estimate, mean=gain * estimate.mean + offset, pixel_covariance=None if pixels is None else gain**2 * pixels
-    )
+    pixels = None if estimate.pixel_covariance is None else gain**2 * estimate.pixel_covariance
+    return replace(estimate, mean=gain * estimate.mean + offset, pixel_covariance=pixels)

@@ -367,7 +367,7 @@ def array_raster(
     unlike = any((p.size("l"), p.size("s")) != (lines, samples) for p in pieces)
     refuse(unlike, "array.sizes", store.path, shapes=", ".join(str(p.shape) for p in pieces))
     size, dtype = (lines, samples, sum(p.size("b") for p in pieces)), np.result_type(*(p.dtype for p in pieces))
-    return ArrayRaster(store.path, size, dtype, description, *position, store=store, pieces=pieces)
+    return ArrayRaster(store.path, *size, dtype, description, *position, store=store, pieces=pieces)
 
 
 # Arrays with labels: xarray -----------------------------------------------------------------------------------------

@@ -320,9 +320,7 @@ def _spacing_by_detector(centre: Array) -> Array:
     if min(d.size for d in detectors) >= 2:
         return np.concatenate([fwhm_from_spacing(d) for d in detectors])
     order = np.argsort(centre, kind="stable")
-    out = np.empty_like(centre)
-    out[order] = fwhm_from_spacing(centre[order])
-    return out
+    return fwhm_from_spacing(centre[order])[np.argsort(order)]
 
 
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
@@ -366,7 +364,7 @@ class Raster:
     Attributes
     ----------
     path : the data file
-    size : (lines, samples, bands)
+    lines, samples, bands : size of the image
     dtype : of a stored number
     description : what the files say
     transform : from continuous (sample, line) to map coordinates, None without
@@ -375,7 +373,9 @@ class Raster:
     """
 
     path: Path
-    size: tuple[int, int, int]
+    lines: int
+    samples: int
+    bands: int
     dtype: np.dtype
     description: Description = Description()
     transform: Affine | None = None
@@ -386,19 +386,9 @@ class Raster:
     in_blocks = False  # whether reading line by line would unpack the same blocks again and again
 
     @property
-    def lines(self) -> int:
-        """Number of lines."""
-        return self.size[0]
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        return self.size[1]
-
-    @property
-    def bands(self) -> int:
-        """Number of bands."""
-        return self.size[2]
+    def size(self) -> tuple[int, int, int]:
+        """(lines, samples, bands)."""
+        return self.lines, self.samples, self.bands
 
     @property
     def source_files(self) -> tuple[Path, ...]:

@@ -218,7 +218,7 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains)
     size = parsed.lines, parsed.samples, parsed.bands
-    return EnviRaster(data, size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
+    return EnviRaster(data, *size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
 
 
 def _check_size(data: Path, header: EnviHeader) -> None:

@@ -73,7 +73,7 @@ def open_tiff(path: Path, header: Path | str | None) -> TiffRaster:
         scale = Scale(np.array(dataset.scales), np.array(dataset.offsets), "scale and offset tags of the GeoTIFF")
         about = Description(bands=_bands_in_tags(dataset, path), scale=scale, ignore_value=dataset.nodata)
         size = dataset.height, dataset.width, dataset.count
-        raster = TiffRaster(path, size, dtype, about, transform, dataset.crs)
+        raster = TiffRaster(path, *size, dtype, about, transform, dataset.crs)
     sidecar = Path(header) if header is not None else header_beside(path)
     if sidecar is None:
         described = described_beside(path, raster.bands, about.ignore_value)

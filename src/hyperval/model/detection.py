@@ -416,8 +416,6 @@ def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: Mask) -> Ind
     return np.flatnonzero(keep)
 
 
-# P_D in probit is smooth in the fill: Chebyshev nodes over the fills that occur.
-_NODES = 7
 # Most of a pixel's draws are plain; the others reach where it has the false alarms of its host alone.
 _DECADES = (0.0, 0.0, 0.0, 0.0, 3.0, 6.0)
 
@@ -435,8 +433,7 @@ class AcePixels(NamedTuple):
         z = probit([e.probability for e in self.at_nodes])  # (nodes, S)
         distinct, inverse = np.unique(fills.round(6), return_inverse=True)
         table = ndtr(np.stack([np.interp(distinct, self.nodes, row) for row in z.T], axis=1))  # (fills, S)
-        log_missed = np.log(np.clip(1.0 - table, 1e-300, 1.0))
-        missed = np.exp(log_missed[inverse.reshape(fills.shape)].sum(axis=1))
+        missed = (1.0 - table)[inverse.reshape(fills.shape)].prod(axis=1)
         return Exceedance(self.background.scores, 1.0 - weights @ missed, error)
 
 
@@ -568,10 +565,27 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
 
     # Those of whole objects too, even where their curve is not asked for.
     own = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
-    every = np.concatenate([of_truth(e.fills(i, objects).values, u) for i in own for objects in (False, True)])
-    middle, reach = 0.5 * (every.max() + every.min()), 0.5 * (every.max() - every.min())
-    nodes = np.unique(middle - reach * np.cos(np.pi * np.arange(_NODES) / (_NODES - 1)))
-    return AcePixels(background, nodes, [at_fill(float(f)) for f in nodes])
+    every = [of_truth(e.fills(i, objects).values, u) for i in own for objects in (False, True)]
+    spans, asked = [(float(fills.min()), float(fills.max())) for fills in every], background.probability >= e.pfa[0]
+    nodes: dict[float, Exceedance] = {}
+    while spans:
+        low, high = spans.pop()
+        middle = 0.5 * (low + high)
+        nodes |= {fill: at_fill(fill) for fill in {low, middle, high} - nodes.keys()}
+        if high - low > 1e-3 and not _is_straight(*(nodes[f].probability[asked] for f in (low, middle, high))):
+            spans += [(low, middle), (middle, high)]
+    return AcePixels(background, np.array(sorted(nodes)), [nodes[fill] for fill in sorted(nodes)])
+
+
+def _is_straight(low: Array, middle: Array, high: Array) -> bool:
+    """Whether P_D over the fill is linear in probit: what the ends say of the middle of a gap between nodes.
+
+    It is where it is neither 0 nor 1; how steeply it rose towards either does not show there, so both the probability
+    and its probit within 3 are compared.  The mean over the fills of a population is then known to 0.002.
+    """
+    ends, within = probit([low, high]), probit([low, middle, high]).clip(-3.0, 3.0)
+    bent = np.abs(within[[0, 2]].mean(axis=0) - within[1])
+    return bool(np.all((np.abs(ndtr(ends.mean(axis=0)) - middle) < 0.05) & (bent < 1.0)))
 
 
 def _mixed(parts: Array, each: Sequence[Exceedance]) -> Exceedance:
