@@ -178,7 +178,7 @@ class Candidate:
     @property
     def unit(self) -> str:
         """One unit in a sentence."""
-        return "stated uncertainty" if self.budgeted else f"step of {self.step}"
+        return "stated uncertainty" if self.budgeted else f"step of {self.step}".removesuffix(" of ")
 
     @property
     def most(self) -> float:

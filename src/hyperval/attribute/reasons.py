@@ -328,7 +328,8 @@ class Causes:
 
     def beside(self, level: Array, change: Array) -> Array:
         """A change (n,) or (n, k) of the prediction, of spectra of ``level`` (n,) the same part."""
-        return np.asarray((change.T * np.where(self.stack.bands >= 0, level / self.predicted, 1.0)).T)
+        spectral = self.stack.bands >= 0
+        return np.asarray((change.T * np.divide(level, self.predicted, np.ones(level.size), where=spectral)).T)
 
     def explained(
         self, residual: Array, covariance: Array, columns: dict[Candidate, Array], of: Index, level: Array, noisy: bool
@@ -629,12 +630,10 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         assert item.candidate is not None  # noqa: S101 - of a candidate
         none, cause = ("", Cause.NONE) if item.candidate.budgeted else (" (none is stated)", Cause.NO_UNCERTAINTY)
         unit = f"in units of the {item.candidate.unit}{none}"
-        own = [
-            row("probability", r.probability[item.name], reason=f"rank {place}: {item.in_words}", n=r.dof),
-            row("likelihood_gain", max(2.0 * item.evidence, 0.0), reason=f"rank {place}: {item.in_words}", n=r.dof),
-            row("needed_uncertainty", abs(item.units), cause=cause, reason=unit),
-        ]
-        yield from named(own, "attribution", r.group, item.name)
+        gained = {"probability": r.probability[item.name], "likelihood_gain": max(2.0 * item.evidence, 0.0)}
+        own = [row(metric, value, reason=f"rank {place}: {item.in_words}", n=r.dof) for metric, value in gained.items()]
+        needed = row("needed_uncertainty", abs(item.units), cause=cause, reason=unit)
+        yield from named([*own, needed], "attribution", r.group, item.name)
 
 
 def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:

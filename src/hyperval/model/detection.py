@@ -581,7 +581,12 @@ def _is_straight(low: Array, middle: Array, high: Array) -> bool:
     """Whether P_D over the fill is linear in probit: what the ends say of the middle of a gap between nodes.
 
     It is where it is neither 0 nor 1; how steeply it rose towards either does not show there, so both the probability
-    and its probit within 3 are compared.  The mean over the fills of a population is then known to 0.002.
+    and its probit within 3 are compared.  The mean over fills of felts of 0.5 to 3 m at 1 m was then known to 0.002.
+
+    >>> _is_straight(*ndtr([[-1.0], [0.0], [1.0]]))
+    True
+    >>> _is_straight(*ndtr([[-3.0], [9.0], [9.0]])), _is_straight(*ndtr([[1.0], [9.0], [9.0]]))
+    (False, False)
     """
     ends, within = probit([low, high]), probit([low, middle, high]).clip(-3.0, 3.0)
     bent = np.abs(within[[0, 2]].mean(axis=0) - within[1])
