@@ -77,13 +77,6 @@ def test_what_is_not_there_is_refused():
         replace(of_region(None), components=two_clusters().at(np.arange(4)))
 
 
-def test_ace_of_a_population_is_its_own_whatever_others_there_are():
-    few, loose = "elm: none, samples: 1500, detectors: [ace]", "{name: loose, fill: {mean: 0.15, sd: 0.05}}"
-    changes = ({loose: other, "detectors: [cem]": few} for other in (loose, "{name: loose, fill: {fixed: 1.0}}"))
-    beside = [predict(scenario("", **each), Origins(AXIS)).roc["tenth", "ace", "pixel"].pd for each in changes]
-    assert beside[0] == pytest.approx(beside[1], abs=1e-9)
-
-
 SLOW = pytest.mark.slow
 GAIN = {"grass": 1.5, "asphalt": 0.7}  # of the classes' covariances
 SQUARE = "{geometry: {side_m: 0.3, gsd_m: 0.7, heading_deg: 10, psf_fwhm_pixels: 0.8, pixels: ranked, n: 3}}"
@@ -151,6 +144,13 @@ def test_drawn_objects_have_the_law_of_their_curve(dof, host, fill):
     assert found == pytest.approx(curve.pd, abs=0.0083)
     far = curve.pd < 2e-3  # a few per cent of what lies far out: 5 standard deviations
     assert np.all(np.abs(found - curve.pd)[far] < 5.0 * np.sqrt(curve.pd[far] / draws.size) + 2.0 / draws.size)
+
+
+def test_ace_of_a_population_is_the_mean_over_its_pixels_whatever_others_there_are():
+    each = (0.02, 0.05, 0.1, 0.9)
+    fills = (f"{{listed: {[[f] for f in each]}}}", *(f"{{fixed: {f}}}" for f in each))
+    whole, *alone = (run(scene(f, detectors="ace"))[0].roc["tenth", "ace", "pixel"].pd for f in fills)
+    assert whole == pytest.approx(np.mean(alone, axis=0), abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -428,7 +428,13 @@ class AcePixels(NamedTuple):
     at_nodes: list[Exceedance]
 
     def any_of(self, fills: Array, weights: Array) -> Exceedance:
-        """Probability that any of the pixels with ``fills`` (K, n) passes, averaged with ``weights`` (K,)."""
+        """Probability that any of the pixels with ``fills`` (K, n) passes, averaged with ``weights`` (K,).
+
+        >>> pixel = Exceedance(np.array([0.5]), np.array([0.4]), np.zeros(1))
+        >>> of_two = AcePixels(pixel, np.array([0.1, 0.2]), [pixel, pixel]).any_of(np.array([[0.1, 0.2]]), np.ones(1))
+        >>> of_two.probability.round(9).tolist()
+        [0.64]
+        """
         error = np.max([e.standard_error for e in self.at_nodes], axis=0)
         z = probit([e.probability for e in self.at_nodes])  # (nodes, S)
         distinct, inverse = np.unique(fills.round(6), return_inverse=True)
@@ -587,6 +593,8 @@ def _is_straight(low: Array, middle: Array, high: Array) -> bool:
     True
     >>> _is_straight(*ndtr([[-3.0], [9.0], [9.0]])), _is_straight(*ndtr([[1.0], [9.0], [9.0]]))
     (False, False)
+    >>> _is_straight(*ndtr([[-2.0], [0.9], [2.0]]))
+    False
     """
     ends, within = probit([low, high]), probit([low, middle, high]).clip(-3.0, 3.0)
     bent = np.abs(within[[0, 2]].mean(axis=0) - within[1])
