@@ -725,12 +725,9 @@ def _without_tails(world: World) -> Truth:
 
 def _other_material(world: World) -> Truth:
     """Of the built-in materials the one that is least like the target."""
-    moves = {}
     others = [builtin_mean(n, world.stated.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
-    for path, own in _each(world, "surfaces.[{target}].mean").items():
-        gaps = [float(np.nanmean((mean - own) ** 2)) for mean in others]
-        moves[path] = others[int(np.argmax(gaps))]
-    return moves
+    means = _each(world, "surfaces.[{target}].mean").items()
+    return {path: max(others, key=lambda mean: float(np.nanmean((mean - own) ** 2))) for path, own in means}
 
 
 def _fine_texture(world: World) -> Truth:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -572,12 +573,13 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     # Those of whole objects too, even where their curve is not asked for.
     own = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
     every = [of_truth(e.fills(i, objects).values, u) for i in own for objects in (False, True)]
-    spans, asked = [(float(fills.min()), float(fills.max())) for fills in every], background.probability >= e.pfa[0]
-    nodes: dict[float, Exceedance] = {}
+    ends = sorted({float(end) for fills in every for end in (fills.min(), fills.max())})
+    nodes, asked = {fill: at_fill(fill) for fill in ends}, background.probability >= e.pfa[0]
+    spans = [(a, b) for a, b in pairwise(ends) if any(fills.min() <= a and b <= fills.max() for fills in every)]
     while spans:
         low, high = spans.pop()
         middle = 0.5 * (low + high)
-        nodes |= {fill: at_fill(fill) for fill in {low, middle, high} - nodes.keys()}
+        nodes[middle] = at_fill(middle)
         if high - low > 1e-3 and not _is_straight(*(nodes[f].probability[asked] for f in (low, middle, high))):
             spans += [(low, middle), (middle, high)]
     return AcePixels(background, np.array(sorted(nodes)), [nodes[fill] for fill in sorted(nodes)])
