@@ -244,8 +244,7 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     except UnicodeDecodeError as error:
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
     data, lines = parse_yaml(text, str(path))
-    if not isinstance(data, dict):
-        raise UsageError("holds no keys", where=f"{path}:1", expected="lines of the form 'key: value'")
+    refuse(not isinstance(data, dict), "yaml.keys", f"{path}:1")
     return data, lines
 
 
@@ -272,13 +271,10 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
         out: dict[str, Any] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
-            if not isinstance(key_node, yaml.ScalarNode):
-                raise UsageError("keys must be plain words", where=f"{name}:{line}")
+            refuse(not isinstance(key_node, yaml.ScalarNode), "yaml.plain", f"{name}:{line}")
             key = str(key_node.value)
             if key in out:
-                raise UsageError(
-                    f"the key {key!r} occurs twice (first on line {lines[(*at, key)]})", where=f"{name}:{line}"
-                )
+                raise refusal("yaml.twice", f"{name}:{line}", key=key, first=lines[(*at, key)])
             lines[(*at, key)] = line
             out[key] = _construct(value_node, (*at, key), lines, name)
         return out
@@ -373,8 +369,7 @@ def schema_text(kind: str) -> str:
 
 def unwritten(path: Path) -> Path:
     """The path of a draft; UsageError where something stands there."""
-    if path.exists():
-        raise UsageError("already exists", where=str(path), mend="name another place with --output (-o)")
+    refuse(path.exists(), "file.exists", str(path))
     return path
 
 

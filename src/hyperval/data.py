@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal, refuse
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -86,21 +86,13 @@ class Components:
         )
         count, bands = offsets.shape if offsets.ndim == 2 else (0, 0)
         if weights.shape != (count,) or covariances.shape != (count, bands, bands) or not 0 < count <= MOST_COMPONENTS:
-            raise UsageError(
-                f"components with weights {weights.shape}, offsets {offsets.shape} and covariances "
-                f"{covariances.shape} contradict each other",
-                expected=f"(K,), (K, B) and (K, B, B) of 1-{MOST_COMPONENTS} components",
-            )
-        if not all(np.all(np.isfinite(x)) for x in (weights, offsets, covariances)):
-            raise UsageError("components must be finite")
+            shapes = {"weights": weights.shape, "offsets": offsets.shape, "covariances": covariances.shape}
+            raise refusal("components.shapes", **shapes, most=MOST_COMPONENTS)
+        refuse(not all(np.all(np.isfinite(x)) for x in (weights, offsets, covariances)), "components.finite")
         if np.any(weights <= 0) or abs(float(weights.sum()) - 1.0) > 1e-6:
-            raise UsageError(
-                f"the weights {np.array2string(weights, precision=4)} are not those of a mixture",
-                expected="positive numbers that sum to 1",
-            )
+            raise refusal("components.weights", weights=np.array2string(weights, precision=4))
         check_covariances(covariances, "the covariance of a component")
-        if not self.dof > 2:
-            raise UsageError(f"degrees of freedom of components must exceed 2, got {self.dof:g}")
+        refuse(not self.dof > 2, "components.dof", dof=self.dof)
         vars(self).update(weights=weights, offsets=offsets, covariances=covariances)
 
     def __len__(self) -> int:
@@ -163,8 +155,7 @@ class SampleStatistics:
         b^2 = min(d^2, sum_k |x_k x_k^T - S|^2 / n^2), the sum being sum |x_k|^4 - n |S|^2.
         Source: Ledoit & Wolf, J. Multivariate Anal. 88, 365-411, 2004, section 3.
         """
-        if np.isnan(self.fourth):
-            raise UsageError("the fourth moment was not summed", mend="take statistics_of the pixels themselves")
+        refuse(np.isnan(self.fourth), "sample.fourth")
         s = self.covariance * ((self.n - 1) / self.n)
         mu = np.trace(s) / s.shape[0]
         d2 = float(np.sum((s - mu * np.eye(s.shape[0])) ** 2))
@@ -191,8 +182,7 @@ def statistics_of(pixels: npt.ArrayLike) -> SampleStatistics:
     Pixels are taken relative to the first one and then to the mean, which keeps every digit on bright flat scenes.
     """
     x = np.asarray(pixels, dtype=float)
-    if x.ndim != 2 or x.shape[0] < 2 or not np.all(np.isfinite(x)):
-        raise UsageError(f"statistics need two or more finite pixels (n, B), got an array of {x.shape}")
+    refuse(x.ndim != 2 or x.shape[0] < 2 or not np.all(np.isfinite(x)), "sample.few", shape=x.shape)
     z = x - x[0]
     mean = z.mean(axis=0)
     z -= mean

@@ -20,7 +20,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
-from hyperval.errors import InputError, UsageError, reader
+from hyperval.errors import InputError, reader, refuse
 from hyperval.storage import decoded
 
 Resolve = Callable[[str], Path]  # the path that a reference of a file leads to
@@ -67,11 +67,9 @@ def checked_file(path: Path | str, *, root: Path | None = None, what: str = "fil
     """
     text = os.fspath(path)
     scheme = re.match(r"^[A-Za-z][A-Za-z0-9+._-]+:", text)
-    if scheme or text.startswith("/vsi") or "\0" in text:
-        raise UsageError(f"not a path of a local {what}", where=text[:200], expected="a path in the file system")
+    refuse(scheme or text.startswith("/vsi") or "\0" in text, "path.local", text[:200], what=what)
     out = _checked(Path(text), root, what, folder=False)
-    if most is not None and out.stat().st_size > most:
-        raise InputError(f"larger than {most} bytes", where=text, expected=f"a {what}")
+    refuse(most is not None and out.stat().st_size > most, "path.large", text, most=most, what=what)
     return out
 
 
@@ -79,8 +77,7 @@ def checked_folder(path: Path | str) -> Path:
     """The path of a folder that holds all of its files, by the rules of :func:`checked_file`."""
     given = _checked(Path(path), None, "Zarr store", folder=True)
     real = given.resolve()
-    if any(not p.resolve().is_relative_to(real) for p in given.rglob("*")):
-        raise UsageError("the Zarr store leads to files outside it", where=str(path), mend="copy the files into it")
+    refuse(any(not p.resolve().is_relative_to(real) for p in given.rglob("*")), "path.zarr", str(path))
     return given
 
 
@@ -101,10 +98,8 @@ def _checked(given: Path, root: Path | None, what: str, *, folder: bool) -> Path
         raise InputError(f"no such {what}", where=text) from None
     except (OSError, RuntimeError) as error:  # RuntimeError: a circle of links
         raise InputError(f"cannot read: {getattr(error, 'strerror', error)}", where=text) from error
-    if root is not None and not real.is_relative_to(Path(root).resolve()):
-        raise UsageError(
-            f"the {what} lies outside the data root {root}", where=text, mend="move the file under the data root"
-        )
+    is_outside = root is not None and not real.is_relative_to(Path(root).resolve())
+    refuse(is_outside, "path.root", text, what=what, root=root)
     if not (stat.S_ISDIR(mode) if folder else stat.S_ISREG(mode)):
         kind = "a folder" if stat.S_ISDIR(mode) else "a file" if stat.S_ISREG(mode) else "a pipe, socket or device"
         raise InputError(f"is {kind}, not a {what}", where=text, expected="a folder" if folder else "a regular file")
@@ -128,8 +123,7 @@ def head_of(path: Path, count: int = 512) -> bytes:
 def read_text(path: Path, most: int = MAX_TEXT_BYTES) -> str:
     """Text of a file, gzipped or not, of at most so many bytes."""
     raw = head_of(path, most + 1)
-    if len(raw) > most:
-        raise InputError(f"larger than {most >> 20} MiB", where=str(path))
+    refuse(len(raw) > most, "xml.large", str(path), value=most >> 20)
     return decoded(raw)
 
 
@@ -142,8 +136,7 @@ def read_xml(path: Path, most: int = MAX_TEXT_BYTES) -> ElementTree.Element:
     InputError : larger, with a DOCTYPE or ENTITY, or no XML.
     """
     text = read_text(path, most)
-    if re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
-        raise InputError("a DOCTYPE or ENTITY is not allowed", where=str(path))
+    refuse(re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE), "xml.entity", str(path))
     try:
         # The document type is refused above, so no entity can be declared.
         return ElementTree.fromstring(re.sub(r"^<\?xml[^>]*\?>", "", text.lstrip()))  # noqa: S314
@@ -163,8 +156,7 @@ def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=divider, skipinitialspace=divider != "\t")
     try:
         fields = [f.lower() if f.lower() in known else f for f in map(str.strip, next(reader, []))]
-        if len(set(fields)) < len(fields):
-            raise InputError("two columns have the same name", where=f"{path}:1")
+        refuse(len(set(fields)) < len(fields), "table.twice", f"{path}:1")
         rows = []
         for cells in reader:
             if len(cells) > len(fields):

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from hyperval.config import validate
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -99,14 +99,12 @@ def path_parts(path: str) -> list[str]:
     while rest:
         if rest.startswith("["):
             word, bracket, rest = rest[1:].partition("]")
-            if not bracket or (rest and not rest.startswith(".")):
-                raise UsageError(f"setting {path!r}: a bracket is not closed", expected="[name with dots].key")
+            refuse(not bracket or (rest and not rest.startswith(".")), "setting.bracket", path=path)
             rest = rest[1:]
         else:
             word, _, rest = rest.partition(".")
         parts.append(word)
-    if not parts or not all(parts) or path.endswith("."):
-        raise UsageError(f"setting {path!r} is not a dotted path", expected="such as atmosphere.aot550")
+    refuse(not parts or not all(parts) or path.endswith("."), "setting.path", path=path)
     return parts
 
 

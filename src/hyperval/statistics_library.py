@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import MOST_COMPONENTS, Array, Components, check_covariances, statistics_of
-from hyperval.errors import UsageError, reader, refuse, told_of
+from hyperval.errors import UsageError, reader, refusal, refuse, told_of
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
@@ -78,11 +78,8 @@ class ClassStatistics:
         cov = np.asarray(self.covariance, dtype=float)
         bands = len(self.axis)
         if mean.shape != (bands,) or cov.shape != (bands, bands):
-            raise UsageError(
-                f"class {self.name!r}: mean {mean.shape} and covariance {cov.shape} do not fit {bands} bands"
-            )
-        if not (np.all(np.isfinite(mean)) and np.all(np.isfinite(cov))):
-            raise UsageError(f"class {self.name!r}: mean and covariance must be finite")
+            raise refusal("class.shapes", name=self.name, mean=mean.shape, covariance=cov.shape, bands=bands)
+        refuse(not (np.all(np.isfinite(mean)) and np.all(np.isfinite(cov))), "class.finite", name=self.name)
         check_covariances(cov, f"class {self.name!r}: the covariance")
         if self.tail_dof is not None and not self.tail_dof > 2:
             raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")

@@ -46,18 +46,22 @@ def test_targets_and_their_guard_are_left_out_of_the_scene(world, radius, pixels
 
 
 def test_a_mistake_moves_values_bands_targets_and_regions(world):
-    world.regions(corner=[35, 5, 10, 20])
+    world.regions(corner=[35, 5, 10, 20], b=[2, 30, 4, 4])
     seen = world.observe().place
     away = {"lines": 1, "samples": -2}
-    wrong, beside, elsewhere = map(seen.mistaken, ({"gain": 0.1, "offset": 0.05}, away, away | {"regions": 1}))
+    mistakes = ({"gain": 0.1, "offset": 0.05}, away, away | {"regions": 1}, away | {"regions": 1, "still": ["b"]})
+    wrong, beside, elsewhere, alone, other = map(seen.mistaken, (*mistakes, {"exchanged": ["corner", "b"]}))
     level = 0.05 * seen.statistics["scene"].mean.mean()
     assert wrong.cube.read(0, 3).values == pytest.approx(1.1 * seen.cube.read(0, 3).values + level)
     stretched = open_place(CollectionSection.model_validate(world.collection), world.resolve, {"nm": 2.0, "scale": 0.1})
     assert np.diff(stretched.cube.axis.centre_nm) == pytest.approx(1.1 * np.diff(seen.cube.axis.centre_nm))
     assert stretched.cube.axis.centre_nm.mean() == pytest.approx(seen.cube.axis.centre_nm.mean() + 2.0)
     assert np.array_equal(elsewhere.region("corner"), np.roll(seen.region("corner"), (1, -2), (0, 1)))
-    assert np.array_equal(beside.region("corner"), seen.region("corner"))
-    assert beside.targets[0].corner == tuple(np.add(seen.targets[0].corner, (1, -2)))
+    for was, one, name in ((seen, beside, "corner"), (elsewhere, alone, "corner"), (seen, alone, "b")):
+        assert np.array_equal(one.region(name), was.region(name))
+    assert np.array_equal([other.region("b"), other.region("corner")], [seen.region("corner"), seen.region("b")])
+    at = [place.targets[0].corner for place in (seen, alone, beside)]
+    assert at == [at[0], at[0], tuple(np.add(at[0], (1, -2)))]
     assert np.array_equal(beside.near_targets, np.roll(seen.near_targets, (1, -2), (0, 1)))
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from hyperval import baseline, imagery, model, spectra
 from hyperval import campaign as campaigns
 from hyperval.envi_header import header_beside
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.figures.catalogue import SPECTRA as PRODUCT_LABELS
 from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
 from hyperval.hdf5 import check_hdf5
@@ -103,8 +103,7 @@ class SidesPlot:
         ------
         UsageError : no side has a curve.
         """
-        if self.tables.roc.empty:
-            raise UsageError("nothing to draw: no ROC curve")
+        refuse(self.tables.roc.empty, "api.no_curve")
         marks = _lines(self.tables.roc, ["subject", "detector", "unit"], {"x": "pfa", "y": "pd"})
         axis = Axis("probability of false alarm", "log")
         return _drawn(single(axis, "probability of detection", marks, ends=(0.0, 1.0)), ax)

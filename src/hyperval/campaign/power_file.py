@@ -13,7 +13,7 @@ from pydantic import Field
 
 import hyperval
 from hyperval.config import Model, load_model
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.metrics import DIGITS, Evidence, default_tolerance
 from hyperval.results import Result
 from hyperval.storage import write_text
@@ -174,8 +174,7 @@ def accepted_table(name: str, folder: Path) -> PowerTable | None:
     if path is None:
         return None
     table = load_model(PowerTable, path)
-    if table.campaign != name:
-        raise UsageError(f"is the power table of {table.campaign!r}", where=str(path), expected=name)
+    refuse(table.campaign != name, "power.other", str(path), campaign=table.campaign, name=name)
     return table
 
 

@@ -23,7 +23,7 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__, baseline, campaign, scoreboard
-from hyperval.errors import HypervalError, InputError, UsageError, as_typed, words_and_code
+from hyperval.errors import HypervalError, InputError, UsageError, as_typed, refuse, words_and_code
 from hyperval.progress import set_listener
 
 if TYPE_CHECKING:
@@ -172,8 +172,7 @@ def check(
     everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
 ) -> int:
     """Run campaigns and sensors, and compare with what was accepted."""
-    if baselines is not None and not baselines.is_dir():
-        raise UsageError("no such folder", where=str(baselines), mend="name the folder of accepted numbers")
+    refuse(baselines is not None and not baselines.is_dir(), "folder.missing", str(baselines))
     folder = baselines or baseline.DEFAULT_FOLDER
     runs = baseline.check(campaigns or [], sensors or [], baselines=folder, source=source, output=output, junit=junit)
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
@@ -335,8 +334,7 @@ def drift(
     from hyperval.results import Outcome
     from hyperval.run import SECONDS_PER_YEAR, days_of
 
-    if within is not None and not within[0] < within[1]:
-        raise UsageError(f"--within {within[0]:g} {within[1]:g} holds no range", expected="lowest, highest")
+    refuse(within is not None and not within[0] < within[1], "drift.within", within=within)
     days = days_of(folders, product, subject, metric)
     print_table(
         ("time", "campaign", metric, "lower", "upper"),
@@ -489,8 +487,7 @@ def benchmark(
     scheduler: Scheduler = None,
 ) -> int:
     """Rank all detectors on every campaign."""
-    if wrong := [one for one in scores or () if not all(one.partition("="))]:
-        raise UsageError(f"--scores {wrong[0]}", expected="NAME=FILE, such as --scores net=net.npy")
+    refuse(wrong := [one for one in scores or () if not all(one.partition("="))], "scores.form", value=wrong)
     maps, own = dict(one.split("=", 1) for one in scores or ()), extend or []
     code = scoreboard.benchmark(campaigns, output, extensions=own, scores=maps, seed=seed, scheduler=scheduler)
     return finished(code, output)
@@ -709,8 +706,7 @@ def serve(
     from hyperval.web.store import LOOPBACK, MEGABYTE, ServerSettings
 
     for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
-        if given is not None and not given.is_dir():
-            raise UsageError("is no folder", where=str(given), expected=words)
+        refuse(given is not None and not given.is_dir(), "serve.folder", str(given), words=words)
     application = make_app(ServerSettings(
         place, campaigns, data, (*LOOPBACK, *(n.lower() for n in name or ())), https, scheduler,
         upload_bytes=upload_mb * MEGABYTE, long_seconds=seconds, memory_bytes=memory_mb * MEGABYTE, queue=queue,

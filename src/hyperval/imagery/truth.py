@@ -301,8 +301,7 @@ def region_objects(
     ------
     UsageError : sides by marked pixels whose ground area is not known.
     """
-    if side_m == "marked" and pixel_area_m2 is None:
-        raise refusal("target.marked", "targets.regions")
+    refuse(side_m == "marked" and pixel_area_m2 is None, "target.marked", "targets.regions")
     out = []
     for region in regions:
         shape = (region.mask.shape[0], region.mask.shape[1])

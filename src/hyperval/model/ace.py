@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.special import logsumexp, ndtr
 
 from hyperval.data import Array
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.model.filters import PositiveDefinite
 
 # Scores at which probabilities are evaluated: even in atanh of the cosine, which spreads both ends.
@@ -64,8 +64,7 @@ def ace_space(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayL
     UsageError : a singular covariance, or a target that is the background mean.
     """
     t, mu = np.asarray(target, dtype=float), np.asarray(mean, dtype=float)
-    if not np.any(t - mu):
-        raise UsageError("the target spectrum equals the background mean: no filter can tell them apart")
+    refuse(not np.any(t - mu), "target.background")
     factor = covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
     towards = factor.whiten(t - mu)
     return AceSpace(factor, mu, towards / np.linalg.norm(towards))

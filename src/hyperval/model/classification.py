@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal, refuse
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained, principal_components
 from hyperval.model.intervals import clopper_pearson
@@ -162,8 +162,7 @@ def with_distances(error: ClassificationError, laws: Sequence[ClassLaw]) -> Clas
     (Whitsitt & Landgrebe 1977; Kerekes & Landgrebe 1989), the upper bound that of (1/M) exp(-B), the lower bound
     the greatest single one. The bounds hold for normal classes.
     """
-    if len(laws) < 2:
-        raise UsageError("classification needs two classes")
+    refuse(len(laws) < 2, "features.classes")
     pairs = [bhattacharyya_distance(a.mean, a.covariance, b.mean, b.covariance) for a, b in combinations(laws, 2)]
     part = 2.0 / len(laws)
     each = [classification_error(distance) for distance in pairs]
@@ -184,17 +183,13 @@ def feature_bands(centre_nm: Array, usable: Mask, wavelengths_nm: Sequence[float
     UsageError : no usable band, or two wavelengths that share the nearest one.
     """
     indices = np.flatnonzero(usable)
-    if indices.size == 0:
-        raise UsageError("no usable band for classification")
+    refuse(indices.size == 0, "features.none")
     if not wavelengths_nm:
         return indices
     nearest = indices[np.abs(centre_nm[indices][None, :] - np.asarray(wavelengths_nm)[:, None]).argmin(axis=1)]
     bands, count = np.unique(nearest, return_counts=True)
     if np.any(count > 1):
-        raise UsageError(
-            f"two wavelengths share the band at {centre_nm[bands[count > 1][0]]:g} nm",
-            where="classification.features.bands_nm",
-        )
+        raise refusal("features.band", "classification.features.bands_nm", nm=centre_nm[bands[count > 1][0]])
     return bands
 
 

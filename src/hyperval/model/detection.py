@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from hyperval.model.fill import FillDistribution
 from hyperval.model.filters import LinearFilter, filter_base
@@ -404,16 +404,12 @@ def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: Mask) -> Ind
     if choice.ranges:
         keep &= np.any([(axis.centre_nm >= a) & (axis.centre_nm <= b) for a, b in choice.ranges], axis=0)
     for name, listed in (("channels", choice.channels), ("bad_channels", choice.bad_channels)):
-        if listed and max(listed) >= keep.size:
-            raise UsageError(
-                f"processing.bands.{name}: band {max(listed)} of {keep.size}",
-                expected=f"numbers from 0 to {keep.size - 1}",
-            )
+        most = max(listed or [0])
+        refuse(listed and most >= keep.size, "bands.number", name=name, most=most, size=keep.size, last=keep.size - 1)
         if listed:
             here = np.isin(np.arange(keep.size), listed)
             keep &= here if name == "channels" else ~here
-    if not keep.any():
-        raise UsageError("no band is left for detection", mend="widen processing: bands")
+    refuse(not keep.any(), "bands.none_left")
     return np.flatnonzero(keep)
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.scenario import Fill, Geometry
 from hyperval.spectra.axis import SIGMA_PER_FWHM
 
@@ -83,8 +83,7 @@ def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
     """
     if sd == 0:
         return fixed_fill(mean)
-    if not (0 < mean < 1 and sd**2 < mean * (1 - mean)):
-        raise UsageError(f"no fill fraction between 0 and 1 has mean {mean:g} and sd {sd:g}")
+    refuse(not (0 < mean < 1 and sd**2 < mean * (1 - mean)), "fill.moments", mean=mean, sd=sd)
     from scipy.stats import beta
 
     k = mean * (1 - mean) / sd**2 - 1
@@ -181,11 +180,7 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     """
     at = np.asarray(offset, dtype=float)
     length, width = geometry.sides_pixels
-    if max(length, width) > MAX_PIXELS_ACROSS:
-        raise UsageError(
-            f"the target is more than {MAX_PIXELS_ACROSS} pixels across",
-            mend="a target of that size is a class of its own: give it fill {fixed: 1}",
-        )
+    refuse(max(length, width) > MAX_PIXELS_ACROSS, "fill.large", most=MAX_PIXELS_ACROSS)
     s_y, s_x = (SIGMA_PER_FWHM * fwhm for fwhm in _both(geometry.psf_fwhm_pixels))
     least = min(s_y, s_x)  # decides how finely the integrand is cut
     half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * max(s_y, s_x))) + 1
@@ -293,8 +288,7 @@ def shared_pixel_fills(
     UsageError : a random heading: what lies beside a target that may lie any way is not known.
     """
     for geometry in (own, *(geometry for geometry, _ in neighbours)):
-        if geometry.heading_deg == "random":
-            raise UsageError("a target with a position has no heading", mend="state heading_deg or omit position_m")
+        refuse(geometry.heading_deg == "random", "fill.heading")
     fills, chosen = _fullest(own, n)
     others = np.zeros((*fills.shape, len(neighbours)))
     for j, (geometry, offset) in enumerate(neighbours):
@@ -359,12 +353,7 @@ def fill_distribution(fill: Fill) -> FillDistribution:
         return _of_geometry(fill.geometry, 0 if fill.geometry.pixels == "touched" else fill.geometry.n or 1)
     if fill.listed is not None:
         return _alike(np.concatenate([np.asarray(row, float) for row in fill.listed])).binned()
-    if fill.truth is not None:
-        raise UsageError(
-            "the fills are those of a collection's truth",
-            expected="a campaign whose targets come from a finer image or from abundances",
-            mend="run it within that campaign, or state fill.mean and fill.sd",
-        )
+    refuse(fill.truth is not None, "fill.truth")
     return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
 
 
@@ -437,8 +426,7 @@ def stacked_fills(each: Sequence[FillDistribution], which: Index) -> FillDistrib
     """
     if len(each) == 1:
         return each[0]
-    if any(e.shape != each[0].shape for e in each):
-        raise UsageError("the number of pixels of an object moves", mend="study one number at a time")
+    refuse(any(e.shape != each[0].shape for e in each), "fill.objects")
     width = max(e.values.size for e in each)
     values, weights = (
         np.array([np.pad(getattr(e, n)[0], (0, width - e.values.size)) for e in each]) for n in ("values", "weights")

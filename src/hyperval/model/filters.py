@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dtfttr
 
 from hyperval.data import Array, Index
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal, refuse
 from hyperval.model.radiance import Seen, add_products, diagonal_places, latest, of_truth, packed, unpacked
 from hyperval.model.stated import Stated
 
@@ -60,25 +60,15 @@ class PositiveDefinite:
         self.scale, self._values = scale, values
         diagonal = values[diagonal_places(scale.size)]
         bad = np.flatnonzero(~(diagonal > 0))
-        if bad.size or not np.isfinite(values.sum()):
-            raise UsageError(
-                f"the background matrix is singular: {bad.size} of {scale.size} bands have no variance "
-                f"(first: band {bad[0] + 1})"
-                if bad.size
-                else "the background matrix holds NaN or infinity",
-                mend="drop those bands from the detector's bands",
-            )
+        refuse(bad.size, "background.flat", bad=bad.size, bands=scale.size, first=bad[:1] + 1)
+        refuse(not np.isfinite(values.sum()), "background.finite")
         self._cholesky, failed = dpftrf(scale.size, values, uplo="L")
         pivots = self._cholesky[diagonal_places(scale.size)] ** 2 / diagonal
         if failed or (pivots.max() > _SUSPECT * pivots.min() and not self.condition <= MAX_CONDITION):
             eigenvalues = np.linalg.eigvalsh(self._at_unit_diagonal)
             rank = int(np.sum(eigenvalues > eigenvalues[-1] * scale.size * np.finfo(float).eps))
-            raise UsageError(
-                f"the background matrix is singular to working precision: rank {rank} of {scale.size} bands, "
-                f"condition number {np.inf if failed else self.condition:.3g}",
-                expected="more background pixels than bands, and bands that are not copies of each other",
-                mend="use fewer bands or features (PCA), more pixels, or add the sensor noise",
-            )
+            condition = np.inf if failed else self.condition
+            raise refusal("background.singular", rank=rank, bands=scale.size, condition=condition)
 
     @property
     def matrix(self) -> Array:
@@ -204,8 +194,7 @@ def _checked(
 def _energy(difference: Array, solved: Array) -> float:
     """d^T Sigma^-1 d."""
     energy = float(difference @ solved)
-    if not energy > 0:
-        raise UsageError("the target spectrum is zero in every band or equals the background mean: no filter finds it")
+    refuse(not energy > 0, "filter.zero")
     return energy
 
 
@@ -222,8 +211,7 @@ FILTERS: Mapping[str, Callable[[npt.ArrayLike, npt.ArrayLike, Any], LinearFilter
 
 def design_filter(detector: str, target: npt.ArrayLike, mean: npt.ArrayLike, covariance: Covariance) -> LinearFilter:
     """The filter that ``detector`` names in :data:`FILTERS` (3.22-3.25); UsageError when unknown."""
-    if detector not in FILTERS:
-        raise UsageError(f"unknown detector {detector!r}", expected="one of " + ", ".join(FILTERS))
+    refuse(detector not in FILTERS, "detector.unknown", name=detector, names=", ".join(FILTERS))
     return FILTERS[detector](target, mean, covariance)
 
 
@@ -235,8 +223,7 @@ def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
     UsageError : more components than bands, or none.
     """
     cov = np.asarray(covariance, dtype=float)
-    if not 1 <= count <= cov.shape[0]:
-        raise UsageError(f"{count} principal components of {cov.shape[0]} bands", expected="1 to the number of bands")
+    refuse(not 1 <= count <= cov.shape[0], "features.count", count=count, shape=cov.shape)
     vectors = np.linalg.eigh(cov)[1][:, ::-1][:, :count].T
     # The sign of an eigenvector is arbitrary: the largest entry is made positive, so that runs agree.
     largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=1)[:, None], axis=1)
@@ -259,11 +246,7 @@ def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayL
     UsageError : more components than bands, or a band without noise.
     """
     noise = np.asarray(noise_variance, dtype=float)
-    if not np.all(noise > 0):
-        raise UsageError(
-            f"minimum noise fractions need noise in every band; {int(np.sum(~(noise > 0)))} of {noise.size} have none",
-            mend="use pca, or a scenario with a sensor and an atmosphere",
-        )
+    refuse(not np.all(noise > 0), "features.noise", none=np.sum(~(noise > 0)), bands=noise.size)
     scale = 1.0 / np.sqrt(noise)
     return np.asarray(principal_components(np.asarray(covariance, dtype=float) * scale[:, None] * scale, count) * scale)
 
@@ -416,10 +399,8 @@ def fully_constrained(
     UsageError : shapes that do not fit, or numbers that are not finite.
     """
     x, e = np.asarray(spectra, dtype=float), np.asarray(endmembers, dtype=float)
-    if e.shape[-2:] != (2, *x.shape[-1:]):
-        raise UsageError(f"spectra {x.shape} and endmembers {e.shape}", expected="two endmembers on the same bands")
-    if not (np.all(np.isfinite(x)) and np.all(np.isfinite(e))):
-        raise UsageError("unmixing needs spectra and endmembers that are finite in every band")
+    refuse(e.shape[-2:] != (2, *x.shape[-1:]), "unmixing.shapes", shape=x.shape, shape2=e.shape)
+    refuse(not (np.all(np.isfinite(x)) and np.all(np.isfinite(e))), "unmixing.finite")
     d = e[..., 0, :] - e[..., 1, :]
     # The endmembers are weighted and not the spectra, of which there are many.
     weighted = d if noise is None else noise.solve(d.reshape(-1, d.shape[-1]).T).T.reshape(d.shape)

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hyperval.data import Array, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.model.stated import SurfaceStatistics, Truth, correlation
 from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, SURROUNDINGS, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
@@ -72,8 +72,7 @@ def form_in_words(form: SpectralForm) -> str:
 def _arms(axis: SpectralAxis, sensor: Sensor | None) -> list[Mask]:
     w, groups = axis.centre_nm, []
     arms = sensor.specification.arms if sensor is not None else ()
-    if not arms:
-        raise UsageError("uncertainty: correlation: arms needs a sensor with arms", mend="use correlation_nm")
+    refuse(not arms, "uncertainty.arms")
     taken = np.zeros(w.shape, bool)
     for low, high in (arm.range_nm for arm in arms):
         groups.append((w >= low) & (w <= high) & ~taken)
@@ -94,11 +93,7 @@ def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axi
     if surface.standard_deviation is None:
         raise UsageError(f"uncertainty of {item.subject!r}: its spectrum's file carries no standard deviation")
     n = (surface.n or 0) if item.divisor == "standard_error" else 1
-    if not n:
-        raise UsageError(
-            f"uncertainty of {item.subject!r}: the file does not say how many spectra it averages",
-            mend="use divisor: spread",
-        )
+    refuse(not n, "uncertainty.count", subject=item.subject)
     return np.asarray(np.nan_to_num(surface.standard_deviation) / np.sqrt(n))
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy import special
 
 from hyperval.data import Array, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.products import SpectralEstimate
 
 Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
@@ -56,8 +56,7 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
     _check(k, n)
-    if not 0.0 < level < 1.0:
-        raise UsageError(f"confidence level {level:g}", expected="a number between 0 and 1, such as 0.95")
+    refuse(not 0.0 < level < 1.0, "interval.level", level=level)
     tail = (1.0 - level) / 2.0
     # The binomial tail sums are incomplete beta functions; the end counts have their limit at 0 or 1.
     lower = np.where(k > 0, _beta_quantile(np.where(k > 0, k, 1.0), n - k + 1.0, tail), 0.0)
@@ -160,18 +159,15 @@ def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[flo
     0.509 0.913
     """
     v = np.sort(np.asarray(values, dtype=float).ravel())
-    if v.size == 0 or not (v[0] >= 0.0 and v[-1] <= 1.0):
-        raise UsageError("limits of a bounded mean need values between 0 and 1")
+    refuse(v.size == 0 or not (v[0] >= 0.0 and v[-1] <= 1.0), "interval.bounded")
     upper = clopper_pearson(np.arange(v.size + 1), v.size, level)[1]
     steps = np.diff(upper)
     return float(1.0 - upper[0] - steps @ (1.0 - v)), float(upper[0] + steps @ v[::-1])
 
 
 def _check(k: Array, n: Array) -> None:
-    if not (np.all(np.isfinite(k)) and np.all(np.isfinite(n)) and np.all(n >= 1)):
-        raise UsageError("a proportion needs at least one trial")
-    if np.any(k < 0) or np.any(k > n):
-        raise UsageError("the count of a proportion must lie between 0 and the number of trials")
+    refuse(not (np.all(np.isfinite(k)) and np.all(np.isfinite(n)) and np.all(n >= 1)), "interval.trials")
+    refuse(np.any(k < 0) or np.any(k > n), "interval.count")
 
 
 def difference_ratio(predicted: npt.ArrayLike, collected: npt.ArrayLike) -> Array:

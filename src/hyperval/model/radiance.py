@@ -36,7 +36,7 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import refusal, refuse
 from hyperval.model.stated import Law
 from hyperval.model.world import World
 from hyperval.scenario import DarkestPixel, ElmPanels
@@ -136,10 +136,7 @@ def illumination_factor(
     UsageError : the atmosphere does not tell sky light from the sun's beam.
     """
     if terms.diffuse_fraction is None:
-        raise UsageError(
-            "the atmosphere does not say how much of the light on the ground comes from the sky",
-            mend="use the engine sixs, or leave out illumination",
-        )
+        raise refusal("light.sky")
     q, back = terms.diffuse_fraction, terms.spherical_albedo * np.asarray(average_reflectance, dtype=float)
     return np.asarray((1.0 - back) * ((1.0 - q) * beam + q * sky_view) + back * sky_view)
 
@@ -286,15 +283,10 @@ def two_panel_line(
     low, high = np.asarray(radiance_low, dtype=float), np.asarray(radiance_high, dtype=float)
     r_low, r_high = np.asarray(reflectance_low, dtype=float), np.asarray(reflectance_high, dtype=float)
     step = r_high - r_low
-    if np.any(step <= 0):
-        raise UsageError("the high panel of the empirical line must be brighter than the low one in every band")
+    refuse(np.any(step <= 0), "line.order")
     gain = (high - low) / step
     dark = int(np.sum(~(gain > 0)))
-    if dark:
-        raise UsageError(
-            f"the empirical line has no slope in {dark} of {gain.size} bands: no light reaches the sensor there",
-            mend="drop those bands (processing: bands: windows_only: true, or ranges)",
-        )
+    refuse(dark, "line.slope", dark=dark, bands=gain.size)
     return TwoPanelLine(gain, low - r_low * gain)
 
 
@@ -330,8 +322,7 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
     UsageError : no pixel.
     """
     f, mu, sd = (np.asarray(a, dtype=float) for a in (fractions, means, sds))
-    if pixels < 1:
-        raise UsageError(f"the darkest of {pixels} pixels", expected="at least one pixel")
+    refuse(pixels < 1, "line.pixels", pixels=pixels)
     f, sd = f[..., None], np.maximum(sd, 1e-300)
     p = -np.expm1(-np.log(2.0) / pixels)
     alone = mu + sd * ndtri(p)
@@ -452,11 +443,7 @@ class Light:
         """
         if np.all(np.asarray(beam) == 1.0) and np.all(np.asarray(sky_view) == 1.0):
             return 1.0
-        if not self.radiant:
-            raise UsageError(
-                "illumination: shade needs the light of an atmosphere",
-                mend="add an atmosphere and a sensor, or give the spectrum as it looks in the shade",
-            )
+        refuse(not self.radiant, "light.shade")
         return illumination_factor(self.terms, self.average, beam, sky_view)
 
     def surface(self, mean: Array, beam: Array, sky_view: Array) -> tuple[Array, Array, Array | float]:

@@ -30,7 +30,7 @@ import numpy.typing as npt
 from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.model.stated import distinct
 from hyperval.products import RocCurve, ScoreDistribution
 
@@ -172,8 +172,7 @@ def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     ------
     UsageError : no class has an area.
     """
-    if not np.any(scores.fraction > 0, axis=1).all():
-        raise UsageError("no background class has a positive fraction")
+    refuse(not np.any(scores.fraction > 0, axis=1).all(), "roc.fraction")
     known = np.isfinite(scores.mean).all(axis=1) & np.isfinite(scores.sd).all(axis=1)
     rows, roots = np.flatnonzero(known & np.all((pfa > 0) & (pfa <= 1), axis=1)), np.full(pfa.shape, np.nan)
     together = max(1, _TOGETHER // max(1, pfa.shape[1] * scores.fraction.shape[1]))

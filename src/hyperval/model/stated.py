@@ -27,7 +27,7 @@ from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.data import Array, Components, Index, statistics_of
-from hyperval.errors import UsageError, told_of
+from hyperval.errors import UsageError, one_of, refusal, refuse, told_of
 from hyperval.model.intervals import Z95
 from hyperval.paths import MAX_MATCHES, Resolve, matching
 from hyperval.progress import track
@@ -100,18 +100,10 @@ def replicate_statistics(
     UsageError : fewer than two spectra, records that no file has, or spectra that share no band.
     """
     spectra, where = replicate_spectra(source, resolve), ", ".join(source.references)
-    if len(spectra) < 2:
-        raise UsageError(
-            "a single spectrum has no spread", where=where, expected="two or more replicates", mend="use file:"
-        )
+    refuse(len(spectra) < 2, "replicates.single", where)
     values = np.array([in_bands(s.wavelength_nm, s.values, axis, nominal) for s in spectra])
     known = np.all(np.isfinite(values), axis=0)
-    if not known.any():
-        raise UsageError(
-            "the replicates share none of the bands",
-            where=where,
-            expected=f"samples between {axis.centre_nm[0]:g} and {axis.centre_nm[-1]:g} nm",
-        )
+    refuse(not known.any(), "replicates.bands", where, low=axis.centre_nm[0], high=axis.centre_nm[-1])
     sample, mean, deviation = statistics_of(values[:, known]), *np.full((2, len(axis)), np.nan)
     mean[known], deviation[known] = sample.mean, np.sqrt(np.diag(sample.covariance))
     covariance, error, at = *np.zeros((2, len(axis), len(axis))), np.ix_(known, known)
@@ -141,8 +133,7 @@ def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectru
     for reference in source.references:
         path = resolve(reference)
         files = matching(path) or [path]  # a file that is missing is the reader's to report
-        if len(files) > MAX_MATCHES:
-            raise UsageError(f"more than {MAX_MATCHES} files match", where=reference)
+        refuse(len(files) > MAX_MATCHES, "spectra.matches", reference, max_matches=MAX_MATCHES)
         for file in files:
             out += read_records(file, **how)
     names = {s.name for s in out}
@@ -239,13 +230,8 @@ class Sources:
         else:
             pixels = base if source is None else self.spectrum(source, name)
             region = (source or surface.spectrum).measured
-            if region is not None and pixels.n is not None and pixels.n < 2:
-                raise UsageError(
-                    f"the region {region!r} is a single pixel: the spread of {name!r} is not known from it",
-                    expected="a region of two pixels or more, or a covariance",
-                    mend="state covariance of the surface, such as covariance: {relative_sd: 0.05}, or enlarge the "
-                    "region",
-                )
+            is_single = region is not None and pixels.n is not None and pixels.n < 2
+            refuse(is_single, "surface.single", region=region, name=name)
             # Tails are those of the pixels that the covariance is of; several spectra have none of their own.
             tails = base if source is not None and source.replicates is not None else pixels
             base = replace(
@@ -291,11 +277,8 @@ class Sources:
         read = self._once(read_spectrum, str(source.file), **how)
         w, sd = read.wavelength_nm, read.standard_deviation
         mean = in_bands(w, read.values, axis, self.nominal)
-        if not np.any(np.isfinite(mean)):
-            raise UsageError(
-                f"the spectrum of {name!r} ({source.file}) covers none of the bands",
-                expected=f"samples between {axis.centre_nm[0]:g} and {axis.centre_nm[-1]:g} nm",
-            )
+        ends = {"low": axis.centre_nm[0], "high": axis.centre_nm[-1]}
+        refuse(not np.any(np.isfinite(mean)), "surface.bands", name=name, file=source.file, **ends)
         if sd is not None:
             more = {"standard_deviation": in_bands(w, sd, axis, self.nominal), "sampled_deviation": (w, sd)}
         if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
@@ -303,18 +286,10 @@ class Sources:
         return SurfaceStatistics(name, axis, mean, zero, read.n, str(source.file), **more)
 
     def _measured(self, region: str, name: str) -> ClassStatistics:
-        if region not in self.measured:
-            raise UsageError(
-                f"{name!r} takes the measured statistics of region {region!r}, which were not handed in",
-                expected="one of " + ", ".join(self.measured)
-                if self.measured
-                else "a region of a collection in reflectance, or in radiance with an empirical_line",
-                mend="run it from a campaign whose collection has that region "
-                f"(such as collection.regions: [{{name: {region}, whole_image: true}}]), or name another spectrum",
-            )
+        known = one_of(self.measured, "a region of a collection in reflectance, or in radiance with an empirical_line")
+        refuse(region not in self.measured, "surface.measured", name=name, region=region, known=known)
         estimate = self.measured[region]
-        if not estimate.axis.matches(self.nominal or self.axis):
-            raise UsageError(f"the statistics of region {region!r} do not stand on the bands of the prediction")
+        refuse(not estimate.axis.matches(self.nominal or self.axis), "surface.axis", region=region)
         return estimate
 
 
@@ -325,12 +300,8 @@ def _components(surface: Surface, stored: Components | None) -> Components | Non
     if surface.mixture == "auto":  # one law is an answer too
         return stored
     if stored is None or len(stored) != surface.mixture:
-        raise UsageError(
-            f"mixture of {surface.name!r}: {surface.mixture} components are asked for, its source has "
-            f"{'none' if stored is None else len(stored)}",
-            expected="a region of a campaign's collection, or a statistics library with so many components",
-            mend="run it from a campaign, or write mixture: auto to take what is there",
-        )
+        there = "none" if stored is None else len(stored)
+        raise refusal("surface.mixture", name=surface.name, asked=surface.mixture, there=there)
     return stored
 
 
@@ -367,12 +338,9 @@ def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics
                 continue
             w = axis.centre_nm[beyond]
             bands = f"{w.size} usable band{'s' * (w.size > 1)} (first {w[0]:g} nm, last {w[-1]:g} nm)"
-            if w.size > MOST_UNCOVERED * axis.good.sum():
-                raise UsageError(
-                    f"scene.{key}.{i}.spectrum of {surface.name!r} does not cover {bands}",
-                    expected=f"a spectrum over {axis.centre_nm[0]:g}-{axis.centre_nm[-1]:g} nm",
-                    mend="give a longer spectrum, mark those bands bad, or allow it: spectrum: {gaps: allowed}",
-                )
+            about = {"at": f"scene.{key}.{i}.spectrum", "low": axis.centre_nm[0], "high": axis.centre_nm[-1]}
+            many = w.size > MOST_UNCOVERED * axis.good.sum()
+            refuse(many, "surface.cover", name=surface.name, bands=bands, **about)
             yield f"the spectrum of {surface.name!r} does not reach {bands}, left out"
 
 
@@ -773,22 +741,14 @@ def read_files(
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = next((a for a in axes if a is not None), None)
     if axis is None:
-        raise UsageError(
-            "the scenario has no bands",
-            mend="name a sensor (sensor:), or run it from a campaign, whose image has bands (hyperval validate)",
-        )
+        raise refusal("scenario.bands")
     true, noise, kept = axis, None, dict[Any, Any]()
     if sensor is not None:
         noise = sensor.operated_noise(axis, operation, scenario.sensor_changes, kept)
         true, count = sensor.true_axis(axis, operation), operation.spectral_binning if operation else 1
         if count > 1:
-            if source.axis is not None:
-                raise UsageError(
-                    "sensor_operation.spectral_binning: the bands of a collection are fixed",
-                    mend="leave spectral_binning out: a binned cube has binned bands already",
-                )
-            if count > len(axis):
-                raise UsageError(f"sensor_operation.spectral_binning: bins of {count} of {len(axis)} bands")
+            refuse(source.axis is not None, "scenario.binned")
+            refuse(count > len(axis), "scenario.bins", count=count, bands=len(axis))
             true, axis = binned_axis(true, count), binned_axis(axis, count)
     if np.any(shift_nm) or width != 1.0:
         true = SpectralAxis(true.centre_nm + shift_nm, width * true.fwhm_nm, true.good)

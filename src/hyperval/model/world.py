@@ -23,7 +23,7 @@ import numpy.typing as npt
 from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Index
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.model.fill import (
     FillDistribution,
     fill_distribution,
@@ -207,8 +207,7 @@ def _found(stated: Stated, path: str) -> Path:
     entry, parts, scenario = PATHS[pattern], path_parts(path), stated.scenario
     again = PATHS["**"]
     if scenario.atmosphere is None:
-        if any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:3]):
-            raise UsageError(f"{path}: the scenario has no atmosphere")
+        refuse(any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:3]), "path.light", path=path)
         if entry.field in ("atmosphere", "sensor"):
             return again
     if entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels):
@@ -235,10 +234,8 @@ def _found(stated: Stated, path: str) -> Path:
     name, names = parts[pattern.split(".").index("*")], stated.names[entry.of]
     if parts[0] == "scene":
         return entry._replace(item=item_number(names, name, path))
-    if name not in names:
-        raise UsageError(f"{path}: no such {entry.of}", expected="one of " + ", ".join(names))
-    if entry.field == "fine_texture" and name not in stated.names["target"]:
-        raise UsageError(f"{path}: {name!r} is not a target")
+    refuse(name not in names, "path.unknown", path=path, of=entry.of, names=", ".join(names))
+    refuse(entry.field == "fine_texture" and name not in stated.names["target"], "path.target", path=path, name=name)
     return entry._replace(item=names.index(name))
 
 
@@ -275,8 +272,7 @@ def value_at(world: World, path: str) -> Any:
         return np.nan_to_num(stated.mean[item : item + 1])
     if entry.field == "share":
         fractions = stated.columns["fraction"][0]
-        if fractions.size < 2 or fractions[item] >= 1.0:
-            raise UsageError(f"uncertainty: fractions: {parts[1]!r} is the only class with an area")
+        refuse(fractions.size < 2 or fractions[item] >= 1.0, "uncertainty.fractions", parts=parts)
         return fractions[item : item + 1]
     if entry.field == "fill":
         return np.array([[fill_distribution(stated.populations[i][2].fill).mean for i in populations]])
@@ -403,8 +399,7 @@ class World:
             gives_way = (rest > 0.0) & (total < 1.0)
             scale = np.where(gives_way, (1.0 - total) / np.where(rest > 0.0, rest, 1.0), 1.0)
             out = np.where(moved, named, stated * scale[:, None])
-            if np.any(out.sum(axis=1) <= 0.0):
-                raise UsageError("fraction: no class is left with an area")
+            refuse(np.any(out.sum(axis=1) <= 0.0), "path.area")
             return np.asarray(np.where(moved.any(axis=1)[:, None], out / out.sum(axis=1, keepdims=True), stated))
         total = stated.sum(axis=1)
         if np.any(np.abs(total - 1.0) > 1e-6) or np.any(stated < 0.0):
@@ -591,8 +586,7 @@ def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
         value = np.asarray(given) if not isinstance(given, list) else column_of(given)
         moved[path] = value.astype(float) if value.dtype.kind in "iu" else value
     sizes = {len(v) for v in moved.values()} - {1}
-    if len(sizes) > 1:
-        raise UsageError(f"values of {sorted(sizes)} truths", expected="as many for each path, or one")
+    refuse(len(sizes) > 1, "path.truths", values=sorted(sizes))
     return World(world.stated, moved, max(sizes, default=1))
 
 

@@ -61,13 +61,8 @@ def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form
         if item.material == target.material:
             words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
             out.setdefault(_subject(form, words), []).append(item)
-    if not out:
-        raise refusal(
-            "detection.material",
-            name=target.name,
-            material=target.material,
-            known=one_of(sorted({o.material for o in objects}), "a truth with targets"),
-        )
+    known = one_of(sorted({o.material for o in objects}), "a truth with targets")
+    refuse(not out, "detection.material", name=target.name, material=target.material, known=known)
     return out
 
 
@@ -187,10 +182,7 @@ def _target_spectra(place: Place, detection: Detection, resolve: Resolve) -> dic
 def _by_number(target: DetectionTarget, bands: int, resolve: Resolve) -> Array:
     """(B,) spectrum of a target where bands go by number: a text file with a row for each; its last number counts."""
     if target.spectrum.file is None:
-        raise UsageError(
-            f"the spectrum of {target.name!r} goes by wavelength, the bands of the cube by number",
-            expected="a text file with one row for each band",
-        )
+        raise refusal("detection.by_number", name=target.name)
     path = resolve(target.spectrum.file)
     values = number_rows(path, "spectrum by band")[0][:, -1]
     if len(values) != bands or not np.all(np.isfinite(values)):
@@ -348,8 +340,7 @@ class _Curves:
         halo, area = self.detection.halo_pixels, self.place.pixel_area_m2
         placed = [scored_part(o, self.place) for o in members]
         pixels = np.concatenate([scores[o.window][o.part] for o in placed])
-        if not np.isfinite(pixels).any():
-            raise InputError(f"no valid pixel on the targets of {subject!r}")
+        refuse(not np.isfinite(pixels).any(), "detection.no_pixel", subject=subject)
         self.products["scores"][subject, detector] = _moments(pixels[np.isfinite(pixels)])
         best = px.object_scores(scores, placed, halo)
         found, looked_at = np.array(list(best.values())), int(np.count_nonzero(self.alarms))
@@ -395,8 +386,7 @@ class _Curves:
 def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
     """Curves of several subjects counted together."""
     for pool in detection.pools:
-        if any(pool.name == subject for subject, _, _ in roc):
-            raise UsageError(f"the pool {pool.name!r} bears the name of a subject or of another pool")
+        refuse(any(pool.name == subject for subject, _, _ in roc), "pool.name", name=pool.name)
         for detector in detection.detectors:
             for unit in ("pixel", "object"):
                 if lacking := [s for s in pool.subjects if (s, detector, unit) not in roc]:

@@ -584,7 +584,6 @@ def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, 
     for own in (np.flatnonzero(trains), np.flatnonzero(~trains)):
         some = own[:: max(-(-own.size // task.pixels), 1)]  # evenly thinned
         pixels, valid = place.cube.marked_pixels((lines[some], samples[some]))
-        if np.count_nonzero(valid) < 2:
-            raise UsageError(f"classification: region {name!r} has fewer than two valid pixels in one of the halves")
+        refuse(np.count_nonzero(valid) < 2, "features.pixels", name=name)
         out.append((pixels[valid], block[some][valid]))
     return out

@@ -104,23 +104,28 @@ class Place:
         """The regions as drawn; a mask is handed out as an array of its own."""
         return replace(self.labels, members={n: own for n, own in self.labels.members.items() if n != _NEAR})
 
-    def mistaken(self, mistake: Mapping[str, float]) -> Place:
+    def mistaken(self, mistake: Mapping[str, Any]) -> Place:
         """The same with a mistake in it; statistics and line are still to be measured.
 
-        ``mistake`` : lines, samples that all targets are away, and regions (1) too; gain, a part that is added to
-        each value; offset, a part of the mean of all
+        ``mistake`` : lines, samples that targets are away; regions (1), that regions are too, but those that lie
+        still: beside such a one no target is; exchanged, two regions in each other's place; gain, a part that is added
+        to each value; offset, a part of the mean of all
         """
-        cube, labels, of = self.cube, self.labels, mistake
+        cube, of = self.cube, mistake
         by, factor = (int(of.get("lines", 0)), int(of.get("samples", 0))), 1.0 + of.get("gain", 0.0)
-        if of.get("regions"):
-            labels = replace(labels, number=np.roll(labels.number, by, (0, 1)))
-        elif any(by):  # the targets' own pixels and guard move with them
-            labels = Labels.of(labels.number.shape, {**self.regions, _NEAR: np.roll(self.near_targets, by, (0, 1))})
+        members, pair = dict(self.labels.members), [n for n in of.get("exchanged", ()) if n in self.regions]
+        members |= dict(zip(pair, [members[name] for name in reversed(pair)], strict=True))
+        labels, targets = replace(self.labels, members=members), self.targets
+        if any(by):
+            away = [name for name in self.regions if of.get("regions") and name not in of.get("still", ())]
+            if len(away) in (0, len(self.regions)):
+                targets, away = [target.displaced(*by) for target in targets], [*away, _NEAR]
+            moved = {name: np.roll(mask, by, (0, 1)) if name in away else mask for name, mask in labels.items()}
+            labels = Labels.of(labels.number.shape, moved)
         gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
         if "offset" in of:
             offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))
         cube = replace(cube, scaling=cube.scaling._replace(gain=gain, offset=offset))
-        targets = [target.displaced(*by) for target in self.targets]
         return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
 
     @cached_property
@@ -197,8 +202,7 @@ class Place:
         return self.labels.mask(self._known(name))
 
     def _known(self, name: str) -> Mask:
-        if name not in self.regions:
-            raise UsageError(f"no region {name!r}", expected=one_of(self.regions, "a region"))
+        refuse(name not in self.regions, "place.region", name=name, known=one_of(self.regions, "a region"))
         return self.regions.members[name]
 
 
@@ -225,16 +229,14 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
     truth, area_m2 = collection.targets, table.pixel_area_m2 if table is not None else cube.pixel_area_m2
     if truth is not None and truth.pixel_size_m is not None:
-        if table is not None or cube.pixel_area_m2 is not None:
-            raise UsageError("the cube has a map position, and 'targets.pixel_size_m' is stated", mend="take it out")
+        refuse(table is not None or cube.pixel_area_m2 is not None, "place.position")
         area_m2 = truth.pixel_size_m**2
     site = _Site(cube, table, area_m2, resolve)
     regions: dict[str, Region] = {}
     for source in collection.regions:
         drawn = source.file is None
         new = {str(source.name): site.region(source, regions)} if drawn else site.of_file(source)
-        if twice := sorted(set(new) & set(regions)):
-            raise UsageError(f"two regions are named {twice[0]!r}")
+        refuse(twice := sorted(set(new) & set(regions)), "place.twice", twice=twice)
         regions |= new
     targets, remarks = ([], []) if truth is None else site.targets_of(truth)
     near = imagery.all_pixels(targets, cube.shape)
@@ -283,8 +285,7 @@ def number_rows(path: Path, what: str) -> tuple[Array, int]:
     if start is None:
         raise InputError("holds no band", where=str(path), expected="a row of numbers for each band")
     header, rows, first = number_table("\n".join(lines), path)
-    if header:
-        raise InputError("not a row of numbers", where=f"{path}:{start}", expected="numbers; a heading begins with #")
+    refuse(header, "rows.heading", f"{path}:{start}")
     return rows, first
 
 
@@ -293,8 +294,7 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     """The spectral axis of a whitespace-separated text table."""
     needed = max(table.centre_column, table.fwhm_column or 0)
     rows, first = number_rows(path, "table of bands")
-    if rows.shape[1] <= needed:
-        raise InputError(f"{rows.shape[1]} columns", where=f"{path}:{first}", expected=f"{needed + 1} or more")
+    refuse(rows.shape[1] <= needed, "rows.columns", f"{path}:{first}", shape=rows.shape, value=needed + 1)
     factor = wavelength_to_nm(table.wavelength_unit)
     centre = rows[:, table.centre_column] * factor
     try:
@@ -372,8 +372,7 @@ class _Site:
         cube, chosen = self.cube, []
         for low, high in (rule.high_nm, rule.low_nm):
             bands = np.flatnonzero((cube.axis.centre_nm >= low) & (cube.axis.centre_nm <= high) & cube.axis.good)
-            if bands.size == 0:
-                raise UsageError(f"no usable band between {low:g} and {high:g} nm for a normalised difference")
+            refuse(bands.size == 0, "place.no_band", low=low, high=high)
             chosen.append(bands)
         out = np.zeros(cube.shape, bool)
         for block in track(cube.blocks(dtype=np.float32), "normalised difference"):
@@ -625,8 +624,7 @@ def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[t
         if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
             raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
         fill = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
-        if not fill.any():
-            raise InputError(f"no pixel is filled by {material!r}", where=str(path), expected=f"{LEAST_FILL:g}")
+        refuse(not fill.any(), "truth.empty", str(path), material=material, least_fill=LEAST_FILL)
         yield material, fill
 
 
@@ -696,8 +694,7 @@ def _band(raster: Raster, wanted: int | str, path: Path) -> int:
     """Number from 0 of a band that is named or numbered (from 1)."""
     names = raster.description.band_names
     if isinstance(wanted, int):
-        if not 1 <= wanted <= raster.bands:
-            raise InputError(f"no band {wanted}", where=str(path), expected=f"1 to {raster.bands}")
+        refuse(not 1 <= wanted <= raster.bands, "truth.band", str(path), wanted=wanted, bands=raster.bands)
         return wanted - 1
     fits = [i for i, name in enumerate(names) if name == wanted]
     fits = fits or [i for i, name in enumerate(names) if fnmatchcase(name.lower(), wanted.lower())]

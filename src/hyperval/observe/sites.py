@@ -24,7 +24,7 @@ from hyperval.collection import (
     RadCalNetSource,
 )
 from hyperval.data import Array
-from hyperval.errors import InputError, UsageError, one_of, refusal
+from hyperval.errors import InputError, UsageError, one_of, refusal, refuse
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.observe.open import Place, read_band_table
 from hyperval.paths import Resolve
@@ -161,8 +161,7 @@ def empirical_line(
     cube, panels = place.cube, []
     for panel in source.panels:
         name = panel.region
-        if name not in place.statistics:
-            raise UsageError(f"empirical line: no region {name!r}", expected=one_of(place.statistics))
+        refuse(name not in place.statistics, "line.region", name=name, known=one_of(place.statistics))
         mean, covariance = field_reflectance(panel, cube.axis, resolve)
         sample, part = place.statistics[name], sampling[name]
         known_by = part if sample.n > 1 else None
@@ -354,8 +353,7 @@ def _site_reflectance(
     panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
-        if name not in sites:
-            raise UsageError(f"empirical line: no site {name!r}", where=WHERE, expected=one_of(sites))
+        refuse(name not in sites, "line.site", WHERE, name=name, known=one_of(sites))
         noise, n = sites[name].budget.get(NOISE, np.zeros(len(axis))), sites[name].n or 1
         panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), sites[name].mean, noise**2, n)
     out: dict[str, SpectralEstimate] = {}
@@ -411,8 +409,7 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProd
         expected = "the day's file that ends in .output"
         raise InputError("holds the reflectance of the surface", where=day.source, expected=expected)
     times = tuple(source.times) or day.valid
-    if not times:
-        raise InputError("no half hour has a value", where=day.source, mend="take a day of better weather")
+    refuse(not times, "site.weather", day.source)
     rows = [day.column(time) for time in times]
     bands = np.isfinite(day.values[rows]).any(axis=0)
     nm = day.wavelength_nm[bands]

@@ -174,10 +174,8 @@ def register_detector(name: str, make: DetectorMaker) -> None:
     ------
     UsageError : a name that is taken, or that cannot name files.
     """
-    if not re.fullmatch(r"[a-z0-9][a-z0-9-]*", name):
-        raise UsageError(f"detector name {name!r}", expected="small letters, digits and hyphens")
-    if name in DETECTORS or ADDED_DETECTORS.get(name, make) is not make:
-        raise UsageError(f"there is a detector {name!r} already")
+    refuse(not re.fullmatch(r"[a-z0-9][a-z0-9-]*", name), "detector.name", name=name)
+    refuse(name in DETECTORS or ADDED_DETECTORS.get(name, make) is not make, "detector.taken", name=name)
     ADDED_DETECTORS[name] = make
 
 
@@ -201,8 +199,7 @@ def pixel_detector(
     ------
     UsageError : an unknown name, a singular background, or a target that cannot be told from the background.
     """
-    if name not in detector_names():
-        raise UsageError(f"unknown detector {name!r}", expected="one of " + ", ".join(detector_names()))
+    refuse(name not in detector_names(), "detector.unknown", name=name, names=", ".join(detector_names()))
     combine = partial(_combined, name)
     if name == "rx":
         return PixelDetector(np.empty((0, np.size(mean))), np.empty(0), combine, "distance", by_pixel=True)
@@ -212,8 +209,7 @@ def pixel_detector(
     if name == "osp":
         return from_filter(osp_filter(t, undesired))
     if name == "sam":
-        if not np.any(t):
-            raise UsageError("the target spectrum is zero in every band: it has no direction")
+        refuse(not np.any(t), "target.zero")
         return PixelDetector((t / np.linalg.norm(t))[None], np.zeros(1), combine, "length", by_pixel=True)
     if covariance is None:
         raise UsageError(f"the detector {name!r} needs the covariance of the background")
@@ -258,8 +254,7 @@ def osp_filter(target: npt.ArrayLike, undesired: npt.ArrayLike | None) -> Linear
     left = left[:, singular > _RANK * singular[0]]
     rest = t - left @ (left.T @ t)
     rest -= left @ (left.T @ rest)  # twice is exact to rounding
-    if np.linalg.norm(rest) <= _RANK * np.linalg.norm(t):
-        raise UsageError("the target spectrum is a mixture of the undesired ones: osp leaves nothing of it")
+    refuse(np.linalg.norm(rest) <= _RANK * np.linalg.norm(t), "target.mixture")
     return LinearFilter(rest / (rest @ t), 0.0)
 
 
@@ -297,8 +292,7 @@ def score_cube(
     weights = [np.atleast_2d(d.weights) for d in detectors.values()]
     constants = [np.atleast_1d(d.constants) for d in detectors.values()]
     for name, w in zip(detectors, weights, strict=True):
-        if w.shape[1] != slope.size:
-            raise UsageError(f"detector {name!r} is made for {w.shape[1]} bands, {slope.size} are selected")
+        refuse(w.shape[1] != slope.size, "detector.bands", name=name, shape=w.shape, size=slope.size)
     ends = np.cumsum([0, *map(len, weights)]).tolist()
     quadratics = {d.quadratic for d in detectors.values()}
     if "distance" in quadratics:
@@ -347,8 +341,7 @@ def _of_whole(detector: PixelDetector, values: Array, scene: Any) -> Array:
     else:
         y = values[:, known]
         score = np.asarray(detector.of(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
-    if score.shape != (int(known.sum()),):
-        raise UsageError(f"it gives {score.shape} scores for {int(known.sum())} pixels", expected="one a pixel")
+    refuse(score.shape != (int(known.sum()),), "detector.scores", shape=score.shape, number=int(known.sum()))
     out[known] = _finite(score)
     return out
 
@@ -527,11 +520,8 @@ def register_estimator(name: str, estimator: Any) -> None:
     ------
     UsageError : a name that is taken, or an estimator with none of these methods.
     """
-    if not any(hasattr(estimator, method) for method in ("score_samples", "decision_function", "predict_proba")):
-        raise UsageError(
-            f"{type(estimator).__name__} scores nothing",
-            expected="an estimator with score_samples, decision_function or predict_proba",
-        )
+    scores = any(hasattr(estimator, method) for method in ("score_samples", "decision_function", "predict_proba"))
+    refuse(not scores, "detector.estimator", name=type(estimator).__name__)
     register_detector(name, partial(_whole, partial(_estimated, estimator)))
 
 
@@ -551,8 +541,7 @@ def _estimated(estimator: Any, image: Array, target: Array, scene: ImageTruth) -
     half, labelled = scene.second_half, known & (scene.background | (scene.objects > 0))
     for own in (half, ~half):
         learned, labels = image[labelled & own], scene.objects[labelled & own] > 0
-        if labels.all() or not labels.any():
-            raise UsageError("too few objects to learn from one half and score the other", expected="two and more")
+        refuse(labels.all() or not labels.any(), "learning.few")
         fitted = copy.deepcopy(estimator).fit(learned, labels)
         here = known & ~own
         by_margin = hasattr(fitted, "decision_function")

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
 from hyperval.data import Array, Components, Index
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import refuse
 from hyperval.pixels.statistics import EigenDirections
 
 LEAST_DOF = 2.05  # of a t law: the covariance is finite; a heavier tail is held just above it
@@ -120,8 +120,7 @@ def fit_mixture(
     """
     x = np.asarray(values, dtype=float)
     n, p = x.shape
-    if count < 1 or n < 2 * count:
-        raise UsageError(f"{count} components of {n} pixels", expected="two pixels or more for each component")
+    refuse(count < 1 or n < 2 * count, "mixture.pixels", count=count, n=n)
     prior = p + 1.0 if prior_pixels is None else prior_pixels
     fits = (_from_start(x, _nearest_of_centres(x, count, rng), dof, prior) for _ in range(starts if count > 1 else 1))
     return max(fits, key=lambda fit: fit.history[-1])
@@ -291,8 +290,7 @@ def _folds(block: npt.ArrayLike, rng: np.random.Generator) -> tuple[Index, Index
     """(n,) part of the image that a pixel is left out with, and its block counted from 0."""
     at = np.unique(np.asarray(block), return_inverse=True)[1].reshape(-1)
     blocks = int(at.max(initial=-1)) + 1
-    if blocks < 2:
-        raise refusal("mixture.one_block")
+    refuse(blocks < 2, "mixture.one_block")
     return np.asarray((rng.permutation(blocks) % min(FOLDS, blocks))[at]), at
 
 
@@ -574,11 +572,9 @@ def fit_tail_dof(
     """
     d, offset = np.asarray(squared_distances, dtype=float), 0.0
     d = d[np.isfinite(d) & (d > 0)]
-    if d.size < 10:
-        raise UsageError(f"{d.size} distances say nothing of tails", expected="ten or more")
+    refuse(d.size < 10, "tails.few", size=d.size)
     if estimated_on is not None:
-        if estimated_on <= dimension + 3:
-            raise UsageError(f"{estimated_on} pixels for distances in {dimension} bands", expected="more pixels")
+        refuse(estimated_on <= dimension + 3, "tails.pixels", estimated_on=estimated_on, dimension=dimension)
         d, offset = left_out_distances(d, estimated_on), 1.0 / (estimated_on - 1.0 - dimension)
     weight = 1.0 if independent is None else min(independent / d.size, 1.0)
 

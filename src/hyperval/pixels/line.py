@@ -279,8 +279,7 @@ def fit_elm(
     _refuse_bad_panels(panels, least=1 + intercept)
     points = _points(panels)
     known = np.asarray(np.isfinite(points[0]).all(axis=0))
-    if not known.any():
-        raise UsageError("there is no band in which all panels have a reflectance")
+    refuse(not known.any(), "line.no_band")
     contrast = np.ptp(points[0], axis=0) if intercept else np.full(known.size, np.inf)
     flat = contrast[known] < minimum_contrast
     if np.mean(flat) > 0.5:
@@ -299,8 +298,7 @@ def fit_elm(
 
 def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
     """Raise UsageError for fewer panels than ``least`` and reflectances that are none."""
-    if len(panels) < least:
-        raise UsageError(f"{len(panels)} panel for an empirical line", expected=f"{least} or more")
+    refuse(len(panels) < least, "line.few", count=len(panels), least=least)
     for p in panels:
         values = np.stack([p.radiance, variance_of(p.reflectance_error), variance_of(p.radiance_error)])
         known = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands

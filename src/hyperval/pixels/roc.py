@@ -34,7 +34,7 @@ import numpy.typing as npt
 from scipy import ndimage, special
 
 from hyperval.data import Array, Counts, Index, Mask
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.model.intervals import (
     Z95,
     beyond_jeffreys_limits,
@@ -445,10 +445,8 @@ def ascending(scores: npt.ArrayLike, side: str) -> Array:
     """(n,) scores of any shape in order; UsageError where there are none or some are NaN."""
     values = np.sort(np.asarray(scores, dtype=float), axis=None)  # NaN last
     missing = int(np.count_nonzero(np.isnan(values)))
-    if missing:
-        raise UsageError(f"{missing} of {values.size} {side} scores are NaN", mend="leave invalid pixels out")
-    if values.size == 0:
-        raise UsageError(f"there are no {side} scores", expected="at least one valid score on each side of a ROC")
+    refuse(missing, "roc.missing", missing=missing, size=values.size, side=side)
+    refuse(values.size == 0, "roc.empty", side=side)
     return values
 
 
@@ -730,8 +728,7 @@ def empirical_roc(
         grid = 10.0 ** (np.arange(-decades * POINTS_PER_DECADE, 1) / POINTS_PER_DECADE)
         pfa = grid[grid * n * _ROUNDING >= 1.0]
     p = np.sort(np.atleast_1d(np.asarray(pfa, dtype=float)))
-    if not (np.all(p > 0) and np.all(p <= 1)):
-        raise UsageError("a preset false-alarm probability must lie in (0, 1]")
+    refuse(not (np.all(p > 0) and np.all(p <= 1)), "roc.preset")
     r, s = background.rank_limits(p)
     k = np.minimum(np.floor(p * n * _ROUNDING).astype(np.int64), n)
     # The scores of these ranks, from the greatest on; inf for rank 0, -inf beyond the last.
@@ -857,8 +854,7 @@ def footprint_tiles(score_map: Array, shape: Mask, exclude: Mask | None = None) 
     scores (n, pixels of the footprint); and the first lines and samples (n,) of the placements
     """
     scores, (h, w) = score_map if exclude is None else np.where(exclude, np.nan, score_map), shape.shape
-    if np.any(np.greater(shape.shape, scores.shape)):
-        raise UsageError(f"a footprint of {h} x {w} pixels does not fit a score map of {scores.shape}")
+    refuse(np.any(np.greater(shape.shape, scores.shape)), "roc.footprint", h=h, w=w, shape=scores.shape)
     values = np.lib.stride_tricks.sliding_window_view(scores, shape.shape)[::h, ::w][..., shape]
     rows, columns = np.nonzero(~np.isnan(values).any(axis=-1))
     return values[rows, columns], rows * h, columns * w

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import Array
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.products import SpectralEstimate
 
 _TOGETHER = 2048  # pixels whose distances from their mean are in memory at once
@@ -37,13 +37,10 @@ def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
     pixels : (n, B) of one region, n >= 5, B >= 3, finite
     """
     x = np.asarray(pixels, dtype=float)
-    if x.ndim != 2 or len(x) < 5:
-        raise UsageError(f"pixels of shape {x.shape} for an SNR", expected="(n, B) with n at least 5")
-    if not np.all(np.isfinite(x)):
-        raise UsageError("the region holds NaN or infinity", mend="leave invalid pixels out")
+    refuse(x.ndim != 2 or len(x) < 5, "snr.few", shape=x.shape)
+    refuse(not np.all(np.isfinite(x)), "snr.finite")
     n, bands = x.shape
-    if bands < 3:
-        raise UsageError(f"{bands} bands: a band needs two neighbours to be told from noise", expected="3 or more")
+    refuse(bands < 3, "snr.bands", bands=bands)
     mean = x.mean(axis=0)
     parts = (x[start : start + _TOGETHER] - mean for start in range(0, n, _TOGETHER))  # a copy of all takes 16 MB
     variance, relative_variance, correlation = _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3)

@@ -43,7 +43,7 @@ import numpy.typing as npt
 from scipy import fft, special
 
 from hyperval.data import Array, Index, Mask, SampleStatistics
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.executors import available_cores, single_blas_thread
 from hyperval.model.intervals import Z95
 
@@ -318,8 +318,7 @@ def darkest_values(cube: Cube) -> Array:
     """
     parts = (block.values[block.valid] for block in cube.blocks())
     lowest = np.min([part.min(axis=0, initial=np.inf) for part in parts], axis=0)
-    if not np.all(np.isfinite(lowest)):
-        raise UsageError("no pixel of the cube holds data in every band")
+    refuse(not np.all(np.isfinite(lowest)), "cube.no_pixel")
     return np.asarray(lowest)
 
 

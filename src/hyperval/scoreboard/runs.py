@@ -11,6 +11,7 @@ register them.  The page: detectors with ranks, campaign by campaign.
 from __future__ import annotations
 
 import math
+import re
 import runpy
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -131,14 +132,12 @@ class Measure:
     of_look : the part each look has in the metric, from (over, tie); the metric is their mean.  None: the quantile
         of false alarms at P_D = 0.5, of which less is better
     least_pfa : P_FA that the background must resolve for it; 0: any
-    observed : name of the metric in the rows of one observed side
     """
 
     name: str
     title: str
     of_look: Callable[[Array, Array], Array] | None
     least_pfa: float
-    observed: str
 
     def known_from(self, n: int) -> bool:
         """Whether ``n`` background pixels resolve it (10 expected alarms)."""
@@ -153,16 +152,13 @@ def detected_at(pfa: float) -> Callable[[Array, Array], Array]:
 MEASURES: Mapping[str, Measure] = {
     m.name: m
     for m in (
-        Measure("auc", "AUC", AREAS["auc"].averaged, 0.0, "auc_measured"),
-        Measure(
-            LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, 1e-3,
-            "log_auc_measured@1e-3..1e-1",
-        ),
-        Measure("pd@1e-2", "P_D at P_FA 1e-2", detected_at(1e-2), 1e-2, "pd@1e-2"),
-        Measure("pd@1e-3", "P_D at P_FA 1e-3", detected_at(1e-3), 1e-3, "pd@1e-3"),
-        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None, 0.0, "far_measured@pd0.5"),
+        Measure("auc", "AUC", AREAS["auc"].averaged, 0.0),
+        Measure(LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, 1e-3),
+        Measure("pd@1e-2", "P_D at P_FA 1e-2", detected_at(1e-2), 1e-2),
+        Measure("pd@1e-3", "P_D at P_FA 1e-3", detected_at(1e-3), 1e-3),
+        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None, 0.0),
     )
-}  # fmt: skip
+}
 
 
 def pfa_at_detection(over: Array, tie: Array, weight: Array) -> Array:
@@ -465,7 +461,7 @@ def detector_rows(observed: Observed, question: Question, *, seed: int) -> list[
 def side_rows(side: Products, said: Literal["measured", "predicted"]) -> Iterator[Result]:
     """The metrics by subject, pool and detector as one side's own rows have them: ``METRIC``, ``predicted_METRIC``."""
     pixels = {(s, f"{d}/{u}"): c.n_background for (s, d, u), c in side.roc.items()}
-    names = {m.observed.replace("measured", said): m for m in MEASURES.values()}
+    names = {re.sub("auc|far", rf"\g<0>_{said}", name): measure for name, measure in MEASURES.items()}
     for own in product_rows(side, "observed" if said == "measured" else said):
         measure = names.get(own.metric) if own.product == "roc" else None
         n = pixels.get((own.subject, own.method))

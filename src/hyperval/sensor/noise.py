@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import Array
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal
 from hyperval.spectra.axis import SIGMA_PER_FWHM
 
 PLANCK_J_S = 6.62607015e-34  # exact, SI 2019
@@ -123,10 +123,7 @@ def psf_fwhm_from_mtf(at_nyquist: npt.ArrayLike) -> Array:
     """
     mtf = np.asarray(at_nyquist, dtype=float)
     if np.any(~((mtf > 0) & (mtf <= APERTURE_AT_NYQUIST))):
-        raise UsageError(
-            f"an MTF at Nyquist of {np.array2string(mtf, precision=3)}",
-            expected=f"above 0 and at most {APERTURE_AT_NYQUIST:.4f}, which the aperture alone passes",
-        )
+        raise refusal("sensor.mtf", mtf=np.array2string(mtf, precision=3), most=APERTURE_AT_NYQUIST)
     sigma = np.sqrt(-2.0 * np.log(mtf / APERTURE_AT_NYQUIST)) / np.pi
     return np.asarray(sigma / SIGMA_PER_FWHM)
 

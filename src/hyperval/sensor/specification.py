@@ -23,7 +23,7 @@ from pydantic import Field, model_validator
 
 from hyperval.config import Model, OneOf, file_of, load_model, shipped
 from hyperval.data import Array, Index
-from hyperval.errors import UsageError, reader
+from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.sensor.noise import (
     NoiseModel,
     aperture_throughput,
@@ -459,10 +459,8 @@ class Sensor:
         if isinstance(stated, dict):
             names = [arm.name for arm in self.specification.arms]
             if unknown := [name for name in stated if name not in names]:
-                raise UsageError(
-                    f"sensor_operation.wavelength_shift_nm: sensor {self.name!r} has no arm {unknown[0]!r}",
-                    expected="one of " + (", ".join(names) or "none: give one number"),
-                )
+                known = ", ".join(names) or "none: give one number"
+                raise refusal("sensor.shift", name=self.name, arm=unknown[0], known=known)
             by_arm = np.array([stated.get(name, 0.0) for name in names])
             shift += by_arm[self.arm_index(nominal.centre_nm)] if stated else 0.0
         else:
@@ -567,11 +565,8 @@ class Sensor:
         ranges = np.array([a.range_nm for a in self.specification.arms])
         gap = np.maximum(ranges[:, :1] - wavelength_nm, wavelength_nm - ranges[:, 1:]).clip(0.0)
         if np.any(far := gap.min(axis=0) > 50.0):
-            raise UsageError(
-                f"sensor {self.name!r} has no arm at {wavelength_nm[far][0]:g} nm",
-                expected="bands within "
-                + ", ".join(f"{a.range_nm[0]:g}-{a.range_nm[1]:g} nm" for a in self.specification.arms),
-            )
+            within = ", ".join(f"{a.range_nm[0]:g}-{a.range_nm[1]:g} nm" for a in self.specification.arms)
+            raise refusal("sensor.no_arm", name=self.name, nm=wavelength_nm[far][0], within=within)
         return np.asarray(gap.argmin(axis=0))
 
 
@@ -593,10 +588,8 @@ def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
     from jinja2 import Template
 
     for text in (name, *arms):
-        if not _NAME.fullmatch(text):
-            raise UsageError(f"the name {text!r}", expected="letters, digits, dots, dashes and underscores")
-    if not arms or len(set(arms)) != len(arms):
-        raise UsageError("the arms have no names of their own", expected="such as VNIR,SWIR")
+        refuse(not _NAME.fullmatch(text), "sensor.name", text=text)
+    refuse(not arms or len(set(arms)) != len(arms), "sensor.arms")
     template = (resources.files("hyperval.sensor") / "new_sensor.yaml.j2").read_text("utf-8")
     return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.campaign.provenance import record_of
-from hyperval.data import Array, Index
+from hyperval.data import Array
 from hyperval.datasets import InputLog
 from hyperval.figures.catalogue import roc_figure
 from hyperval.figures.print import drawings_of
@@ -84,7 +84,9 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         (single(_wavelengths(axis), "width, spacing [nm]", marks),),
     )  # fmt: skip
     sigmas, responses = np.linspace(-3.0, 3.0, 61), []
-    for k in _few_bands(axis).tolist():
+    most = max(len(axis) - _MOST_RESPONSES, 0)
+    first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, most))
+    for k in range(first, min(first + _MOST_RESPONSES, len(axis))):
         w = axis.centre_nm[k] + sigmas * axis.fwhm_nm[k] * SIGMA_PER_FWHM
         responses.append(Mark("line", {"x": w, "y": np.exp(-0.5 * sigmas**2)}, "", (wide, narrow)[k % 2]))
     ends = responses[0].columns["x"][0], responses[-1].columns["x"][-1]
@@ -151,12 +153,6 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
         f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}.",
         (single(_wavelengths(check.axis), "part of full scale", marks, ends=(0.0, 1.08 * highest), level=1.0),),
     )  # fmt: skip
-
-
-def _few_bands(axis: SpectralAxis) -> Index:
-    most = max(len(axis) - _MOST_RESPONSES, 0)
-    first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, most))
-    return np.arange(len(axis))[first : first + _MOST_RESPONSES]
 
 
 def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, dash: Dash = "solid") -> Mark:

@@ -28,7 +28,7 @@ from hyperval import datasets
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Mask
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import UsageError, refusal, refuse
 from hyperval.executors import in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
@@ -60,8 +60,7 @@ class SimulationInputs:
 
     def __post_init__(self) -> None:
         n = self.noise
-        if np.ndim(n.bits) or np.ndim(n.bit_error_rate):
-            raise UsageError(f"sensor {self.sensor!r}: arms that differ in bits or bit error rate cannot be simulated")
+        refuse(np.ndim(n.bits) or np.ndim(n.bit_error_rate), "simulate.arms", sensor=self.sensor)
         if (n.readings, n.digital_readings, n.calibration_readings) != (1.0, 1.0, 1.0):
             raise UsageError(f"sensor {self.sensor!r}: averaged readings (co-adds, bins) cannot be simulated")
 
@@ -373,8 +372,7 @@ def _write_cube(
         rng = schema.generator(scene.seed, schema.NOISE, line)
         radiance = chain.radiance(renderer.reflectance(line))
         values, clipped = chain.stored(chain.measured(radiance, rng))
-        if clipped:
-            raise refusal("scene.radiance", scene.name, clipped=clipped, line=line)
+        refuse(clipped, "scene.radiance", scene.name, clipped=clipped, line=line)
         return values, chain.saturated(radiance)
 
     axis = inputs.axis

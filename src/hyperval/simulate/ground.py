@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy import ndimage, optimize, special
 
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import UsageError, refusal
+from hyperval.errors import refusal, refuse
 from hyperval.simulate import schema
 from hyperval.simulate.schema import Admixture, SceneFile, TargetGroup
 from hyperval.statistics_library import ClassStatistics
@@ -162,8 +162,7 @@ def lay_out(scene: SceneFile) -> GroundLayout:
     """
     surfaces = tuple(scene.surfaces())
     bare = 255
-    if len(surfaces) > bare:
-        raise UsageError(f"{len(surfaces)} classes", where=scene.name, expected=f"at most {bare}")
+    refuse(len(surfaces) > bare, "scene.classes", scene.name, count=len(surfaces), bare=bare)
     class_map = np.full((scene.lines, scene.samples), bare, np.uint8)
     on_panel = np.zeros(class_map.shape, bool)
     for area in (*scene.layout, *scene.panels):
@@ -182,8 +181,7 @@ def lay_out(scene: SceneFile) -> GroundLayout:
             where = {"centre_line": plank.centre_line, "centre_sample": plank.centre_sample}
             raise refusal("scene.host", name=plank.name, host=plank.group.host, **where)
         fill[at] += plank.fills.astype(np.float32)
-    if fill.size and float(fill.max()) > 1.0 + 1e-5:
-        raise UsageError("planks of different groups overlap", where=scene.name, mend="move their areas apart")
+    refuse(fill.size and float(fill.max()) > 1.0 + 1e-5, "scene.overlap", scene.name)
     return GroundLayout(surfaces, class_map, on_panel, planks, fill)
 
 
@@ -232,8 +230,7 @@ def regions(scene: SceneFile, ground: GroundLayout) -> dict[str, Mask]:
         square = np.ones((2 * region.border_pixels + 1,) * 2, bool)
         masks[region.name] = ndimage.binary_erosion(own, square, border_value=1) & clear
     for name, mask in masks.items():
-        if not mask.any():
-            raise UsageError(f"the region {name!r} holds no pixel", where=scene.name, mend="lower its border_pixels")
+        refuse(not mask.any(), "scene.region", scene.name, name=name)
     return masks
 
 

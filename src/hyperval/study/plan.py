@@ -23,7 +23,7 @@ from scipy.stats import qmc
 from hyperval.atmosphere.between import spaced
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.model import (
     Evaluation,
     Origins,
@@ -154,14 +154,10 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
         spectral, among = o.is_spectral, pure if o.is_spectral else populations
         if spectral and scenario.atmosphere is None:
             raise UsageError(f"{where}: the scenario has no atmosphere, so no {o.kind}")
-        if not spectral and not detectors:
-            raise UsageError(f"{where}: the scenario has no detectors", mend="add processing.detectors")
-        if o.subject not in among:
-            raise UsageError(f"{where}: no subject {o.subject!r}", expected="one of " + ", ".join(among))
-        if o.detector not in (None, *detectors):
-            raise UsageError(
-                f"{where}: the scenario does not run {o.detector!r}", expected="one of " + ", ".join(detectors)
-            )
+        refuse(not spectral and not detectors, "study.detectors", at=where)
+        refuse(o.subject not in among, "study.subject", at=where, subject=o.subject, names=", ".join(among))
+        unknown = o.detector not in (None, *detectors)
+        refuse(unknown, "study.detector", at=where, detector=o.detector, names=", ".join(detectors))
         if spectral:
             bands_of(o, axis)
 
@@ -182,8 +178,7 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
     assert output.range_nm is not None  # noqa: S101 - the model's own check
     low, high = output.range_nm
     bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
-    if not bands.size:
-        raise UsageError(f"output {output.name!r}: no usable band from {low:g} to {high:g} nm")
+    refuse(not bands.size, "study.range", name=output.name, low=low, high=high)
     return bands
 
 
@@ -290,8 +285,7 @@ def try_values(study: StudyFile, world: World) -> None:
             point = moved([item], {item.name: column_of([value])})
             changes = {path: plain(column[0]) for path, column in point.items()}
             try:
-                if (at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0:
-                    raise UsageError(f"a false-alarm probability of {at:g}", expected="0 to 1")
+                refuse((at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0, "study.pfa", at=at)
                 for path in [path for path in changes if not in_file(path)]:
                     entry, number = find(world.stated, path), changes.pop(path)
                     if not entry.low <= number <= entry.high:

@@ -18,7 +18,7 @@ import xarray as xr
 import hyperval
 from hyperval.campaign.provenance import package_versions, record_of
 from hyperval.data import LINEAR_DETECTORS, Array
-from hyperval.errors import UsageError
+from hyperval.errors import refuse
 from hyperval.executors import Parcel, Workers, in_order, opened, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
 from hyperval.model import predict
@@ -188,8 +188,7 @@ class PointStore:
     """
 
     def __init__(self, folder: Path, identity: str):
-        if any(not p.name.lstrip(".").startswith(_CHUNK) for p in folder.glob("*")):
-            raise UsageError("holds files that are not of a study's run", where=str(folder), mend="remove it")
+        refuse(any(not p.name.lstrip(".").startswith(_CHUNK) for p in folder.glob("*")), "study.folder", str(folder))
         self.folder, self.digest = folder, hashlib.sha256(identity.encode()).hexdigest()[:16]
         self.chunks: list[tuple[Array, dict[int, str]]] = []
         while (path := self._next).is_file():

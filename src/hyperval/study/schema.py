@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from hyperval.config import FileModel, Model, OneOf, load_model, twice, unknown
-from hyperval.errors import UsageError, reader
+from hyperval.errors import reader, refuse
 from hyperval.model.world import column_of
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$", max_length=60)]
@@ -329,6 +329,5 @@ def load_study(path: Path) -> StudyFile:
     InputError : no such file.
     """
     study = load_model(StudyFile, path)
-    if study.count > MOST_POINTS:
-        raise UsageError(f"{study.count:,} points", where=str(path), expected=f"at most {MOST_POINTS:,}")
+    refuse(study.count > MOST_POINTS, "study.points", str(path), count=study.count, most_points=MOST_POINTS)
     return study

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS, Array, Mask
-from hyperval.errors import UsageError, package_table
+from hyperval.errors import UsageError, package_table, refuse
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
 from hyperval.model.intervals import Z95
@@ -219,34 +219,26 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     output = trade.output if p.targets or trade.is_spectral else "snr"
     among = p.surfaces if output in SPECTRAL else p.targets
     subject = [name for name in trade.subject if name in among] or list(among[:1])
-    if not subject:
-        raise UsageError("the scenario has no subject for this output", where="output")
+    refuse(not subject, "trade.subject", "output")
     x = trade.x or _usual(p, "" if output in SPECTRAL else f"[{subject[0]}]")
     for field, names, known in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
         ("detector", [trade.detector], ("", *p.detectors)), ("moved", trade.moved, p.inputs),
     ):  # fmt: skip
-        if wrong := [name for name in names if name not in known]:
-            raise UsageError(
-                f"{wrong[0]!r} is not in this scenario", where=field, expected="one of " + ", ".join(known)
-            )
-    if trade.y == x:
-        raise UsageError("is already the first input", where="y")
-    if not trade.from_nm < trade.to_nm:
-        raise UsageError(f"{trade.to_nm:g} nm is not above {trade.from_nm:g} nm", where="to_nm")
+        wrong = [name for name in names if name not in known]
+        refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(known))
+    refuse(trade.y == x, "trade.same", "y")
+    refuse(not trade.from_nm < trade.to_nm, "trade.bands", "to_nm", to_nm=trade.to_nm, from_nm=trade.from_nm)
     filled: dict[str, Any] = {"output": output, "x": x, "subject": subject}
     for field, key in (("x", x), ("y", trade.y)):
         if key:
             low, high = p.inputs[key].ends(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
-            if not low < high:
-                raise UsageError(f"{high:g} is not above {low:g}", where=f"{field}_to")
-            if p.inputs[key].spacing == "log" and low <= 0.0:
-                raise UsageError("a logarithmic axis starts above 0", where=f"{field}_from")
+            refuse(not low < high, "trade.ends", f"{field}_to", high=high, low=low)
+            refuse(p.inputs[key].spacing == "log" and low <= 0.0, "trade.log", f"{field}_from")
             filled |= {f"{field}_from": low, f"{field}_to": high}
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
-    if lines > _MOST_LINES:
-        raise UsageError(f"{lines} curves; at most {_MOST_LINES} are drawn together", where="subject")
+    refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, _most_lines=_MOST_LINES)
     return trade.model_copy(update=filled)
 
 

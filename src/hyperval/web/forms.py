@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from hyperval.config import SCHEMA_LINE, parse_yaml
 from hyperval.datasets import files_at_hand, how_to_get, missing, registry
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refuse
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
@@ -532,6 +532,5 @@ _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", re.compile(r"[-+.]?\d")
 def yaml_text(kind: str, data: Mapping[str, Any], note: str = "") -> str:
     """Plain data as YAML that the strict reader takes for the same; its first line names the schema of its kind."""
     text = str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110))
-    if parse_yaml(text)[0] != data:
-        raise UsageError("this cannot be written as YAML unchanged")
+    refuse(parse_yaml(text)[0] != data, "form.yaml")
     return f"{SCHEMA_LINE}{kind}.schema.json\n{note}{text}"

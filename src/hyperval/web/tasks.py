@@ -26,7 +26,7 @@ from hyperval.campaign import StarterSources, jobs_of, observe, predict_to_folde
 from hyperval.collection import CollectionSection, CubeSource
 from hyperval.config import load_model, write_draft
 from hyperval.datasets import InputLog
-from hyperval.errors import UsageError
+from hyperval.errors import UsageError, refusal, refuse
 from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
 from hyperval.imagery import open_raster, record
 from hyperval.observe import open_source
@@ -146,8 +146,7 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     place, about = Path(folder), dict(stated)
     files = {part: [place / COLLECTION / name for name in names] for part, names in parts.items()}
     raster = open_raster(files["cube"][0])
-    if (count := math.prod(raster.size)) > most:
-        raise UsageError(f"the cube has {count:,} values", expected=f"at most {most:,}")
+    refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
     header = {what: value for what, value, _ in record(raster) if what != "assumed"}
     spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
     name, targets = about.pop("name"), next(iter(files["targets"]), None)
@@ -262,7 +261,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     predicted, quantity = read_pair(Path(folder) / "results")[0], source.quantity
     spectra = getattr(predicted, quantity, None)
     if not spectra:
-        raise UsageError(f"this run predicted no {quantity}")
+        raise refusal("web.spectra", quantity=quantity)
     own = SpectralEstimate(values, np.zeros((values.size, values.size)))
     sides: dict[str, Any] = {quantity: dict.fromkeys(spectra, own)}
     observed = ObservedProducts(cube.axis, **sides)
