@@ -36,7 +36,7 @@ from hyperval.model import (
     spectral_input,
     value_at,
 )
-from hyperval.model.inputs import Kind, field_spectrum_of, form_in_words
+from hyperval.model.inputs import Kind, directions, field_spectrum_of, form_in_words
 from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
@@ -318,7 +318,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
 
 
 def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
-    """Another time of overflight, where one is stated.
+    """Another time of overflight, where one is stated; another day at the same hour.
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import read
@@ -328,9 +328,12 @@ def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth
     >>> there = stated.with_values({f"atmosphere.{name}": value for name, value in at.items()})
     >>> _later([read(there), read(stated)], timedelta(hours=1), -2.0)
     [{'atmosphere.time_utc': '2012-09-20T14:00:00+00:00'}, {}]
+    >>> _later([read(there)], timedelta(days=30), 0.52)
+    [{'atmosphere.time_utc': '2012-10-06T16:00:00+00:00'}]
     """
+    by = units * step if step < timedelta(days=1) else timedelta(days=round(units * step.days))
     states = [world.stated.scenario.atmosphere for world in worlds]
-    times = [s and s.time_utc and parse_utc(s.time_utc) + units * step for s in states]
+    times = [s and s.time_utc and parse_utc(s.time_utc) + by for s in states]
     return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
 
 
@@ -421,9 +424,9 @@ def exchanged_pairs(own: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
-    """What is looked for where little else explains a change: field spectra at another level or one in the place of
-    another, fractions that two classes trade, shade, stretched or wider bands, heights, the direction of view, another
-    date or sun.
+    """What is looked for where little else explains a change: field spectra at another level, one of them or the
+    covariance of another in its place, fractions that two classes trade, shade, electrons of one arm, stretched or
+    wider bands, heights, the direction of view, another date or sun.
 
     Examples
     --------
@@ -452,8 +455,14 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> path, float(np.abs(level / world.stated.surfaces["grass"].mean - 0.8).max().round(9))
     ('surfaces.[grass].mean', 0.0)
     >>> entries = both["entry of a surface"]
-    >>> entries.labels[-1], entries.at(0, 8.0)[0], sorted(entries.at(0, 8.0)[1].values())
+    >>> lit, spread = len(entries.labels) - 1, entries.labels.index("covariance of grass in asphalt")
+    >>> entries.labels[lit], entries.at(0, lit)[0], sorted(entries.at(0, lit)[1].values())
     ('yellow plank in full light', {}, [1.0, 1.0])
+    >>> entries.at(0, spread)
+    [{}, {'scene.classes.[asphalt].covariance': {'builtin': 'grass'}}]
+    >>> arm = both["electrons per radiance of 942-2470 nm"]
+    >>> [truth["sensor.electrons"].round(9).ravel()[[0, -1]].tolist() for truth in arm.at(0, 2.0)]
+    [[1.0, 1.1], [1.0, 1.1]]
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
     >>> shown("ground height", both["ground height"].sizes[-2])
@@ -481,6 +490,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
                 for name in (f"the spectrum of {s.name}", *of_file, "all spectra of the ground"):
                     levels[name][number][path] = means[s.name]
                 entries |= {f"{by} in the place of {s.name}": alone({path: means[by]}) for by in means if by != s.name}
+        entries |= {words: alone(truth) for words, truth in _covariances(scene.classes)}
         for t in scene.targets:
             shapes = ((_geometry(t, p), p.fill and p.fill.geometry) for p in t.populations)
             pixels[number] |= {f"{path}.gsd_m": shape.gsd_m for path, shape in shapes if shape}
@@ -504,6 +514,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     if any(pixels):
         larger = partial(_levelled, pixels)
         out.append(Candidate("pixel size of the fills", "sensor", "5 %", False, sizes=(-8.0, 12.0), moved=larger))
+    out += _of_arms(worlds)
     out.append(Candidate("wavelength scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), moved=stretched))
     out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
     if entries:
@@ -576,6 +587,32 @@ def _files_changed(levels: Mapping[str, Sequence[Mapping[str, Array]]]) -> dict[
 
 def _levelled(values: Sequence[Mapping[str, Any]], units: float) -> list[Truth]:
     return [{path: (1.0 + 0.05 * units) * value for path, value in each.items()} for each in values]
+
+
+def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
+    """Electrons per radiance of each arm of a sensor that has several."""
+    axis, sensor, out = worlds[0].stated.axis, worlds[0].stated.sensor, list[Candidate]()
+    if sensor is None or len(sensor.specification.arms) < 2 or any(world.stated.noise is None for world in worlds):
+        return out
+    for row in directions(np.full(len(axis), 0.05), SpectralForm(correlation="arms"), axis, sensor):
+        low, high = axis.centre_nm[row > 0][[0, -1]]
+        name, sizes = f"electrons per radiance of {low:.0f}-{high:.0f} nm", _SIZES["electrons per radiance"]
+
+        def moved(units: float, row: Array = row) -> list[Truth]:
+            return [{"sensor.electrons": 1.0 + units * row}] * len(worlds)
+
+        out.append(Candidate(name, "sensor", "5 %", False, sizes=sizes, moved=moved))
+    return out
+
+
+def _covariances(classes: Sequence[BackgroundClass]) -> Iterator[tuple[str, Truth]]:
+    """Classes whose covariance is stated as that of another one, or of the spectrum it belongs to."""
+    for c, other in product(classes, repeat=2):
+        for source in filter(None, (other.covariance, other.spectrum)):
+            spread = source.model_dump(include={"builtin", "measured", "replicates"}, exclude_none=True)
+            if spread and source is not (c.covariance or c.spectrum):
+                of = next(iter(spread.values()))
+                yield f"covariance of {of} in {c.name}", {f"scene.classes.[{c.name}].covariance": spread}
 
 
 def _traded(pairs: Sequence[Sequence[BackgroundClass]], units: float) -> list[Truth]:

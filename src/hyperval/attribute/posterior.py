@@ -18,7 +18,7 @@ import numpy.typing as npt
 import scipy
 from scipy import linalg, special
 
-from hyperval.attribute.candidates import LIGHT, MOST_STEPS, SINGLE_BANDS, Candidate
+from hyperval.attribute.candidates import LIGHT, SINGLE_BANDS, Candidate
 from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.data import Array, Index
 from hyperval.errors import refusal, refuse
@@ -29,6 +29,7 @@ ALL = "all"
 TOO_WIDE, TOO_WIDE_LEVEL = 1.5, 1e-3
 COMMON, DIFFERENT = "what all subjects share", "what differs between subjects"
 NOTHING, NONE = "nothing to explain", "none of these"
+UNKNOWN = Candidate(NONE, "", "", False)  # what no candidate describes
 # Before the data are seen: that nothing is wrong, that something is that no candidate describes; the rest is shared.
 NOTHING_PRIOR, NONE_PRIOR = 0.5, 0.05
 TYPICAL = 2.0  # units that an error has: half of all have less (Cauchy; a half-Cauchy spread of directions)
@@ -99,7 +100,6 @@ class Fit:
 
     Attributes
     ----------
-    candidate : None for what no candidate describes
     evidence : ln p(e | cause) - ln p(e | nothing)
     amplitudes : (k,) most likely sizes, in units; of alternatives the number of one
     shown : (n,) what it most likely makes of e
@@ -109,7 +109,7 @@ class Fit:
     factor2 : on all variances, where no candidate is meant
     """
 
-    candidate: Candidate | None
+    candidate: Candidate
     evidence: float
     amplitudes: Array
     shown: Array
@@ -122,7 +122,7 @@ class Fit:
     @property
     def name(self) -> str:
         """Of the candidate."""
-        return self.candidate.name if self.candidate else NONE
+        return self.candidate.name
 
     @property
     def units(self) -> float:
@@ -132,8 +132,7 @@ class Fit:
     @property
     def in_words(self) -> str:
         """How far it would have to move."""
-        words = self.candidate.in_words(self.amplitudes) if self.candidate else NONE
-        return words + ", as far as it can" * self.limited
+        return self.candidate.in_words(self.amplitudes) + ", as far as it can" * self.limited
 
 
 @lru_cache(maxsize=256)
@@ -159,13 +158,13 @@ class Directions:
     Where no candidate is meant, all uncertainties may be too small besides: N(0, s^2 I + tau^2 G G^T).
     """
 
-    def __init__(self, candidate: Candidate | None, columns: Array):
+    def __init__(self, candidate: Candidate, columns: Array):
         self.candidate, self.columns = candidate, columns
         values, vectors = linalg.eigh(columns.T @ columns)
         keep = values > _ROUGH * max(float(values[-1]), 1e-300)
         self.values, self.vectors = values[keep], vectors[:, keep]
-        self.most = candidate.most if candidate is not None else MOST_STEPS
-        self.tau, self.scale2, self.prior = _spreads(self.most, candidate is not None)
+        self.most = candidate.most
+        self.tau, self.scale2, self.prior = _spreads(self.most, candidate is not UNKNOWN)
         grown = self.scale2[:, None, None] + self.tau[:, None] ** 2 * self.values
         self._inverse, self._logs = 1.0 / grown, np.log(grown).sum(axis=2)
 
@@ -181,7 +180,7 @@ class Directions:
         t2, s2 = float(self.tau[best] ** 2), float(self.scale2[best_s])
         z = self.vectors @ (t2 / (s2 + t2 * self.values) * dots)
         evidence = float(np.logaddexp.reduce(logs, axis=None))
-        if self.candidate is not None and np.max(np.abs(z), initial=0.0) > self.most:
+        if self.candidate is not UNKNOWN and np.max(np.abs(z), initial=0.0) > self.most:
             made = self.columns @ np.clip(z, -self.most, self.most)
             return Fit(self.candidate, evidence, z, made, made, np.zeros((e.size, 0)), np.zeros(0), True)
         freed, variances = self.columns @ (self.vectors / np.sqrt(self.values)), t2 * self.values
@@ -274,11 +273,10 @@ class Alternatives:
 Effect = Directions | Family | Alternatives
 
 
-def effect_of(candidate: Candidate | None, columns: Array) -> Effect:
+def effect_of(candidate: Candidate, columns: Array) -> Effect:
     """What a candidate does to whitened residuals (n, k), by its kind."""
-    if candidate is not None and candidate.labels:
-        return Alternatives(candidate, columns)
-    return Family(candidate, columns) if candidate is not None and candidate.sizes else Directions(candidate, columns)
+    of: type[Effect] = Alternatives if candidate.labels else Family if candidate.sizes else Directions
+    return of(candidate, columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,7 +347,7 @@ class Posterior:
     def left(self) -> float:
         """Chi-square after the causes that it names."""
         best = self.best
-        named = [x for x, cause in zip(best.left, best.causes, strict=False) if cause.candidate is not None]
+        named = [x for x, cause in zip(best.left, best.causes, strict=False) if cause.candidate is not UNKNOWN]
         return named[-1] if named else self.chi_square
 
     @property
@@ -384,7 +382,7 @@ class Posterior:
         False
         """
         causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
-        named = [c.candidate for c in causes if c.candidate is not None and not c.limited]
+        named = [c.candidate for c in causes if c.candidate is not UNKNOWN and not c.limited]
         inside = 0 < len(named) == len(causes) < MOST_CAUSES and not any(c.makes_anything for c in named)
         if len(named) > 1 and named[0].unbounded:  # of a change, which has no noise, smooth pieces make the rest
             inside = inside and not any(c.knots_nm for c in named)
@@ -431,8 +429,8 @@ class Posterior:
         part = max(1.0 - self.best.left[0] / self.chi_square, 0.0)
         words = f"check the {first.name} ({first.in_words} explains {100.0 * part:.0f} % of the difference"
         words += f"; not distinguished from {' and '.join(self.alike[:3])})" if self.alike else ")"
-        words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not None)
-        if any(c.candidate is None for c in more):
+        words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not UNKNOWN)
+        if any(c.candidate is UNKNOWN for c in more):
             return f"{words}; not sufficient: the remainder has none of the causes tried"
         sure = "sufficient" if self.enough else "possibly not sufficient"
         return f"{words}; {'together ' if more else ''}{sure}"
@@ -488,10 +486,11 @@ class Reasoner:
         kinds = Counter(kind_of(c.name) for c in columns)
         share = (1.0 - NOTHING_PRIOR - NONE_PRIOR) / max(len(kinds), 1)
         self.prior = {c: float(np.log(share / kinds[kind_of(c.name)])) for c in columns}
+        self.prior[UNKNOWN] = float(np.log(NONE_PRIOR))
         self._effects = [effect_of(c, g) for c, g in columns.items()]
         self._together = np.column_stack([*columns.values(), wide])
         self._ends = np.cumsum([g.shape[1] for g in columns.values()])
-        self._none = Directions(None, wide)
+        self._none = Directions(UNKNOWN, wide)
 
     def posterior(self, group: str, e: Array) -> Posterior:
         """Of whitened residuals (n,)."""
@@ -499,12 +498,12 @@ class Reasoner:
         singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
         found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (whole,))]
         found += [self._with(None, fit, e, whole) for fit in (*singles, self._none.fit(e))]
-        beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not None]
+        beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not UNKNOWN]
         beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
         for _ in range(MOST_CAUSES - 1):
             longer = [more for h in beam for more in self._longer(h, e)]
             found += longer
-            beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not None]
+            beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not UNKNOWN]
         if not self.noisy:  # a cause of a change makes most of it
             part = [h.first in (NOTHING, NONE) or h.left[-1] <= MOST_LEFT * whole for h in found]
             found = [h if most else replace(h, weight=h.weight - whole) for h, most in zip(found, part, strict=True)]
@@ -545,12 +544,11 @@ class Reasoner:
 
     def _order(self, fit: Fit) -> tuple[bool, float, str]:
         """Of inputs that explain the same, rounding shall not say which comes first."""
-        assert fit.candidate is not None  # noqa: S101 - of a candidate
         return fit.limited, -float(f"{fit.evidence + self.prior[fit.candidate]:.6g}"), fit.name
 
     def _with(self, before: Hypothesis | None, fit: Fit, e: Array, whole: float) -> Hypothesis:
         """One cause more, of residuals e that those before have been taken from; ``whole`` is the chi-square of all."""
-        prior = np.log(NONE_PRIOR) if fit.candidate is None else self.prior[fit.candidate]
+        prior = self.prior[fit.candidate]
         # Bands that are off by themselves are few, by their participation ratio: many are a pattern without a name.
         z2 = fit.amplitudes**2
         few = max(3.0, 0.1 * z2.size) * float(np.sum(z2**2))
@@ -559,29 +557,28 @@ class Reasoner:
             prior = prior - float(e @ e)
         rest = _after(fit, e - fit.made)
         causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
-        if not self.noisy and fit.candidate is None and left and left[-1] > REMAINDER * whole:
+        if not self.noisy and fit.candidate is UNKNOWN and left and left[-1] > REMAINDER * whole:
             causes, left = (), ()
         return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*left, float(rest @ rest)))
 
-    def _without(self, causes: Sequence[Fit], e: Array) -> tuple[Array, dict[Candidate | None, Array]]:
+    def _without(self, causes: Sequence[Fit], e: Array) -> tuple[Array, dict[Candidate, Array]]:
         """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
         columns = self._together
         for fit in causes:
             e, columns = _after(fit, e - fit.made), _after(fit, columns)
-        return e, dict(zip([*self.columns, None], np.split(columns, self._ends, axis=1), strict=True))
+        return e, dict(zip([*self.columns, UNKNOWN], np.split(columns, self._ends, axis=1), strict=True))
 
     def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
         """Its causes and one more each."""
         if special.chdtrc(e.size, h.left[-1]) <= SUFFICES:
             rest, columns = self._without(h.causes, e)
             for candidate, g in columns.items():
-                if candidate is None or all(candidate is not f.candidate for f in h.causes):
+                if all(candidate is not f.candidate for f in h.causes):
                     yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
 
     def _shared_first(self, h: Hypothesis, e: Array) -> Hypothesis:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part."""
-        order = sorted(h.causes, key=lambda f: f.candidate is not None and not f.candidate.is_shared)
-        order.sort(key=lambda f: f.candidate is None)
+        order = sorted(h.causes, key=lambda f: not f.candidate.is_shared)
         if not self.noisy or not order or order[0] is h.causes[0]:
             return h
         causes, left = tuple[Fit, ...](), [float(e @ e)]

@@ -35,7 +35,7 @@ from hyperval.attribute.posterior import (
     posterior,
     posteriors,
 )  # fmt: skip
-from hyperval.attribute.residuals import POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
+from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
@@ -61,7 +61,7 @@ FACTOR = 2.0  # a ratio of false alarms within it is good
 AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted one and of another machine agree
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
-CHANGE_FLOOR, OFF, STILL = 2e-3, 0.01, 1e-4
+CHANGE_FLOOR, OFF, STILL = 2e-4, 0.01, 1e-4
 # What befalls an image whose spectra are not compared: it is measured again.
 _OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
     ("gain of the data against the spectra", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
@@ -95,7 +95,7 @@ class ScenarioModel:
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
-    observe: Callable[[Mapping[str, Any], Mapping[str, float]], Products]
+    observe: Callable[[Mapping[str, Any], Mapping[str, Any]], Products]
     exchanges: Mapping[str, tuple[str, Mapping[str, Any]]] = field(default_factory=dict)
     looked_for: Mapping[str, Any] = field(default_factory=dict)
 
@@ -139,7 +139,7 @@ class Causes:
     residual: Array
     wide: Array
     evaluate: Evaluate
-    mistaken: Callable[[Mapping[str, float]], Array]
+    mistaken: Callable[[Mapping[str, Any]], Array]
     exchanged: Callable[[], dict[Candidate, Array]]
 
     def reasoner(self) -> Reasoner:
@@ -177,7 +177,7 @@ class Causes:
         >>> def causes(*blocks, **of):
         ...     stack, none = Stack(blocks), {}
         ...     n, files = stack.observed.size, of.get("files", {})
-        ...     asked, rarer = lambda truths, title: [], of.get("rarer", ())
+        ...     asked, rarer = lambda truths, title, budgeted: [], of.get("rarer", ())
         ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, rarer,
         ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
@@ -199,6 +199,20 @@ class Causes:
         >>> found = causes(block("scores", 0.1, 0.9), mistaken=at).changed(told, simulated=False)
         >>> found.first, found.best.causes[0].in_words
         ('position of the target regions', '+3 lines, +2 samples')
+
+        Regions that alone moved are looked for elsewhere, and two of them in each other's place:
+
+        >>> def light(name, level):
+        ...     return ResidualBlock("radiance", name, "", np.full(3, level), 1e-6 * np.eye(3), len, np.arange(3))
+        >>> told = {f"radiance of {name}": ("0 1 2", "0.4 0.5 0.6", "0 0 0") for name in ("red", "green", "lot")}
+        >>> told["radiance of lot"] = ("0 1 2", "0.7 0.7 0.7", "0 0 0")
+        >>> tried = causes(light("red", 0.2), light("green", 0.1), light("lot", 0.7), mistaken=lambda mistake:
+        ...                asked.append(mistake) or np.zeros(9))
+        >>> asked = []
+        >>> tried.changed(told, simulated=False).first, len(asked), asked[0]
+        ('none of these', 25, {'exchanged': ['red', 'green']})
+        >>> asked[1]
+        {'lines': -2, 'samples': -2, 'regions': True, 'still': ['lot']}
 
         A band that held nothing in the accepted run has no part by which it moved:
 
@@ -244,7 +258,10 @@ class Causes:
             # No field spectrum, which could make anything, has moved what was measured.
             can = (c for c in columns if c.kind == "sensor" or (simulated and not c.makes_anything))
             columns = {c: self.beside(level, columns[c]) for c in can}
-            columns |= self.of_spectra(level) | self.stack.exchanged(level) | self.stack.single(level)
+            columns |= self.of_spectra(level) | self.stack.single(level)
+            if len(away := self._moved_subjects(moved, of, level)[0]) == 2:
+                one = Candidate("exchanged regions", "scene", "", False, labels=(" and ".join(away),))
+                columns[one] = self.mistaken({"exchanged": away})[:, None]
             if simulated and (by_setting := self.or_rarer(moved, of, level, columns)).enough:
                 return by_setting
             found = self.or_displaced(moved, of, level, columns, regions=True)
@@ -295,22 +312,33 @@ class Causes:
         if found.first == NONE and (exchanged := self.exchanged()):
             columns = {**columns, **exchanged}
             found = self.explained_change(moved, of, level, columns)
+        away, still = self._moved_subjects(moved, of, level)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
+        where = f"regions {', '.join(away)}" if regions and still else "regions" if regions else "target regions"
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
             reach = (-1, 0, 1) if effects else (-2, -1, 0, 1, 2)
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product(reach, repeat=2)]
             for by in around:
                 if by not in effects and any(by):
-                    effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions})
+                    mistake = {"lines": by[0], "samples": by[1], "regions": regions, "still": still}
+                    effects[by] = self.mistaken(mistake)
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
-            where = f"position of the {'regions' if regions else 'target regions'}"
-            place = Candidate(where, "scene", "", False, labels=labels)
+            place = Candidate(f"position of the {where}", "scene", "", False, labels=labels)
             found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
             before, nearest = nearest, list(effects)[int(best.amplitudes[0])] if best else nearest
             if found.enough or nearest == before:
                 break
         return found
+
+    def _moved_subjects(self, moved: Array, of: Index, level: Array) -> tuple[list[str], list[str]]:
+        """Subjects whose light, as measured, moved from ``level``, and those that lay still."""
+        # Reflectance follows the empirical line, which is made of other regions.
+        light = np.isin(self.stack.named("product")[of], LIT)
+        light = light if light.any() else self.stack.bands[of] >= 0
+        subjects, off = self.stack.named("subject")[of], np.abs(moved) > STILL * np.abs(level[of])
+        away = list(dict.fromkeys(subjects[light & off].tolist()))
+        return away, [name for name in dict.fromkeys(subjects[light].tolist()) if name not in away]
 
     def explained_change(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
         """What explains a change (k,) of the entries ``of``, beside ``level`` (m,).
@@ -341,10 +369,11 @@ class Causes:
         for last in range(MOST_ROUNDS, -1, -1):
             found = posterior(ALL, residual, covariance, columns, self.wide[of], noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
-            sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate and f.candidate.asked}
+            sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.asked}
             # At none of those that the model was asked at.
             sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
-            more = _asked(self.evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
+            evaluate = partial(self.evaluate, budgeted=not noisy)  # of a change, a step of the atmosphere by its engine
+            more = _asked(evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
                     wider = np.column_stack([columns.pop(c), self.beside(level, side[0] - self.predicted)[of]])
@@ -421,16 +450,14 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
         for of in (True, False)
     }  # the order of the candidates
     found = chain.from_iterable(evaluate(some, "attribution: inputs", of) for of, some in steps.items())
-    units: dict[Candidate, Array] = {}
-    columns: dict[Candidate, Array] = {}
-    ends: dict[Candidate, tuple[Array, Array]] = {}
+    units, ends = dict[Candidate, Array](), dict[Candidate, tuple[Array, Array]]()
+    columns = dict[Candidate, Array]()
     for candidate in moved:
         pairs = [(next(found), next(found)) for _ in range(candidate.size)]
         units[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
         ends[candidate] = pairs[0][0][1], pairs[0][1][1]
-        columns[candidate] = units[candidate]
-        if candidate.sizes:
-            columns[candidate] = np.stack([side - predicted for side, _ in pairs[0]], axis=1)
+        at_sizes = np.stack([side - predicted for side, _ in pairs[0]], axis=1)
+        columns[candidate] = at_sizes if candidate.sizes else units[candidate]
     budget = budget_covariance(units, predicted.size)
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
@@ -460,7 +487,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
         shared = [c for c in (*every, *rarer) if sum(map(bool, c.at(0, 0.0))) > 1]
         rarer += [c.alone(i, s.name) for i, s in enumerate(model.scenarios) for c in shared]
 
-    def mistaken(mistake: Mapping[str, float], settings: Mapping[str, Any] = {}) -> Array:
+    def mistaken(mistake: Mapping[str, Any], settings: Mapping[str, Any] = {}) -> Array:
         try:
             return stack.since(stacked(base, model.observe(settings, mistake)))
         except UsageError:  # nothing can be measured so, such as by panels that are no line
@@ -627,13 +654,13 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     for name in (NOTHING, NONE):
         yield from named([row("probability", r.probability[name], n=r.dof)], "attribution", r.group, name)
     for place, item in enumerate(r.fits, start=1):
-        assert item.candidate is not None  # noqa: S101 - of a candidate
         none, cause = ("", Cause.NONE) if item.candidate.budgeted else (" (none is stated)", Cause.NO_UNCERTAINTY)
         unit = f"in units of the {item.candidate.unit}{none}"
         gained = {"probability": r.probability[item.name], "likelihood_gain": max(2.0 * item.evidence, 0.0)}
         own = [row(metric, value, reason=f"rank {place}: {item.in_words}", n=r.dof) for metric, value in gained.items()]
-        needed = row("needed_uncertainty", abs(item.units), cause=cause, reason=unit)
-        yield from named([*own, needed], "attribution", r.group, item.name)
+        if not item.candidate.labels:  # one of several has no size
+            own.append(row("needed_uncertainty", abs(item.units), cause=cause, reason=unit))
+        yield from named(own, "attribution", r.group, item.name)
 
 
 def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:

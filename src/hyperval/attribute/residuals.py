@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import combinations, permutations
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -229,19 +229,6 @@ class Stack:
             if block.product in LIT:
                 out[at] = np.mean(level[at]) - level[at]
         return out
-
-    def exchanged(self, level: Array) -> dict[Candidate, Array]:
-        """Of what is measured, the spectra of two subjects in each other's place."""
-        changes = dict[str, Array]()
-        spectral = [(b, at, b.bands) for b, at in self.placed() if b.bands is not None]
-        for (a, here, own), (b, there, others) in combinations(spectral, 2):
-            if a.product == b.product:
-                _, i, j = np.intersect1d(own, others, return_indices=True)
-                changes[f"{a.subject} and {b.subject}"] = change = np.zeros(level.size)
-                change[here.start + i] = level[there][j] - level[here][i]
-                change[there.start + j] = -change[here.start + i]
-        one = Candidate("exchanged regions", "scene", "", False, labels=tuple(changes))
-        return {one: np.column_stack([*changes.values()])} if changes else {}
 
     def single(self, level: Array) -> dict[Candidate, Array]:
         """Of what is measured, other light on one subject, or all that is more than the greatest value now cut off."""

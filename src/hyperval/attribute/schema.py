@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
-from hyperval.config import Model
+from hyperval.config import Model, Refused, twice
 
 
 class WhatIf(Model):
@@ -22,14 +22,12 @@ class WhatIf(Model):
         description="dotted path -> value below 'collection' or 'detection': the collection is measured again",
     )
 
-    @model_validator(mode="after")
-    def _changes_something(self) -> WhatIf:
-        if not self.scenario and not self.observe:
-            raise ValueError("give scenario or observe: a what-if changes something")
-        for path in self.observe:
-            if path.split(".")[0] not in ("collection", "detection"):
-                raise ValueError(f"observe: {path!r} is in neither collection nor detection")
-        return self
+    refused: ClassVar[Refused] = {
+        "give scenario or observe: a what-if changes something": lambda w: not w.scenario and not w.observe,
+        "observe: {0!r} is in neither collection nor detection": lambda w: [
+            path for path in w.observe if path.partition(".")[0] not in ("collection", "detection")
+        ],
+    }
 
 
 class AttributionOptions(Model):
@@ -38,10 +36,4 @@ class AttributionOptions(Model):
     each: list[str] = Field(default_factory=list, description="subjects also ranked by themselves; * and ? allowed")
     what_ifs: list[WhatIf] = Field(default_factory=list)
 
-    @model_validator(mode="after")
-    def _names_differ(self) -> AttributionOptions:
-        names = [w.name for w in self.what_ifs]
-        twice = sorted({n for n in names if names.count(n) > 1})
-        if twice:
-            raise ValueError(f"two what-ifs are named {twice[0]!r}")
-        return self
+    refused: ClassVar[Refused] = {"two what-ifs are named {0!r}": lambda o: twice(w.name for w in o.what_ifs)}

@@ -244,19 +244,33 @@ def scenario_model(side: Collected) -> ScenarioModel:
         for parts in zip(*sides, strict=True):
             yield joined(side, scenarios, parts)
 
-    def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, float]) -> Products:
+    def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, Any]) -> Products:
+        if "exchanged" in mistake and not side.observed.place:
+            sites = entries_of(side.campaign.collection, "spectra")
+            changes = {"collection.spectra": exchanged_sites(sites, *mistake["exchanged"])}
         changed = with_settings(side.campaign, changes)  # no residual is an area
         detection = changed.detection and changed.detection.model_copy(update={"unmixing": None, "areas": []})
         before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
             bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
             place = open_place(changed.collection, side.inputs.resolve, mistake) if bands_are_off else before.place
-            is_displaced = mistake.keys() <= {"lines", "samples", "regions"}  # no pixel has changed
-            before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if is_displaced else {})
+            same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
+            before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
         return observe_collection(changed.collection, detection, side.inputs.resolve, before=before).observation
 
     looked_for = {each["name"]: each["spectrum"] for each in entries_of(side.campaign.detection, "targets")}
     return ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)
+
+
+def exchanged_sites(sites: Sequence[Mapping[str, Any]], one: str, other: str) -> list[dict[str, Any]]:
+    """Measured spectra of which two subjects have each other's.
+
+    >>> sites = [{"subject": name, "path": f"{name}.txt"} for name in ("black", "grey", "white")]
+    >>> [(site["subject"], site["path"]) for site in exchanged_sites(sites, "black", "white")]
+    [('white', 'black.txt'), ('grey', 'grey.txt'), ('black', 'white.txt')]
+    """
+    swapped = {one: other, other: one}
+    return [{**site, "subject": swapped.get(site["subject"], site["subject"])} for site in sites]
 
 
 def entries_of(owner: Any, key: str) -> list[dict[str, Any]]:
