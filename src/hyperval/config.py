@@ -16,7 +16,7 @@ from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
-from hyperval.errors import InputError, UsageError, reader, refusal, refuse
+from hyperval.errors import InputError, UsageError, needed, reader, refusal, refuse
 from hyperval.storage import installed_file, write_text
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
@@ -259,10 +259,8 @@ def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int
     except UnicodeEncodeError as error:
         line = text.count("\n", 0, error.start) + 1
         raise UsageError("an unpaired UTF-16 surrogate", where=f"{name}:{line}") from error
-    if root is None:
-        raise UsageError("the file is empty", where=name)
     lines: dict[Location, int] = {}
-    return _construct(root, (), lines, name), lines
+    return _construct(needed(root, "yaml.empty", name), (), lines, name), lines
 
 
 def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: str) -> Any:

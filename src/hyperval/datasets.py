@@ -28,7 +28,7 @@ from urllib.parse import quote
 import platformdirs
 
 from hyperval.config import Model, parse_yaml, validate
-from hyperval.errors import HypervalError, MissingDataError, refusal, refuse
+from hyperval.errors import HypervalError, MissingDataError, needed, refusal, refuse
 from hyperval.paths import checked_store, is_pattern, matching, nearest
 from hyperval.progress import track
 from hyperval.storage import has_digest, sha256_of, size_of, whole_file
@@ -328,9 +328,8 @@ class InputLog:
     def resolve(self, reference: str, base: Path | None = None) -> Path:
         """Like :func:`resolve`, and keep a record of the file; InputError where it is not the registered one."""
         if reference.startswith(SIMULATED):
-            if self.simulated is None:
-                raise refusal("data.simulated", reference=reference)
-            return self.add(self.simulated / Path(reference.removeprefix(SIMULATED)).name, reference)
+            folder = needed(self.simulated, "data.simulated", reference=reference)
+            return self.add(folder / Path(reference.removeprefix(SIMULATED)).name, reference)
         path = resolve(reference, base or self.base)
         if is_pattern(reference) and not path.is_file():
             for one in matching(path):

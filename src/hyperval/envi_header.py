@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.data import Array
-from hyperval.errors import reader, refusal, refuse
+from hyperval.errors import needed, reader, refusal, refuse
 from hyperval.storage import decoded, number_of
 
 MAX_HEADER_BYTES = 1 << 20
@@ -188,9 +188,7 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
         return f"{path}:{line_of[key]}" if key in line_of else str(path)
 
     def integer(key: str, default: str | None = None, least: int = 0) -> int:
-        value = entries.get(key, default)
-        if value is None:
-            raise refusal("header.missing", path, key=key)
+        value = needed(entries.get(key, default), "header.missing", path, key=key)
         if not re.fullmatch(r"[+-]?[0-9]{1,18}", _bare(value)) or int(_bare(value)) < least:
             kind = "a positive integer" if least == 1 else "an integer of 0 or more"
             raise refusal("header.integer", where(key), key=key, text=_bare(value)[:40], kind=kind)

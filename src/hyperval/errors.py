@@ -18,6 +18,7 @@ from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 
 _OWN = Path(__file__).parent
 _CALLS = 4
@@ -95,6 +96,13 @@ def refuse(wrong: object, name: str, where: object = None, /, **values: object) 
     """Raise the error of a name in ``refusals.yaml`` where something is wrong."""
     if wrong:
         raise refusal(name, where, **values)
+
+
+def needed(value: T | None, name: str, where: object = None, /, **values: object) -> T:
+    """A value; raises the error of a name in ``refusals.yaml`` where it is None."""
+    if value is None:
+        raise refusal(name, where, **values)
+    return value
 
 
 def as_typed(*words: object) -> str:

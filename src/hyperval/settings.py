@@ -29,8 +29,7 @@ def setting(model: BaseModel, path: str) -> Any:
     """
     at: Any = model.model_dump(mode="python", by_alias=True)
     for i, part in enumerate(parts := path_parts(path)):
-        if at is None:
-            raise UsageError(f"setting {path!r}: {'.'.join(parts[:i])} is not given")
+        refuse(at is None, "setting.none", path=path, at=".".join(parts[:i]))
         at = at[_key(at, part, path)]
     return at
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import Array
-from hyperval.errors import UsageError
+from hyperval.errors import needed
 
 RADIANCE_UNIT = "uW cm-2 sr-1 nm-1"
 IRRADIANCE_UNIT = "uW cm-2 nm-1"
@@ -110,10 +110,8 @@ def _known(unit: str, quantity: str) -> float | None:
 
 
 def _factor(unit: str, quantity: str) -> float:
-    factor = _known(unit, quantity)
-    if factor is None:
-        raise UsageError(f"unknown {quantity} unit {unit!r}", expected=f"one of {_QUANTITIES[quantity][2]}")
-    return factor
+    known = _QUANTITIES[quantity][2]
+    return needed(_known(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=known)
 
 
 def _parts(unit: str) -> list[tuple[str, int]]:

@@ -26,7 +26,7 @@ from hyperval.atmosphere.solar import parse_utc
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
 from hyperval.datasets import InputLog
-from hyperval.errors import UsageError, one_of, refusal, refuse
+from hyperval.errors import UsageError, needed, one_of, refusal, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
@@ -60,8 +60,7 @@ def as_collected(scenario: Scenario, place: Place | None, detection: Detection |
     """
     told: dict[str, Any] = {}
     if scenario.scene.fractions != "stated":
-        if place is None:
-            raise refusal("fractions.image", name=scenario.name)
+        place = needed(place, "fractions.image", name=scenario.name)
         counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
         refuse(not any(counts), "fractions.none", name=scenario.name)
         told = {f"scene.classes.{i}.fraction": n / sum(counts) for i, n in enumerate(counts)}

@@ -23,7 +23,7 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from hyperval import __version__, baseline, campaign, scoreboard
-from hyperval.errors import HypervalError, InputError, UsageError, as_typed, refuse, words_and_code
+from hyperval.errors import HypervalError, InputError, UsageError, as_typed, needed, refuse, words_and_code
 from hyperval.progress import set_listener
 
 if TYPE_CHECKING:
@@ -561,8 +561,7 @@ def validate(
     """Predict, observe, compare: the main job."""
     if dry_run:
         return _dry_run(campaigns, output)
-    if output is None:
-        raise UsageError("no folder for the results", mend="name one with --output (-o)")
+    output = needed(output, "validate.output")
 
     from hyperval.run import JUNIT
     from hyperval.storage import write_text

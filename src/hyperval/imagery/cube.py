@@ -20,7 +20,7 @@ from rasterio.crs import CRS
 
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import data_beside, header_beside
-from hyperval.errors import HypervalError, InputError, reader, refusal, refuse
+from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import (
     Bands,
@@ -554,10 +554,9 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
     headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"))
     if isinstance(image, SpyFile) and path.is_file() and any(h.is_file() for h in headers):
         return path
-    if about.centers is None:
-        raise refusal("exchange.no_wavelengths")
+    centres = np.asarray(needed(about.centers, "exchange.no_wavelengths"), float)
     widths = None if about.bandwidths is None else np.asarray(about.bandwidths, float)
-    bands = ListedBands(np.asarray(about.centers, float), widths, about.band_unit)
+    bands = ListedBands(centres, widths, about.band_unit)
     dtype = np.dtype(np.float32 if isinstance(image, SpyFile) else image.dtype)
     values = np.asarray(image) if isinstance(image, np.ndarray) else image
     piece = arrays.Piece((arrays.Term("image"),), "lsb", tuple(image.shape), dtype)

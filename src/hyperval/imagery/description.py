@@ -23,7 +23,7 @@ from rasterio.errors import CRSError
 
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
-from hyperval.errors import HypervalError, package_table, reader, refusal, refuse
+from hyperval.errors import HypervalError, needed, package_table, reader, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
@@ -186,9 +186,7 @@ class Description:
             a bad-band list that does not fit.
         UsageError : a unit that contradicts the file or that nobody states, or wavelengths implausible in it.
         """
-        bands = self.listed()
-        if bands is None:
-            raise refusal("bands.none", where)
+        bands = needed(self.listed(), "bands.none", where)
         has = np.flatnonzero(np.isfinite(bands.wavelength))
         refuse(not has.size, "bands.without", where)
         listed, notes = bands.wavelength[has], list(bands.notes)
@@ -326,9 +324,7 @@ def _spacing_by_detector(centre: Array) -> Array:
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
     """What one of the unit of a quantity is in the internal unit, and the name of that."""
     if quantity == "radiance":
-        if unit is None:
-            raise refusal("scale.no_unit", internal=RADIANCE_UNIT)
-        return radiance_to_internal(unit), RADIANCE_UNIT
+        return radiance_to_internal(needed(unit, "scale.no_unit", internal=RADIANCE_UNIT)), RADIANCE_UNIT
     if quantity == "reflectance":
         return reflectance_factor(unit or "fraction"), "1"
     if quantity in ("counts", "other"):

@@ -25,7 +25,7 @@ from rasterio.crs import CRS
 from shapely.geometry.base import BaseGeometry
 
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import HypervalError, reader, refusal, refuse
+from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
 from hyperval.imagery.description import Raster, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
@@ -99,9 +99,8 @@ class LookupTable:
 
     def _place(self, xy: Array, where: str) -> Array:
         fit = self._raw_at(np.array(~self.transform @ (float(xy[0]), float(xy[1]))))
-        if fit is None:
-            raise refusal("place.nowhere", where, place=f"({xy[0]:.2f}, {xy[1]:.2f})", what="the lookup table")
-        return fit[0]
+        place = f"({xy[0]:.2f}, {xy[1]:.2f})"
+        return needed(fit, "place.nowhere", where, place=place, what="the lookup table")[0]
 
     def _raw_at(self, cell: Array) -> tuple[Array, float] | None:
         """Raw coordinates (sample, line) at a place of the table, and raw pixels per cell; None without cells near."""
@@ -128,8 +127,7 @@ class LookupTable:
     def metres_per_unit(self) -> float:
         """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
         cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
-        if cell is None:
-            raise refusal("place.unit", self.raster.path, what="the map is not in a known unit")
+        cell = needed(cell, "place.unit", self.raster.path, what="the map is not in a known unit")
         return math.sqrt(cell / abs(self.transform.determinant))
 
     def _read(self, first: int, count: int) -> tuple[Index, Index]:
@@ -152,11 +150,10 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loo
     where = str(raster.path)
     if raster.bands != 2 or raster.dtype.kind not in "iu":
         raise refusal("place.table", where, bands=raster.bands, dtype=raster.dtype)
-    if raster.transform is None:
-        raise refusal("place.no_map", where)
+    transform = needed(raster.transform, "place.no_map", where)
     names = raster.description.band_names
     swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
-    opened = LookupTable(raster, raster.transform, raster.crs, shape, swapped)
+    opened = LookupTable(raster, transform, raster.crs, shape, swapped)
     greatest = np.zeros(2, np.int64)
     for first in range(0, raster.lines, _BLOCK):
         sample, line = opened._read(first, min(_BLOCK, raster.lines - first))
@@ -238,9 +235,7 @@ class LocationTable(LookupTable):
         """Ground step of a pixel in units of the map, in the middle of the image."""
         nodes = self._coarse[1]
         line, sample = nodes[len(nodes) // 2]
-        fit = self._fit(int(line), int(sample))
-        if fit is None:
-            raise refusal("place.same", self.raster.path)
+        fit = needed(self._fit(int(line), int(sample)), "place.same", self.raster.path)
         return math.sqrt(abs(float(np.linalg.det(fit[1]))))
 
     def _place(self, xy: Array, where: str) -> Array:

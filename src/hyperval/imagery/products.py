@@ -22,7 +22,7 @@ from rasterio.errors import CRSError
 
 from hyperval.data import Array
 from hyperval.envi_header import parse_header
-from hyperval.errors import package_table, reader, refusal, refuse
+from hyperval.errors import needed, package_table, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform, some_lines
 from hyperval.imagery.envi import crs_of, transform_of
@@ -409,8 +409,7 @@ def image_of(metadata: Path, detector: str | None = None) -> Path:
     UsageError : several, and none or another one is named.
     """
     sidecar = next((s for s in layouts().sidecars if metadata.name.upper().endswith(s.metadata.upper())), None)
-    if sidecar is None:
-        raise refusal("sidecar.unknown", metadata)
+    sidecar = needed(sidecar, "sidecar.unknown", metadata)
     stem = metadata.name[: -len(sidecar.metadata)]
     start = (stem + sidecar.image).upper()
     tiffs = [p for p in sorted(metadata.parent.iterdir()) if p.suffix.upper() in (".TIF", ".TIFF")]

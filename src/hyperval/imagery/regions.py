@@ -35,7 +35,7 @@ from shapely.geometry.base import BaseGeometry
 
 from hyperval.data import Array, Counts, Mask
 from hyperval.envi_header import header_beside
-from hyperval.errors import HypervalError, reader, refusal, refuse
+from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery.cube import MATRICES, kind_of, raster_of_size
 from hyperval.imagery.description import crs_of_wkt, equals
 from hyperval.imagery.placing import MAX_VERTICES, LookupTable
@@ -128,8 +128,7 @@ def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str) -> A
 
 def _reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Array:
     """(n, 2) map coordinates in ``target`` of points in ``source`` (longitude first)."""
-    if target is None:
-        raise refusal("region.no_system", where)
+    target = needed(target, "region.no_system", where)
     if source == target:
         return xy
     try:
@@ -379,9 +378,7 @@ def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
             refuse(re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text), "roi.no_pixels", where, text=text[:60])
     refuse("file dimension" not in told, "roi.no_dimension", path)
     for value, where in told["file dimension"]:
-        made_for = re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value)
-        if made_for is None:
-            raise refusal("roi.dimension", where, value=value)
+        made_for = needed(re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value), "roi.dimension", where, value=value)
         size = int(made_for[2]), int(made_for[1])
         refuse(size != grid.shape, "roi.size", where, size=size, shape=grid.shape)
     names = [name for name, _ in told.get("roi name", [])]
@@ -444,8 +441,7 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
     """
     fields, rows = read_table(path, {*REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
     pair = next((p for p in _COLUMNS if set(p) <= set(fields)), None)
-    if pair is None:
-        raise refusal("region.columns", f"{path}:1", columns=", ".join(fields) or "none")
+    pair = needed(pair, "region.columns", f"{path}:1", columns=", ".join(fields) or "none")
     column = next((c for c in REGION_COLUMNS if c in fields), None)
     pixels: dict[str, list[list[int]]] = {}
     for number, row in rows:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import UsageError, needed, refuse
 from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from hyperval.model.fill import FillDistribution
 from hyperval.model.filters import LinearFilter, filter_base
@@ -230,9 +230,7 @@ class Evaluation(Keeps):
 
     def snr(self, subject: str, calibration: bool = True) -> Array:
         """SNR of a class, panel or site in each truth (U, B) (3.20) [1]; with C_R or without."""
-        noise, number = self.light.noise, self.world.surface(subject)
-        if noise is None:
-            raise UsageError("the scenario has no sensor noise", mend="name an atmosphere and a sensor")
+        noise, number = needed(self.light.noise, "scenario.noise"), self.world.surface(subject)
         level = self.light.level(self.at.mean[:, number : number + 1])
         snr = self.once(("snr", subject, calibration), lambda: noise.snr(level, calibration=calibration)[:, 0])
         return self.of_truths(snr)

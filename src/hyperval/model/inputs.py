@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hyperval.data import Array, Mask
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import needed, refuse
 from hyperval.model.stated import SurfaceStatistics, Truth, correlation
 from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, SURROUNDINGS, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
@@ -90,11 +90,10 @@ def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axi
     if not item.from_file:
         mean = np.nan_to_num(surface.mean)
         return np.full(len(axis), item.absolute) if item.absolute else np.asarray((item.relative or 0.0) * mean)
-    if surface.standard_deviation is None:
-        raise UsageError(f"uncertainty of {item.subject!r}: its spectrum's file carries no standard deviation")
+    deviation = needed(surface.standard_deviation, "uncertainty.deviation", subject=item.subject)
     n = (surface.n or 0) if item.divisor == "standard_error" else 1
     refuse(not n, "uncertainty.count", subject=item.subject)
-    return np.asarray(np.nan_to_num(surface.standard_deviation) / np.sqrt(n))
+    return np.asarray(np.nan_to_num(deviation) / np.sqrt(n))
 
 
 Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]

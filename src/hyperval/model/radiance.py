@@ -36,7 +36,7 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import refusal, refuse
+from hyperval.errors import needed, refuse
 from hyperval.model.stated import Law
 from hyperval.model.world import World
 from hyperval.scenario import DarkestPixel, ElmPanels
@@ -135,9 +135,8 @@ def illumination_factor(
     ------
     UsageError : the atmosphere does not tell sky light from the sun's beam.
     """
-    if terms.diffuse_fraction is None:
-        raise refusal("light.sky")
-    q, back = terms.diffuse_fraction, terms.spherical_albedo * np.asarray(average_reflectance, dtype=float)
+    q = needed(terms.diffuse_fraction, "light.sky")
+    back = terms.spherical_albedo * np.asarray(average_reflectance, dtype=float)
     return np.asarray((1.0 - back) * ((1.0 - q) * beam + q * sky_view) + back * sky_view)
 
 

@@ -27,7 +27,7 @@ from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.data import Array, Components, Index, statistics_of
-from hyperval.errors import UsageError, one_of, refusal, refuse, told_of
+from hyperval.errors import UsageError, needed, one_of, refusal, refuse, told_of
 from hyperval.model.intervals import Z95
 from hyperval.paths import MAX_MATCHES, Resolve, matching
 from hyperval.progress import track
@@ -425,9 +425,7 @@ def state_value(state: AtmosphericState, name: str) -> float:
     if name in _SUN:
         return float(state.sun[_SUN.index(name)])
     value = state.aerosol_optical_depth if name == "aot550" else getattr(state, name)
-    if value is None:
-        raise UsageError(f"uncertainty: {name} is given, but the atmosphere's {name} is not", mend=f"state {name}")
-    return float(value)
+    return float(needed(value, "uncertainty.state", name=name))
 
 
 def plain(value: Any) -> Any:
@@ -739,9 +737,7 @@ def read_files(
         at = find(name) if PurePath(name).suffix or ":" in name else name
         sensor = library_sensor(name) if name in library_names() else load_sensor(at)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
-    axis = next((a for a in axes if a is not None), None)
-    if axis is None:
-        raise refusal("scenario.bands")
+    axis = needed(next((a for a in axes if a is not None), None), "scenario.bands")
     true, noise, kept = axis, None, dict[Any, Any]()
     if sensor is not None:
         noise = sensor.operated_noise(axis, operation, scenario.sensor_changes, kept)

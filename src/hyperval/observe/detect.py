@@ -19,7 +19,7 @@ from scipy import ndimage
 from hyperval import pixels as px
 from hyperval.collection import Detection, DetectionTarget, Unmixing
 from hyperval.data import Array, Index, Mask, statistics_of
-from hyperval.errors import InputError, UsageError, one_of, refusal, refuse
+from hyperval.errors import InputError, UsageError, needed, one_of, refusal, refuse
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, cut_out
@@ -181,9 +181,7 @@ def _target_spectra(place: Place, detection: Detection, resolve: Resolve) -> dic
 
 def _by_number(target: DetectionTarget, bands: int, resolve: Resolve) -> Array:
     """(B,) spectrum of a target where bands go by number: a text file with a row for each; its last number counts."""
-    if target.spectrum.file is None:
-        raise refusal("detection.by_number", name=target.name)
-    path = resolve(target.spectrum.file)
+    path = resolve(needed(target.spectrum.file, "detection.by_number", name=target.name))
     values = number_rows(path, "spectrum by band")[0][:, -1]
     if len(values) != bands or not np.all(np.isfinite(values)):
         raise InputError(f"{len(values)} values for {bands} bands", where=str(path), expected="one row a band")
@@ -465,9 +463,7 @@ def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None
 
 
 def _pixel_area(place: Place) -> float:
-    if place.pixel_area_m2 is None:
-        raise UsageError("areas need the ground area of a pixel; the cube is not georeferenced")
-    return place.pixel_area_m2
+    return needed(place.pixel_area_m2, "areas.ground")
 
 
 def _footprint_sums(

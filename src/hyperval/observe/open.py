@@ -43,7 +43,7 @@ from hyperval.collection import (
     VectorSource,
 )
 from hyperval.data import Array, Index, Mask, SampleStatistics
-from hyperval.errors import InputError, UsageError, one_of, reader, refusal, refuse
+from hyperval.errors import InputError, UsageError, needed, one_of, reader, refusal, refuse
 from hyperval.imagery import Cube, LookupTable, Raster, Region, TargetObject
 from hyperval.imagery.regions import outside_error, patches
 from hyperval.imagery.truth import cut_out
@@ -216,13 +216,12 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
     InputError : missing or corrupt files, regions outside the image.
     UsageError : names that do not fit.
     """
-    if collection.cube is None:
-        raise UsageError("the collection has no cube")
-    cube, of = open_source(collection.cube, resolve, collection.bands), mistake or {}
+    image, of = needed(collection.cube, "place.cube"), mistake or {}
+    cube = open_source(image, resolve, collection.bands)
     centre = cube.axis.centre_nm + of.get("nm", 0.0)
     centre = centre + of.get("scale", 0.0) * (centre - centre.mean())
     cube = replace(cube, axis=replace(cube.axis, centre_nm=centre))
-    table, found = _lookup_table(cube, collection.cube, resolve)
+    table, found = _lookup_table(cube, image, resolve)
     notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)]
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
@@ -282,8 +281,7 @@ def number_rows(path: Path, what: str) -> tuple[Array, int]:
     checked_file(path, what=what, most=MAX_TABLE_BYTES)
     lines = [line.split("#")[0] for line in path.read_text("utf-8", errors="replace").splitlines()]
     start = next((number for number, line in enumerate(lines, start=1) if line.strip()), None)
-    if start is None:
-        raise InputError("holds no band", where=str(path), expected="a row of numbers for each band")
+    start = needed(start, "rows.none", path)
     header, rows, first = number_table("\n".join(lines), path)
     refuse(header, "rows.heading", f"{path}:{start}")
     return rows, first
@@ -346,9 +344,8 @@ class _Site:
         if (ring := source.ring) is not None:
             if ring.outer_m is None:
                 return imagery.ring_region(name, above[ring.of], ring.inner_pixels, float(ring.outer_pixels or 0.0))
-            if self.area_m2 is None:
-                raise refusal("place.metres", f"region {name!r}")
-            sides = imagery.pixel_sides_m(self.cube.transform, self.area_m2)
+            area_m2 = needed(self.area_m2, "place.metres", f"region {name!r}")
+            sides = imagery.pixel_sides_m(self.cube.transform, area_m2)
             return imagery.ring_region(name, above[ring.of], ring.inner_m, ring.outer_m, sides)
         if source.normalized_difference is not None:
             return Region(name, self._normalized_difference(source.normalized_difference), "normalised difference")
@@ -363,8 +360,7 @@ class _Site:
         if source.name is None:
             return new
         chosen = next(iter(new.values())) if len(new) == 1 else new.get(source.name)
-        if chosen is None:
-            raise InputError(f"no region {source.name!r} among {', '.join(new)}", where=str(path))
+        chosen = needed(chosen, "place.no_region", path, name=source.name, names=", ".join(new))
         return {source.name: replace(chosen, name=source.name)}
 
     def _normalized_difference(self, rule: NormalizedDifference) -> Mask:

@@ -24,7 +24,7 @@ from hyperval.collection import (
     RadCalNetSource,
 )
 from hyperval.data import Array
-from hyperval.errors import InputError, UsageError, one_of, refusal, refuse
+from hyperval.errors import InputError, UsageError, needed, one_of, refusal, refuse
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
 from hyperval.observe.open import Place, read_band_table
 from hyperval.paths import Resolve
@@ -280,14 +280,13 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     ------
     InputError : files that are missing, malformed, or whose wavelengths are not those of the band table.
     """
-    if collection.bands is None:
-        raise UsageError("measured spectra need a band table")
-    axis = read_band_table(resolve(collection.bands.path), collection.bands)
+    bands = needed(collection.bands, "site.table")
+    axis = read_band_table(resolve(bands.path), bands)
     detector = None
     if (name := collection.detector) is not None:
         detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
     notes = []
-    if collection.bands.fwhm_column is None:
+    if bands.fwhm_column is None:
         notes.append("the band table's widths are not named (fwhm_column): band widths are taken as the band spacing")
     radiance: dict[str, SpectralEstimate] = {}
     for site in collection.spectra:

@@ -37,7 +37,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
-from hyperval.errors import HypervalError, UsageError, refuse
+from hyperval.errors import HypervalError, UsageError, needed, refusal, refuse
 from hyperval.model.filters import LinearFilter, PositiveDefinite, design_filter
 from hyperval.pixels.line import EmpiricalLine
 from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
@@ -122,9 +122,7 @@ class Whitener:
 
 
 def _known(whitener: Whitener | None) -> Whitener:
-    if whitener is None:
-        raise UsageError("a detector that measures distance needs the whitener of the background")
-    return whitener
+    return needed(whitener, "detector.whitener")
 
 
 def whitener_of(mean: npt.ArrayLike, covariance: npt.ArrayLike | PositiveDefinite) -> Whitener:
@@ -203,16 +201,14 @@ def pixel_detector(
     combine = partial(_combined, name)
     if name == "rx":
         return PixelDetector(np.empty((0, np.size(mean))), np.empty(0), combine, "distance", by_pixel=True)
-    if target is None:
-        raise UsageError(f"the detector {name!r} needs a target spectrum")
-    t = np.asarray(target, dtype=float)
+    t = np.asarray(needed(target, "detector.target", name=name), dtype=float)
     if name == "osp":
         return from_filter(osp_filter(t, undesired))
     if name == "sam":
         refuse(not np.any(t), "target.zero")
         return PixelDetector((t / np.linalg.norm(t))[None], np.zeros(1), combine, "length", by_pixel=True)
     if covariance is None:
-        raise UsageError(f"the detector {name!r} needs the covariance of the background")
+        raise refusal("detector.covariance", name=name)
     if name in ADDED_DETECTORS:
         with _of_added(name):
             known = np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from hyperval.data import Array, Mask
-from hyperval.errors import refusal, refuse
+from hyperval.errors import needed, refuse
 from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, wavelength_to_nm, wavelength_unit_note
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
@@ -124,8 +124,7 @@ def wavelengths_in_nm(
     unlike = text and given is not None and wavelength_to_nm(given) != in_nm(text)
     refuse(unlike, "wavelengths.units", where, stated=text, given=given)
     unit, ends = text or given or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
-    if unit is None:
-        raise refusal("wavelengths.unstated", where, **ends)
+    unit = needed(unit, "wavelengths.unstated", where, **ends)
     nm, (low, high) = values * wavelength_to_nm(unit), PLAUSIBLE_NM
     plausible = bool(np.all((nm >= low) & (nm <= high)))
     refuse(not plausible, "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
