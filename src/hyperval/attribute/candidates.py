@@ -23,7 +23,7 @@ from hyperval.atmosphere.solar import SPECTRA as SOLAR_SPECTRA
 from hyperval.atmosphere.solar import parse_utc
 from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.config import load_yaml
-from hyperval.data import Array
+from hyperval.data import Array, Mask
 from hyperval.errors import UsageError, refuse
 from hyperval.model import (
     Origins,
@@ -463,6 +463,11 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> arm = both["electrons per radiance of 942-2470 nm"]
     >>> [truth["sensor.electrons"].round(9).ravel()[[0, -1]].tolist() for truth in arm.at(0, 2.0)]
     [[1.0, 1.1], [1.0, 1.1]]
+    >>> arm = both["wavelength shift of 942-2470 nm"]
+    >>> [truth["sensor.wavelength_shift_nm"].ravel()[[0, -1]].tolist() for truth in arm.at(0, 5.0)]
+    [[0.0, 1.0], [0.0, 1.0]]
+    >>> both["bits of a recorded number"].at(0, 2.0)
+    [{'sensor_changes.bits': 12}, {'sensor_changes.bits': 12}]
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
     >>> shown("ground height", both["ground height"].sizes[-2])
@@ -515,6 +520,9 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
         larger = partial(_levelled, pixels)
         out.append(Candidate("pixel size of the fills", "sensor", "5 %", False, sizes=(-8.0, 12.0), moved=larger))
     out += _of_arms(worlds)
+    if all(world.stated.noise is not None for world in worlds):
+        words = {f"{bits} bits": [{"sensor_changes.bits": bits} for _ in worlds] for bits in (8, 10, 12, 14, 16)}
+        out.append(_one_of("bits of a recorded number", "sensor", words))
     out.append(Candidate("wavelength scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), moved=stretched))
     out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
     if entries:
@@ -531,15 +539,25 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
     >>> there = load_scenario("green-planks-grass").with_values({f"atmosphere.{name}": v for name, v in at.items()})
-    >>> (date,) = (c for c in _of_atmosphere([read(there)]) if c.name == "date of overflight")
-    >>> [date.at(0, size)[0]["atmosphere.time_utc"][:10] for size in date.sizes]
+    >>> of = {c.name: c for c in _of_atmosphere([read(there)])}
+    >>> [of["date of overflight"].at(0, z)[0]["atmosphere.time_utc"][:10] for z in of["date of overflight"].sizes]
     ['2012-08-21', '2012-10-20', '2012-07-22', '2012-11-19']
+    >>> of["place on the globe"].labels, of["place on the globe"].at(0, 0.0)
+    (('latitude with the other sign', 'longitude with the other sign'), [{'atmosphere.latitude_deg': -43.0}])
     """
     states = [world.stated.scenario.atmosphere for world in worlds]
     out = [_of_state(worlds, *row) for row in _OF_STATE if all(getattr(s, row[0], None) is not None for s in states)]
     if any(s is not None and s.time_utc for s in states):
         later = partial(_later, worlds, timedelta(days=30))
         out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
+    signs = dict[str, list[Truth]]()
+    for key in ("latitude_deg", "longitude_deg"):
+        at = [getattr(s, key, None) for s in states]
+        if any(at):
+            other: list[Truth] = [{} if x is None else {f"atmosphere.{key}": -x} for x in at]
+            signs[f"{key.partition('_')[0]} with the other sign"] = other
+    if signs:
+        out.append(_one_of("place on the globe", "atmosphere", signs))
     models, suns = get_args(AtmosphereModel), tuple(SOLAR_SPECTRA)
     for name, key, words in (("solar spectrum", "solar_spectrum", suns), ("standard atmosphere", "model", models)):
         stated = [getattr(s, key, None) for s in states]
@@ -590,18 +608,28 @@ def _levelled(values: Sequence[Mapping[str, Any]], units: float) -> list[Truth]:
 
 
 def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
-    """Electrons per radiance of each arm of a sensor that has several."""
+    """Wavelengths and electrons per radiance of one arm of a sensor; where its arms are not known, of either side of
+    1000 nm.
+    """
     axis, sensor, out = worlds[0].stated.axis, worlds[0].stated.sensor, list[Candidate]()
-    if sensor is None or len(sensor.specification.arms) < 2 or any(world.stated.noise is None for world in worlds):
-        return out
-    for row in directions(np.full(len(axis), 0.05), SpectralForm(correlation="arms"), axis, sensor):
-        low, high = axis.centre_nm[row > 0][[0, -1]]
-        name, sizes = f"electrons per radiance of {low:.0f}-{high:.0f} nm", _SIZES["electrons per radiance"]
+    arms = [axis.centre_nm < 1000.0, axis.centre_nm >= 1000.0]
+    if sensor is not None and sensor.specification.arms:
+        rows = directions(np.ones(len(axis)), SpectralForm(correlation="arms"), axis, sensor)
+        arms = [row > 0 for row in rows]
+    for arm in arms if len(arms) > 1 and all(map(np.any, arms)) else ():
+        low, high = axis.centre_nm[arm][[0, -1]]
 
-        def moved(units: float, row: Array = row) -> list[Truth]:
-            return [{"sensor.electrons": 1.0 + units * row}] * len(worlds)
+        def seen(units: float, arm: Mask = arm) -> list[Truth]:
+            return [{"sensor.electrons": 1.0 + 0.05 * units * arm}] * len(worlds)
 
-        out.append(Candidate(name, "sensor", "5 %", False, sizes=sizes, moved=moved))
+        def shifted(units: float, arm: Mask = arm) -> list[Truth]:
+            return [_shifted(world, nm=np.where(arm, SHIFT_NM * units, 0.0)) for world in worlds]
+
+        if all(world.stated.noise is not None for world in worlds):
+            name, sizes = f"electrons per radiance of {low:.0f}-{high:.0f} nm", _SIZES["electrons per radiance"]
+            out.append(Candidate(name, "sensor", "5 %", False, sizes=sizes, moved=seen))
+        name, step = f"wavelength shift of {low:.0f}-{high:.0f} nm", f"{SHIFT_NM:g} nm"
+        out.append(Candidate(name, "sensor", step, False, sizes=(-25.0, -5.0, 5.0, 25.0), moved=shifted))
     return out
 
 
