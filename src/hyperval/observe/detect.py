@@ -457,13 +457,9 @@ def target_areas(
 def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
     """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere."""
     totals, pixels, elsewhere = zip(*objects, strict=True)
-    each = _pixel_area(place) / len(totals)
+    each = needed(place.pixel_area_m2, "areas.ground") / len(totals)
     variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
     return Abundance(sum(totals) * each, math.sqrt(variance) * each, sum(pixels), nominal)
-
-
-def _pixel_area(place: Place) -> float:
-    return needed(place.pixel_area_m2, "areas.ground")
 
 
 def _footprint_sums(
@@ -534,7 +530,7 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
     UsageError : names that do not fit, or a cube without ground size of its pixels.
     InputError : an object without background around it.
     """
-    pixel_area, region = _pixel_area(place), place.pixels_of(task.background)
+    pixel_area, region = needed(place.pixel_area_m2, "areas.ground"), place.pixels_of(task.background)
     covariance = place.in_reflectance(place.statistics[task.background])[1][np.ix_(bands, bands)]
     covariances = {METHODS[w]: None if w == "equal" else covariance for w in task.weights}
     noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}

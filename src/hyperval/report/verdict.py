@@ -137,11 +137,19 @@ def _reason(rows: Sequence[Result], subject: str) -> str:
 
 
 def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[str]:
-    """What to do, at most three lines."""
+    """What to do, at most three lines.
+
+    >>> from hyperval.results import Role
+    >>> failed = Result("twin", "radiance", "lawn", "", "bias_ratio", role=Role.GATE, outcome=Outcome.DISAGREES)
+    >>> _steps([failed], [failed], "Check the time of overflight (+1 h explains 99 % ...), since the accepted run.")
+    ['Check the time of overflight: correct it, or accept the new numbers, with its reason.']
+    """
     steps = []
     criteria = [row for row in told if row.gates]
     if any(row.outcome is Outcome.DISAGREES for row in criteria) and reason.startswith("Check"):
-        steps.append(f"{reason.partition(' (')[0]}: measure again, or state a larger uncertainty with its reason.")
+        is_new = reason.endswith("since the accepted run.")
+        mend = "correct it, or accept the new numbers" if is_new else "measure again, or state a larger uncertainty"
+        steps.append(f"{reason.partition(' (')[0]}: {mend}, with its reason.")
     elif reason.startswith("None"):
         steps.append("Look beyond the causes that were tried.")
     unsure = [
