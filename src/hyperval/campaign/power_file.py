@@ -14,7 +14,7 @@ from pydantic import Field
 import hyperval
 from hyperval.config import Model, load_model
 from hyperval.errors import refuse
-from hyperval.metrics import DIGITS, Evidence, default_tolerance
+from hyperval.metrics import DIGITS, Evidence, default_tolerance, plain_words
 from hyperval.results import Result
 from hyperval.storage import write_text
 
@@ -56,13 +56,19 @@ class Injected(Model):
 
     @property
     def which(self) -> str:
-        """What sees it, some by name; or why it cannot be injected."""
+        """What sees it, some by name; or why it cannot be injected.
+
+        >>> Injected(gates=("radiance | lawn | sixs | p_value_shape",)).which
+        'shape of the radiance, lawn'
+        """
         if self.not_applicable is not None:
             return self.not_applicable
         if not self.gates:
             return ", ".join(f"{product} {n}" for product, n in self.informing.items())
         more = len(self.gates) - _MOST_NAMED
-        return "; ".join(self.gates[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+        named = (key.split(" | ") for key in self.gates[:_MOST_NAMED])
+        words = [f"{plain_words(metric, product)}, {subject}" for product, subject, *_, metric in named]
+        return "; ".join(words) + (f"; and {more} more" if more > 0 else "")
 
 
 class Reasons(Model):

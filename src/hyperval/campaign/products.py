@@ -10,7 +10,6 @@ The predictions of a campaign's scenarios as the one side of its comparison.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
@@ -25,8 +24,9 @@ from rasterio.warp import transform as reproject
 from hyperval.atmosphere.solar import parse_utc
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
+from hyperval.config import twice
 from hyperval.datasets import InputLog
-from hyperval.errors import UsageError, needed, one_of, refusal, refuse
+from hyperval.errors import needed, one_of, refusal, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
@@ -301,9 +301,8 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
         values = [getattr(p, name) for p in predictions]
         if not isinstance(values[0], Mapping):
             continue
-        counts = Counter(key for value in values for key in value)
-        if twice := sorted(str(key) for key, count in counts.items() if count > 1):
-            raise UsageError(f"two scenarios predict the {name} of {twice[0]}")
+        double = twice(str(key) for value in values for key in value)
+        refuse(double, "scenarios.twice", name=name, keys=double)
         parts[name] = {key: item for value in values for key, item in value.items()}
     notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
     provenance = {"scenarios": [dict(p.provenance) for p in predictions]}

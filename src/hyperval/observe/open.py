@@ -42,6 +42,7 @@ from hyperval.collection import (
     TargetTruth,
     VectorSource,
 )
+from hyperval.config import twice
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import InputError, UsageError, needed, one_of, reader, refusal, refuse
 from hyperval.imagery import Cube, LookupTable, Raster, Region, TargetObject
@@ -422,10 +423,8 @@ class _Site:
             # A class raster for each material, of one name: the material tells the objects apart.
             taken = {o.name for o in out if o.material != source.material}
             out += [replace(o, name=f"{o.material} {o.name}") if o.name in taken else o for o in new]
-        names = [o.name for o in out]
-        if double := sorted({name for name in names if names.count(name) > 1}):
-            mend = "name a region under one material only"
-            raise UsageError(f"two targets are named {double[0]!r}", where="targets.regions", mend=mend)
+        double = twice(o.name for o in out)
+        refuse(double, "place.targets_twice", "targets.regions", names=double)
         return out, remarks
 
 
