@@ -485,8 +485,7 @@ class Reasoner:
         self.columns, self.wide, self.noisy = columns, wide, noisy
         kinds = Counter(kind_of(c.name) for c in columns)
         share = (1.0 - NOTHING_PRIOR - NONE_PRIOR) / max(len(kinds), 1)
-        self.prior = {c: float(np.log(share / kinds[kind_of(c.name)])) for c in columns}
-        self.prior[UNKNOWN] = float(np.log(NONE_PRIOR))
+        self.prior = {c: np.log(share / kinds[kind_of(c.name)]) for c in columns} | {UNKNOWN: np.log(NONE_PRIOR)}
         self._effects = [effect_of(c, g) for c, g in columns.items()]
         self._together = np.column_stack([*columns.values(), wide])
         self._ends = np.cumsum([g.shape[1] for g in columns.values()])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
@@ -13,7 +14,7 @@ from pydantic import Field
 
 import hyperval
 from hyperval.config import Model, load_model
-from hyperval.errors import refuse
+from hyperval.errors import UsageError, refuse
 from hyperval.metrics import DIGITS, Evidence, default_tolerance, plain_words
 from hyperval.results import Result
 from hyperval.storage import write_text
@@ -66,8 +67,9 @@ class Injected(Model):
         if not self.gates:
             return ", ".join(f"{product} {n}" for product, n in self.informing.items())
         more = len(self.gates) - _MOST_NAMED
-        named = (key.split(" | ") for key in self.gates[:_MOST_NAMED])
-        words = [f"{plain_words(metric, product)}, {subject}" for product, subject, *_, metric in named]
+        words = list(self.gates[:_MOST_NAMED])
+        with suppress(UsageError):  # a metric of another version
+            words = [f"{plain_words(m, product)}, {of}" for product, of, *_, m in (w.split(" | ") for w in words)]
         return "; ".join(words) + (f"; and {more} more" if more > 0 else "")
 
 

@@ -277,8 +277,7 @@ class Sources:
         read = self._once(read_spectrum, str(source.file), **how)
         w, sd = read.wavelength_nm, read.standard_deviation
         mean = in_bands(w, read.values, axis, self.nominal)
-        ends = {"low": axis.centre_nm[0], "high": axis.centre_nm[-1]}
-        refuse(not np.any(np.isfinite(mean)), "surface.bands", name=name, file=source.file, **ends)
+        refuse(np.isnan(mean).all(), "surface.bands", name=name, file=source.file, ends=axis.centre_nm[[0, -1]])
         if sd is not None:
             more = {"standard_deviation": in_bands(w, sd, axis, self.nominal), "sampled_deviation": (w, sd)}
         if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
