@@ -550,12 +550,10 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     if any(s is not None and s.time_utc for s in states):
         later = partial(_later, worlds, timedelta(days=30))
         out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
-    signs = dict[str, list[Truth]]()
-    for key in ("latitude_deg", "longitude_deg"):
-        at = [getattr(s, key, None) for s in states]
-        if any(at):
-            other: list[Truth] = [{} if x is None else {f"atmosphere.{key}": -x} for x in at]
-            signs[f"{key.partition('_')[0]} with the other sign"] = other
+    signs = {
+        f"{key.partition('_')[0]} with the other sign": [{} if x is None else {f"atmosphere.{key}": -x} for x in at]
+        for key in ("latitude_deg", "longitude_deg") if any(at := [getattr(s, key, None) for s in states])
+    }  # fmt: skip
     if signs:
         out.append(_one_of("place on the globe", "atmosphere", signs))
     models, suns = get_args(AtmosphereModel), tuple(SOLAR_SPECTRA)

@@ -214,6 +214,13 @@ class Causes:
         >>> asked[1]
         {'lines': -2, 'samples': -2, 'regions': True, 'still': ['lot']}
 
+        Spectra that hardly moved do not hide scores that did:
+
+        >>> told = {"radiance of red": ("0 1 2", "0.4 0.4 0.4", "0 0 0"), "scores of paint cem": ("-1", "0.9", "0.0")}
+        >>> tried = causes(light("red", 0.40005), block("scores", 0.1), mistaken=lambda mistake: np.zeros(4))
+        >>> tried.changed(told, simulated=False).first
+        'none of these'
+
         A band that held nothing in the accepted run has no part by which it moved:
 
         >>> spectrum = ResidualBlock("radiance", "paint", "", np.full(3, 0.4), 1e-6 * np.eye(3), len, np.arange(3))
@@ -271,7 +278,9 @@ class Causes:
                 covariance = self.covariance[np.ix_(every, every)]
                 _, noisy = self.explained(change, covariance, inputs, every, self.predicted, True)
                 return replace(noisy, beside_noise=True) if noisy.enough else found
-            return found
+            if found.first != NOTHING:  # else scores moved beside spectra that hardly did
+                return found
+            of, moved, level = every, change, self.predicted.copy()
         of_scores = bool(np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]))
         is_measured = bool(np.any(np.abs(moved) > CHANGE_FLOOR))
         # Of an entry that is wrong, filters and all that is made of it moved on both sides; false alarms are read at
