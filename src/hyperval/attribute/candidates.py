@@ -612,8 +612,7 @@ def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
     axis, sensor, out = worlds[0].stated.axis, worlds[0].stated.sensor, list[Candidate]()
     arms = [axis.centre_nm < 1000.0, axis.centre_nm >= 1000.0]
     if sensor is not None and sensor.specification.arms:
-        rows = directions(np.ones(len(axis)), SpectralForm(correlation="arms"), axis, sensor)
-        arms = [row > 0 for row in rows]
+        arms = [row > 0 for row in directions(np.ones(len(axis)), SpectralForm(correlation="arms"), axis, sensor)]
     for arm in arms if len(arms) > 1 and all(map(np.any, arms)) else ():
         low, high = axis.centre_nm[arm][[0, -1]]
 

@@ -177,7 +177,8 @@ class Causes:
         >>> def causes(*blocks, **of):
         ...     stack, none = Stack(blocks), {}
         ...     n, files = stack.observed.size, of.get("files", {})
-        ...     asked, rarer = lambda truths, title, budgeted: [], of.get("rarer", ())
+        ...     asked = of.get("evaluate", lambda truths, title, budgeted: [])
+        ...     rarer = of.get("rarer", ())
         ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, rarer,
         ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
@@ -199,6 +200,15 @@ class Causes:
         >>> found = causes(block("scores", 0.1, 0.9), mistaken=at).changed(told, simulated=False)
         >>> found.first, found.best.causes[0].in_words
         ('position of the target regions', '+3 lines, +2 samples')
+
+        An atmosphere that explains a change is told by the engine itself, not by its emulator:
+
+        >>> air = Candidate("standard atmosphere", "atmosphere", "", False, labels=("winter",), moved=lambda i: [{}])
+        >>> told = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 -0.3 0.2")}
+        >>> tried = causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: {air: np.c_[[0.45, -0.33, 0.2]]}],
+        ...                evaluate=lambda truths, title, budgeted: [(np.array([0.5, -0.3, 0.2]) * budgeted, 0)])
+        >>> tried.changed(told, simulated=False).enough
+        True
 
         Regions that alone moved are looked for elsewhere, and two of them in each other's place:
 
@@ -329,8 +339,7 @@ class Causes:
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product(reach, repeat=2)]
             for by in around:
                 if by not in effects and any(by):
-                    mistake = {"lines": by[0], "samples": by[1], "regions": regions, "still": still}
-                    effects[by] = self.mistaken(mistake)
+                    effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions, "still": still})
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
             place = Candidate(f"position of the {where}", "scene", "", False, labels=labels)
             found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})

@@ -399,7 +399,7 @@ def fully_constrained(
     UsageError : shapes that do not fit, or numbers that are not finite.
     """
     x, e = np.asarray(spectra, dtype=float), np.asarray(endmembers, dtype=float)
-    refuse(e.shape[-2:] != (2, *x.shape[-1:]), "unmixing.shapes", shape=x.shape, shape2=e.shape)
+    refuse(e.shape[-2:] != (2, *x.shape[-1:]), "unmixing.shapes", spectra=x.shape, endmembers=e.shape)
     refuse(not (np.all(np.isfinite(x)) and np.all(np.isfinite(e))), "unmixing.finite")
     d = e[..., 0, :] - e[..., 1, :]
     # The endmembers are weighted and not the spectra, of which there are many.

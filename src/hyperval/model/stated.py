@@ -133,7 +133,7 @@ def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectru
     for reference in source.references:
         path = resolve(reference)
         files = matching(path) or [path]  # a file that is missing is the reader's to report
-        refuse(len(files) > MAX_MATCHES, "spectra.matches", reference, max_matches=MAX_MATCHES)
+        refuse(len(files) > MAX_MATCHES, "spectra.matches", reference, most=MAX_MATCHES)
         for file in files:
             out += read_records(file, **how)
     names = {s.name for s in out}
@@ -230,8 +230,8 @@ class Sources:
         else:
             pixels = base if source is None else self.spectrum(source, name)
             region = (source or surface.spectrum).measured
-            is_single = region is not None and pixels.n is not None and pixels.n < 2
-            refuse(is_single, "surface.single", region=region, name=name)
+            single = region is not None and pixels.n is not None and pixels.n < 2
+            refuse(single, "surface.single", region=region, name=name)
             # Tails are those of the pixels that the covariance is of; several spectra have none of their own.
             tails = base if source is not None and source.replicates is not None else pixels
             base = replace(
@@ -338,8 +338,7 @@ def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics
             w = axis.centre_nm[beyond]
             bands = f"{w.size} usable band{'s' * (w.size > 1)} (first {w[0]:g} nm, last {w[-1]:g} nm)"
             about = {"at": f"scene.{key}.{i}.spectrum", "low": axis.centre_nm[0], "high": axis.centre_nm[-1]}
-            many = w.size > MOST_UNCOVERED * axis.good.sum()
-            refuse(many, "surface.cover", name=surface.name, bands=bands, **about)
+            refuse(w.size > MOST_UNCOVERED * axis.good.sum(), "surface.cover", name=surface.name, bands=bands, **about)
             yield f"the spectrum of {surface.name!r} does not reach {bands}, left out"
 
 

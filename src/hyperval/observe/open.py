@@ -121,8 +121,7 @@ class Place:
             away = [name for name in self.regions if of.get("regions") and name not in of.get("still", ())]
             if len(away) in (0, len(self.regions)):
                 targets, away = [target.displaced(*by) for target in targets], [*away, _NEAR]
-            moved = {name: np.roll(mask, by, (0, 1)) if name in away else mask for name, mask in labels.items()}
-            labels = Labels.of(labels.number.shape, moved)
+            labels = labels.displaced(away, by)
         gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
         if "offset" in of:
             offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))
@@ -291,9 +290,9 @@ def number_rows(path: Path, what: str) -> tuple[Array, int]:
 @reader
 def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     """The spectral axis of a whitespace-separated text table."""
-    needed = max(table.centre_column, table.fwhm_column or 0)
+    last = max(table.centre_column, table.fwhm_column or 0)
     rows, first = number_rows(path, "table of bands")
-    refuse(rows.shape[1] <= needed, "rows.columns", f"{path}:{first}", shape=rows.shape, value=needed + 1)
+    refuse(rows.shape[1] <= last, "rows.columns", f"{path}:{first}", shape=rows.shape, least=last + 1)
     factor = wavelength_to_nm(table.wavelength_unit)
     centre = rows[:, table.centre_column] * factor
     try:
@@ -619,7 +618,7 @@ def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[t
         if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
             raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
         fill = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
-        refuse(not fill.any(), "truth.empty", str(path), material=material, least_fill=LEAST_FILL)
+        refuse(not fill.any(), "truth.empty", str(path), material=material, least=LEAST_FILL)
         yield material, fill
 
 

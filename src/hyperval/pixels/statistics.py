@@ -32,7 +32,7 @@ drawn from the predicted covariance would show.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import reduce
@@ -193,6 +193,18 @@ class Labels(Mapping[str, Mask]):
             number, count = finer, kept.size
             members = {key: own[kept // 2] for key, own in members.items()} | {name: kept % 2 == 1}
         return Labels(number, members)
+
+    def displaced(self, names: Sequence[str], by: tuple[int, int]) -> Labels:
+        """Some of the regions so many lines and samples away; what leaves the image comes in on the other side.
+
+        >>> left, top = np.array([[True, False], [True, False]]), np.array([[True, True], [False, False]])
+        >>> labels = Labels.of((2, 2), {"left": left, "top": top})
+        >>> [labels.displaced(names, (1, 0))["top"].tolist() for names in (["top"], ["left", "top"], ["left"])]
+        [[[False, False], [True, True]], [[False, False], [True, True]], [[True, True], [False, False]]]
+        """
+        if len(names) == len(self):
+            return Labels(np.roll(self.number, by, (0, 1)), self.members)
+        return Labels.of(self.number.shape, {n: np.roll(m, by, (0, 1)) if n in names else m for n, m in self.items()})
 
     def mask(self, chosen: Mask) -> Mask:
         """(lines, samples) pixels of some of the labels (K,)."""

@@ -329,5 +329,5 @@ def load_study(path: Path) -> StudyFile:
     InputError : no such file.
     """
     study = load_model(StudyFile, path)
-    refuse(study.count > MOST_POINTS, "study.points", str(path), count=study.count, most_points=MOST_POINTS)
+    refuse(study.count > MOST_POINTS, "study.points", str(path), count=study.count, most=MOST_POINTS)
     return study

@@ -238,7 +238,7 @@ def completed(trade: Trade, p: Prepared) -> Trade:
             refuse(p.inputs[key].spacing == "log" and low <= 0.0, "trade.log", f"{field}_from")
             filled |= {f"{field}_from": low, f"{field}_to": high}
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
-    refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, _most_lines=_MOST_LINES)
+    refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, most=_MOST_LINES)
     return trade.model_copy(update=filled)
 
 
