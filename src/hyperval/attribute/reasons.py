@@ -224,6 +224,13 @@ class Causes:
         >>> asked[1]
         {'lines': -2, 'samples': -2, 'regions': True, 'still': ['lot']}
 
+        Scores that moved by some thousandths are no rounding:
+
+        >>> told = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.003 -0.002 0.001")}
+        >>> fill = {Candidate("fill fraction", "scene", "", False): np.c_[[0.003, -0.002, 0.001]]}
+        >>> causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: fill]).changed(told, simulated=False).first
+        'fill fraction'
+
         Spectra that hardly moved do not hide scores that did:
 
         >>> told = {"radiance of red": ("0 1 2", "0.4 0.4 0.4", "0 0 0"), "scores of paint cem": ("-1", "0.9", "0.0")}
