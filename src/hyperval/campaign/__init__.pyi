@@ -8,14 +8,14 @@ from .power_file import Injected, PowerTable, Sight, accepted_table, gate_values
 from .products import Collected, as_collected, collected, merged, without_circles
 from .provenance import command_without_output, package_versions, record_of, source_revision
 from .run import as_before, observe, run_campaign, validate
-from .schema import Campaign, DayScenarios, Job, day_scenarios, job_of, jobs_of, read_jobs
+from .schema import Campaign, DayScenarios, Job, job_of, jobs_of, read_jobs, scenarios_of
 from .starter import StarterSources, starter_campaign
 
 __all__ = [
     "WRONG", "Campaign", "Collected", "DayScenarios", "Injected", "Item", "Job", "Power", "PowerTable", "Sight",
     "StarterSources", "accepted_table", "as_before", "as_collected", "campaign_power", "collected",
-    "command_without_output", "day_scenarios", "dry_run", "expected_maps", "gate_values", "job_of", "jobs_of", "merged",
-    "observe", "overview", "own_files", "package_versions", "power_table", "predict_to_folder", "read_jobs",
-    "record_of", "run_campaign", "scene_content", "source_revision", "starter_campaign", "summary", "validate",
+    "command_without_output", "dry_run", "expected_maps", "gate_values", "job_of", "jobs_of", "merged", "observe",
+    "overview", "own_files", "package_versions", "power_table", "predict_to_folder", "read_jobs", "record_of",
+    "run_campaign", "scenarios_of", "scene_content", "source_revision", "starter_campaign", "summary", "validate",
     "without_circles", "write_power_table",
 ]  # fmt: skip

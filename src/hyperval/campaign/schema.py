@@ -25,7 +25,7 @@ from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, pl
 from hyperval.datasets import PREFIX, SIMULATED, describe, resolve, set_on_request
 from hyperval.errors import HypervalError, UsageError, reader, refuse
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
-from hyperval.spectra.networks import SURFACE, RadCalNetDay, read_radcalnet
+from hyperval.spectra.networks import SURFACE, read_radcalnet
 
 MAX_RUNS = 100
 
@@ -104,22 +104,23 @@ def scenarios_of(
     ------
     UsageError, InputError : mistakes in the scenario or in what it names.
     """
-    if isinstance(source, DayScenarios):
-        return day_scenarios(source, resolve(source.scenario), resolve(source.radcalnet), words)
     if isinstance(source, Scenario):
         source._folder = base
         return [source]
-    if source in builtin_scenarios():
+    if isinstance(source, str) and source in builtin_scenarios():
         return [load_scenario(source)]
-    path = resolve(source)
+    path = resolve(source if isinstance(source, str) else source.scenario)
     data, lines = load_yaml(path)
-    scenario = validate(Scenario, with_words(data, words), lines, str(path))
-    scenario._folder = path.resolve().parent
-    return [scenario]
+    out = []
+    for at in [{}] if isinstance(source, str) else _words(source, resolve(source.radcalnet), data, path):
+        made = validate(Scenario, with_words(with_words(data, words), at), lines, str(path))
+        made._folder = path.resolve().parent
+        out.append(made)
+    return out
 
 
-def day_scenarios(source: DayScenarios, scenario: Path, day: Path, words: Mapping[str, str]) -> list[Scenario]:
-    """The scenarios of a day; a word that is a value by itself stands for a number.
+def _words(source: DayScenarios, file: Path, scenario: Mapping[str, Any], where: Path) -> Iterator[dict[str, Any]]:
+    """The words of each half hour of a day; one that is a value by itself stands for a number.
 
     Words, besides those of the run: site, time, time_utc, latitude_deg, longitude_deg, station_km, file, the state
     (pressure_hpa, temperature_k, water_vapour_g_cm2, ozone_atm_cm, aot550, angstrom_exponent), its uncertainties
@@ -130,36 +131,26 @@ def day_scenarios(source: DayScenarios, scenario: Path, day: Path, words: Mappin
     UsageError : mistakes of the scenario with file and line, a half hour without values.
     InputError : a day that is missing, corrupt, not of the surface, or without values.
     """
-    rows = read_radcalnet(day)
-    refuse(rows.quantity != SURFACE, "campaign.day", rows.source)
-    times = tuple(source.times) or rows.valid
-    refuse(not times, "campaign.weather", rows.source)
-    text, lines = load_yaml(scenario)
-    out = []
-    for time in times:
-        at = _words(rows, time, source.radcalnet, str((text.get("atmosphere") or {}).get("model", "")), scenario)
-        made = validate(Scenario, with_words(with_words(text, words), at), lines, str(scenario))
-        made._folder = scenario.resolve().parent
-        out.append(made)
-    return out
-
-
-def _words(day: RadCalNetDay, time: str, file: str, model: str, where: Path) -> dict[str, Any]:
-    i = day.column(time)
-    state = day.at(time)
+    day = read_radcalnet(file)
+    refuse(day.quantity != SURFACE, "campaign.day", day.source)
+    times = tuple(source.times) or day.valid
+    refuse(not times, "campaign.weather", day.source)
     try:
-        profile = standard_profile(model)
+        profile = standard_profile(str((scenario.get("atmosphere") or {}).get("model", "")))
     except UsageError as error:
         raise UsageError(error.what, where=f"{where}: atmosphere.model", expected=error.expected) from None
-    pressure = state["pressure_hpa"]
-    is_on_land = pressure_at(profile, HIGHEST_KM) < pressure <= pressure_at(profile, 0.0)
-    refuse(not is_on_land, "campaign.pressure", day.source, pressure=pressure)
-    ground = float(scipy.optimize.brentq(lambda z: pressure_at(profile, z) - pressure, 0.0, HIGHEST_KM, xtol=1e-6))
-    return {
-        **state, "site": day.site, "time": time, "time_utc": f"{day.times[i]:%Y-%m-%dT%H:%M:%SZ}", "file": file,
-        "latitude_deg": day.latitude_deg, "longitude_deg": day.longitude_deg, "ground_km": round(ground, 4),
-        "station_km": day.altitude_m / 1e3,
-    }  # fmt: skip
+    for time in times:
+        i = day.column(time)
+        state = day.at(time)
+        pressure = state["pressure_hpa"]
+        is_on_land = pressure_at(profile, HIGHEST_KM) < pressure <= pressure_at(profile, 0.0)
+        refuse(not is_on_land, "campaign.pressure", day.source, pressure=pressure)
+        ground = scipy.optimize.brentq(lambda z, p=pressure: pressure_at(profile, z) - p, 0.0, HIGHEST_KM, xtol=1e-6)
+        yield {
+            **state, "site": day.site, "time": time, "time_utc": f"{day.times[i]:%Y-%m-%dT%H:%M:%SZ}",
+            "file": source.radcalnet, "latitude_deg": day.latitude_deg, "longitude_deg": day.longitude_deg,
+            "ground_km": round(float(ground), 4), "station_km": day.altitude_m / 1e3,
+        }  # fmt: skip
 
 
 class Choice(Model):
