@@ -16,8 +16,8 @@ from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
-from hyperval.errors import InputError, UsageError, needed, reader, refusal, refuse
-from hyperval.storage import installed_file, write_text
+from hyperval.errors import UsageError, needed, reader, refusal, refuse
+from hyperval.storage import content_of, installed_file, write_text
 from hyperval.units import radiance_to_internal, wavelength_to_nm
 
 MAX_BYTES = 1 << 20
@@ -232,15 +232,9 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
     """
     path = Path(path)
     refuse(path.is_dir(), "file.folder", path, file=min(path.glob("*.y*ml"), default=path / "FILE.yaml"))
+    content = content_of(path, ("file.none", "file.large"), most=MAX_BYTES)
     try:
-        with open(path, "rb") as stream:
-            content = stream.read(MAX_BYTES + 1)
-        refuse(len(content) > MAX_BYTES, "file.large", path, most=MAX_BYTES)
         text = content.decode("utf-8-sig")
-    except FileNotFoundError as error:
-        raise InputError("no such file", where=str(path)) from error
-    except OSError as error:
-        raise refusal("file.unreadable", path, why=error.strerror) from error
     except UnicodeDecodeError as error:
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
     data, lines = parse_yaml(text, str(path))

@@ -11,7 +11,7 @@ import numpy as np
 
 from hyperval.data import Array
 from hyperval.errors import needed, reader, refusal, refuse
-from hyperval.storage import decoded, number_of
+from hyperval.storage import content_of, decoded, number_of
 
 MAX_HEADER_BYTES = 1 << 20
 MAX_KEYS = 1000
@@ -112,8 +112,7 @@ class EnviHeader:
         for i in np.flatnonzero(~np.isfinite(out)):
             kind = "finite" if np.isinf(out[i]) or "nan" in parts[i].lower() else "a number"
             raise refusal("header.item", self.where(key), item=i + 1, key=key, kind=kind, text=parts[i][:40])
-        if count is not None and out.size != count:
-            raise refusal("header.count", self.where(key), key=key, size=out.size, count=count)
+        refuse(count not in (None, out.size), "header.count", self.where(key), key=key, size=out.size, count=count)
         return out
 
     def number(self, key: str) -> float | None:
@@ -167,13 +166,7 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
         type, sizes that are no positive integers, compressed data.
     """
     path = Path(path)
-    try:
-        with open(path, "rb") as stream:
-            raw = stream.read(MAX_HEADER_BYTES + 1)
-    except OSError as error:
-        none = isinstance(error, FileNotFoundError)
-        raise refusal("header.none" if none else "file.unreadable", path, why=error.strerror) from error
-    refuse(len(raw) > MAX_HEADER_BYTES, "header.large", path, most=MAX_HEADER_BYTES)
+    raw = content_of(path, ("header.none", "header.large"), most=MAX_HEADER_BYTES)
     wide = next((name for name, start in _WIDE.items() if raw.startswith(start)), None)
     text = decoded(raw) if wide is None else raw.decode(wide, errors="replace").lstrip("\ufeff")
     header = parse_header(text, path, sidecar=sidecar)

@@ -58,7 +58,7 @@ from hyperval.metrics import Evidence
 from hyperval.products import SPECTRA, ObjectScores, ObservedProducts, PredictedProducts, Products
 from hyperval.results import COLUMNS, OUTCOMES, Cause, Outcome, Result, ResultTable, Role, row_name
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.storage import write_text
+from hyperval.storage import content_of, write_text
 
 SIDES = {"predicted": PredictedProducts, "observed": ObservedProducts}
 SCHEMA_VERSION = 4
@@ -570,13 +570,9 @@ def _row(item: dict[str, Any], words: dict[str, str], where: str) -> Result:
 
 
 def _json(path: Path) -> dict[str, Any]:
+    raw = content_of(path, ("results.file", "results.large"), most=MAX_BYTES)
     try:
-        refuse(path.stat().st_size > MAX_BYTES, "results.large", path, most=MAX_BYTES)
-        content: dict[str, Any] = json.loads(path.read_bytes())
-    except FileNotFoundError as error:
-        raise refusal("results.file", path) from error
-    except OSError as error:
-        raise refusal("file.unreadable", path, why=error.strerror) from error
+        content: dict[str, Any] = json.loads(raw)
     except (ValueError, RecursionError) as error:
         raise refusal("results.json", path, why=error) from error
     refuse(not isinstance(content, dict), "results.object", path)

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import FileModel, Model, OneOf, file_of, load_model, load_yaml, shipped, twice, unknown
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
-from hyperval.errors import UsageError, as_typed, reader
+from hyperval.errors import as_typed, reader, refuse
 from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import with_settings
 
@@ -561,9 +561,6 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     """
     path = file_of(name_or_path, shipped("hyperval", "scenarios"), "scenario")
     data, _ = load_yaml(path)
-    if "collection" in data and "scene" not in data:
-        raise UsageError(
-            "this is a campaign, not a scenario", where=str(path),
-            mend=f"predict takes the file of a scenario; all of it: {as_typed('validate', path, '-o', 'DIR')}",
-        )  # fmt: skip
+    is_campaign = "collection" in data and "scene" not in data
+    refuse(is_campaign, "scenario.campaign", path, whole=f"all of it: {as_typed('validate', path, '-o', 'DIR')}")
     return load_model(Scenario, path)

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from hyperval.config import validate
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import UsageError, refusal, refuse
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -82,10 +82,9 @@ def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
     if at is None or isinstance(at, dict):  # what is left out is made; unknown keys are found when it is checked
         entries = at or {}
         return {**entries, part: _changed(entries.get(part), rest, value, path)}
-    if isinstance(at, tuple) and not all(isinstance(item, dict) for item in at):
-        raise UsageError(f"setting {path!r}: {here} is set as a whole")
-    if not isinstance(at, list | tuple):
-        raise UsageError(f"setting {path!r}: {here} has no parts")
+    is_whole = isinstance(at, tuple) and not all(isinstance(item, dict) for item in at)
+    refuse(is_whole, "setting.whole", path=path, here=here)
+    refuse(not isinstance(at, list | tuple), "setting.parts", path=path, here=here)
     number, items = _key(at, part, path), list(at)
     items[number] = _changed(items[number], rest, value, path)
     return items
@@ -132,7 +131,5 @@ def item_number(names: Sequence[Any], part: str, path: str) -> int:
     if part.isdecimal() and int(part) < len(names):
         return int(part)
     there = ", ".join(str(n) for n in names if n is not None)
-    raise UsageError(
-        f"setting {path!r}: no item {part!r}",
-        expected=f"a number below {len(names)}" + (f" or one of {there}" if there else ""),
-    )
+    known = f" or one of {there}" if there else ""
+    raise refusal("setting.item", path=path, part=part, count=len(names), known=known)

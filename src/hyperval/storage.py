@@ -142,6 +142,18 @@ def number_of(text: str | None) -> float:
         return math.nan
 
 
+def content_of(path: Path, names: tuple[str, str], *, most: int) -> bytes:
+    """What a file holds, at most so many bytes; of what it is said of none and of a larger one, the names."""
+    try:
+        with open(path, "rb") as stream:
+            content = stream.read(most + 1)
+    except OSError as error:
+        name = names[0] if isinstance(error, FileNotFoundError) else "file.unreadable"
+        raise refusal(name, path, why=error.strerror) from error
+    refuse(len(content) > most, names[1], path, most=most)
+    return content
+
+
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file's content, in hexadecimal; of a folder that of the names and digests of its files."""
     if path.is_dir():
