@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from operator import attrgetter
@@ -239,31 +239,18 @@ def of_campaign(rows: Iterable[Result], campaign: str) -> list[Result]:
     return [replace(row, campaign=campaign) for row in rows]
 
 
-class ResultTable:
-    """An append-only list of results with the views that the writers need."""
-
-    def __init__(self, rows: Iterable[Result] = ()):
-        self._rows: list[Result] = list(rows)
-
-    def __iter__(self) -> Iterator[Result]:
-        return iter(self._rows)
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def add(self, *rows: Result) -> None:
-        """Append rows."""
-        self._rows.extend(rows)
+class ResultTable(list[Result]):
+    """A list of results with the views that the writers need."""
 
     def where(self, **equal: Any) -> ResultTable:
         """The rows whose named fields equal the given values."""
-        return ResultTable(r for r in self._rows if all(getattr(r, k) == v for k, v in equal.items()))
+        return ResultTable(r for r in self if all(getattr(r, k) == v for k, v in equal.items()))
 
     def frame(self) -> pd.DataFrame:
         """The table in the column order of the output contract."""
         import pandas as pd  # 70 MB, not wanted before the results are there
 
-        frame = pd.DataFrame([attrgetter(*COLUMNS)(r) for r in self._rows], columns=list(COLUMNS))
+        frame = pd.DataFrame([attrgetter(*COLUMNS)(r) for r in self], columns=list(COLUMNS))
         frame["n"] = frame["n"].astype("Int64")
         for name in _WORDS:
             frame[name] = frame[name].astype(str)
@@ -276,8 +263,8 @@ class ResultTable:
         ----------
         strict : undecided and skipped gates give 1, too
         """
-        outcomes = {r.outcome for r in self._rows if r.gates}
-        broken = any(r.outcome is Outcome.ERROR for r in self._rows)
+        outcomes = {r.outcome for r in self if r.gates}
+        broken = any(r.outcome is Outcome.ERROR for r in self)
         if broken or Outcome.DISAGREES in outcomes or (strict and outcomes & {Outcome.UNDECIDED, Outcome.SKIPPED}):
             return 1
         return 0 if Outcome.AGREES in outcomes else 5

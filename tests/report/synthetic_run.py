@@ -75,13 +75,13 @@ def make_run(
         amiss = {} if i % 3 != 1 else {"outcome": Outcome.DISAGREES, "reason": "the budget does not explain it"}
         half = float(np.median(np.abs(ratio)))
         own = campaign, "radiance", name, "6S"
-        table.add(
+        table += [
             Result(
                 *own, "median_abs_difference_ratio_windows", half, lower=0.004, upper=0.031, limit_high=0.06, **GATE
             ),
             Result(*own, "p_value_full", 0.31 / (1 + i), n=bands, limit_low=0.05, **amiss),
             *(Result(*own, "difference_ratio", float(r), band_nm=float(b)) for b, r in zip(w, ratio, strict=True)),
-        )
+        ]
     targets = [f"plank {i + 1}, fill {1 - 0.08 * i:.2f}" for i in range(curves)]
     for i, name in enumerate(targets):
         key, unit, count = (name, "CEM"), "object" if i % 2 else "pixel", 20 + 3 * i
@@ -91,11 +91,11 @@ def make_run(
         p["abundance"][key] = products.Abundance(9.0 / 2**i, 0.4 / 2**i)
         o["abundance"][key] = products.Abundance(8.2 / 2**i, 0.6 / 2**i, 40)
         limits = {"lower": -0.1, "upper": 0.15, "n": count, "limit_high": 0.2}
-        table.add(Result(campaign, "roc", *key, "pd_difference@1e-3", 0.02 * i, **limits, **GATE))
+        table.append(Result(campaign, "roc", *key, "pd_difference@1e-3", 0.02 * i, **limits, **GATE))
     for side, n in ((p, None), (o, 12203)):
         side["scores"]["background", "CEM"] = products.ScoreDistribution(0.0, 0.08, n)
     skipped = {"role": Role.GATE, "outcome": Outcome.SKIPPED, "reason": "no truth: `hyperval data fetch x` brings it"}
-    table.add(Result(campaign, "roc", "green planks", "ACE", "pd_difference@1e-3", **skipped), *rows)
+    table += [Result(campaign, "roc", "green planks", "ACE", "pd_difference@1e-3", **skipped), *rows]
     lines, samples = shape
     y, x = np.mgrid[:lines, :samples]
     corners = [(int(lines * (0.1 + 0.8 * i / curves)), int(samples * (0.15 + 0.25 * (i % 3)))) for i in range(curves)]

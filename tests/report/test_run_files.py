@@ -223,7 +223,7 @@ def test_csv_and_json_read_back_exactly(table):
 
 
 def test_junit_counts_match_the_table(table):
-    table.add(Result("other", "roc", "a", "CEM", "pd", role=Role.GATE, outcome=Outcome.ERROR, reason="singular"))
+    table.append(Result("other", "roc", "a", "CEM", "pd", role=Role.GATE, outcome=Outcome.ERROR, reason="singular"))
     root = ElementTree.fromstring(run.junit_xml(table))  # noqa: S314 - our own text
     assert int(root.get("tests")) == len(root.findall(".//testcase")) == len(table.where(role="gate"))
     for element, key in (("failure", "failures"), ("error", "errors"), ("skipped", "skipped")):

@@ -469,7 +469,7 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
         if not check.usable and line.stage > failed:
             break
         rows = list(line.rows(check))
-        check.table.add(*rows)
+        check.table.extend(rows)
         if line.needed and any(row.outcome is Outcome.DISAGREES for row in rows):
             check.usable, failed = False, line.stage
     if not check.usable:
@@ -478,7 +478,7 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
             why = {"throughput": "the bands are in no order"} | why
         for product, reason in why.items():
             row = Result(f"sensor {own.name}", product, "", METHOD, "sensor_check", role=Role.GATE)
-            check.table.add(replace(row, outcome=Outcome.SKIPPED, cause=Cause.AFTER_FAILURE, reason=reason))
+            check.table.append(replace(row, outcome=Outcome.SKIPPED, cause=Cause.AFTER_FAILURE, reason=reason))
     return check
 
 

@@ -144,7 +144,7 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
     fields = fields_of(study)[len(units) :]
 
     def add(product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any) -> None:
-        rows.add(Result(study.name, product, subject, method, metric, float(value), unit, **more))
+        rows.append(Result(study.name, product, subject, method, metric, float(value), unit, **more))
 
     for f in fields:
         output, (n, values) = asked.get(f.name), extremes(table[f.name])
