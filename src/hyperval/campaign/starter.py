@@ -79,14 +79,12 @@ class RecordedSpectrum:
     Attributes
     ----------
     name : its own, or that of its file
-    path, record, unit : where it stands, and what its reader is to be told
+    source : as a scenario names it: where it stands, and what its reader is to be told
     flat : as flat as that of a calibration panel, of hardly any slope or feature
     """
 
     name: str
-    path: Path
-    record: str | None
-    unit: str | None
+    source: Entry
     flat: bool
 
 
@@ -243,7 +241,7 @@ class Draft:
         panels = [region for region in place.regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
         known = [panel for panel in panels if panel in matched]
         if quantity == "radiance" and len(known) > 1:
-            entries = [{"region": panel, "spectrum": self._spectrum(matched[panel])} for panel in known]
+            entries = [{"region": panel, "spectrum": matched[panel].source} for panel in known]
             collection["empirical_line"] = {"panels": entries}
             self.guess("line", panels=", ".join(known))
         if panels:
@@ -313,7 +311,7 @@ class Draft:
         for path in self.sources.spectra:
             for file in filter(Path.is_file, sorted(path.iterdir()) if path.is_dir() else [path]):
                 try:
-                    out += _records(file)
+                    out += _records(file, self.reference(file))
                 except HypervalError:
                     if file == path:  # of a folder only the files that hold spectra count
                         raise
@@ -327,11 +325,6 @@ class Draft:
             if len(fits) == 1:
                 return fits[0]
         return None
-
-    def _spectrum(self, one: RecordedSpectrum) -> Entry:
-        """As a scenario names it."""
-        entry = {"file": self.reference(one.path), "record": one.record, "reflectance_unit": one.unit}
-        return {key: value for key, value in entry.items() if value is not None}
 
     # The model --------------------------------------------------------------------------------------------------------
 
@@ -349,12 +342,12 @@ class Draft:
             surfaces.append({"name": region, "fraction": round(float(share), 4), "spectrum": {"measured": region}})
             if region in matched:
                 spread = {"measured": region} if measured else {"relative_sd": 0.1}
-                surfaces[-1] |= {"spectrum": self._spectrum(matched[region]), "covariance": spread}
+                surfaces[-1] |= {"spectrum": matched[region].source, "covariance": spread}
         scene: Entry = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
         self.guess("classes")
         known = [panel for panel in panels if panel in matched]
         if known:
-            scene["panels"] = [{"name": panel, "spectrum": self._spectrum(matched[panel])} for panel in known]
+            scene["panels"] = [{"name": panel, "spectrum": matched[panel].source} for panel in known]
         flight = self._flight(place) if self.quantity == "radiance" else {}
         processing: Entry = {"detectors": ["cem"], "bands": {"drop_bad": True}}
         processing |= {} if self.quantity == "radiance" and measured else {"elm": "none"}
@@ -403,7 +396,7 @@ class Draft:
             return
         members = {material: [t for t in place.targets if t.material == material] for material in known}
         sizes = {material: _sizes(own) for material, own in members.items()}
-        looked_for = [{"name": m, "material": m, "spectrum": self._spectrum(match)} for m, match in known.items()]
+        looked_for = [{"name": m, "material": m, "spectrum": match.source} for m, match in known.items()]
         group = "{target} {side_m} m" if all(sizes.values()) else "{material}"
         self.content["detection"] = {"group": group, "detectors": ["cem"], "targets": looked_for}
         classes = [c["name"] for c in scenario["scene"]["classes"]]
@@ -415,7 +408,7 @@ class Draft:
                 names = [{"name": f"{material} {size} m", "fill": _fill(place, some)} for size, some in each.items()]
                 fills = {"subjects": names}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
-            target = {"name": material, "spectrum": self._spectrum(known[material]), "covariance": spread}
+            target = {"name": material, "spectrum": known[material].source, "covariance": spread}
             entries.append({**target, "host": _host(place, own, classes), **fills})
         self.guess("targets")
         self._known_to(scenario, list(known))
@@ -500,7 +493,7 @@ def _words(name: str) -> frozenset[str]:
     return frozenset(re.findall(r"[a-z]+|[0-9]+", parted.lower()))
 
 
-def _records(path: Path) -> list[RecordedSpectrum]:
+def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
     for unit in _UNITS:
         try:
             records = read_records(path, reflectance_unit=unit)
@@ -514,7 +507,9 @@ def _records(path: Path) -> list[RecordedSpectrum]:
             values = one.values[in_window(one.wavelength_nm)]
             flat = bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
             own = one.name if len(records) > 1 else None
-            out.append(RecordedSpectrum(own or path.stem, path, own, unit, flat))
+            source = {"file": reference, "record": own, "reflectance_unit": unit}
+            source = {key: value for key, value in source.items() if value is not None}
+            out.append(RecordedSpectrum(own or path.stem, source, flat))
         return out
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
