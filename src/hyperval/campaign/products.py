@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,14 +32,7 @@ from hyperval.model.fill import touched_counts
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_part, target_groups
 from hyperval.observe import observe as observe_collection
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
-from hyperval.products import (
-    Abundance,
-    ClassificationError,
-    ExceedanceCurve,
-    ObservedProducts,
-    PredictedProducts,
-    RocCurve,
-)
+from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts
 from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
@@ -234,8 +226,12 @@ def collected(
         scenarios = [one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.base, job.words)]
         seed = None
         if campaign.collection.simulate:
-            scratch = stack.enter_context(scratch_folder("simulated"))
-            seed = _simulate(campaign.collection.simulate, inputs, scratch)
+            from hyperval.simulate import load_inputs, load_scene, simulate
+
+            path = inputs.resolve(campaign.collection.simulate)
+            scene, scratch = load_scene(path), stack.enter_context(scratch_folder("simulated"))
+            simulate(scene, scratch, inputs=load_inputs(scene, path.parent))
+            inputs.simulated, seed = scratch, scene.seed
         if question is not None:
             campaign = question(scenarios, inputs)
         observed = observe_collection(
@@ -246,16 +242,6 @@ def collected(
                 inputs.add(path)
         scenarios = [as_collected(scenario, observed.place, campaign.detection) for scenario in scenarios]
         yield Collected(campaign, inputs, scenarios, observed, seed)
-
-
-def _simulate(reference: str, inputs: InputLog, scratch: Path) -> int:
-    from hyperval.simulate import load_inputs, load_scene, simulate
-
-    path = inputs.resolve(reference)
-    scene = load_scene(path)
-    simulate(scene, scratch, inputs=load_inputs(scene, path.parent))
-    inputs.simulated = scratch
-    return scene.seed
 
 
 def predicted_side(
@@ -269,26 +255,40 @@ def predicted_side(
     ----------
     truths : what is moved in each scenario, as in the predictions; None: nothing
     """
-    detected = side.observed.detected
-    nominal = detected.nominal_area_m2 if detected is not None else {}
-    stated = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
+    observed, detection, task = side.observed, side.campaign.detection, side.campaign.classification
+    nominal = observed.detected.nominal_area_m2 if observed.detected is not None else {}
+    areas = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
+    if (unmixed := observed.unmixed) and detection and (how := detection.unmixing):
+        known = unmixed.subjects, unmixed.bands, unmixed.covariances, unmixed.pixel_area_m2
+        truths = truths or [{} for _ in side.scenarios]
+        for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
+            own = scenario, side.origins(scenario), truth, prediction
+            areas |= predicted_areas(*own, *known, draws=how.draws, seed=how.seed)
     whole = joined(side, side.scenarios, predictions)
-    return replace(
-        whole,
-        classification=_classification(side, merged(predictions)),
-        exceedance={key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()},
-        abundance={**stated, **_areas(side, predictions, truths)},
-    )
+    errors = whole.classification
+    if task is not None:
+        quantity = str(observed.observation.provenance.get("quantity", "radiance"))
+        errors = predicted_classification(merged(predictions), class_sets(task), task.features, quantity, task.seed)
+    shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
+    return replace(whole, classification=errors, exceedance=shared, abundance=areas)
 
 
 def joined(
     side: Collected, scenarios: Sequence[Scenario], predictions: Sequence[PredictedProducts]
 ) -> PredictedProducts:
-    """The predictions of scenarios in one, with the campaign's pools and without what came from its collection."""
+    """The predictions of scenarios in one, without what came from its collection, and with the campaign's pools.
+
+    Their curves are averaged as the collection counts its targets.
+    """
     whole = without_circles(merged(predictions), scenarios, side.observed.place)
-    if side.campaign.detection is None:
-        return whole
-    return replace(whole, roc=with_pools(whole.roc, side.observed.observation, side.campaign.detection))
+    curves, observed, detection = dict(whole.roc), side.observed.observation.roc, side.campaign.detection
+    for pool in detection.pools if detection is not None else ():
+        for name, detector, unit in observed:
+            keys = [(subject, detector, unit) for subject in pool.subjects]
+            if name == pool.name and all(key in whole.roc for key in keys):
+                counts = [observed[key].n_target or 0 for key in keys]
+                curves[name, detector, unit] = average_roc([whole.roc[key] for key in keys], counts)
+    return replace(whole, roc=curves)
 
 
 def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
@@ -338,43 +338,3 @@ def without_circles(
         return prediction
     note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
     return replace(prediction, notes=(*prediction.notes, note))
-
-
-def with_pools(
-    predicted: Mapping[tuple[str, str, str], RocCurve], observation: ObservedProducts, detection: Detection
-) -> dict[tuple[str, str, str], RocCurve]:
-    """The predicted curves with those of the campaign's pools, averaged as the collection counts its targets."""
-    out = dict(predicted)
-    for pool in detection.pools:
-        for name, detector, unit in observation.roc:
-            keys = [(subject, detector, unit) for subject in pool.subjects]
-            if name != pool.name or not all(key in predicted for key in keys):
-                continue
-            counts = [observation.roc[key].n_target or 0 for key in keys]
-            out[name, detector, unit] = average_roc([predicted[key] for key in keys], counts)
-    return out
-
-
-def _classification(side: Collected, prediction: PredictedProducts) -> Mapping[tuple[str, str], ClassificationError]:
-    """The errors of the campaign's classifier, in the quantity of its image."""
-    task = side.campaign.classification
-    if task is None:
-        return prediction.classification
-    quantity = str(side.observed.observation.provenance.get("quantity", "radiance"))
-    return predicted_classification(prediction, class_sets(task), task.features, quantity, task.seed)
-
-
-def _areas(
-    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Truth] | None
-) -> dict[tuple[str, str], Abundance]:
-    """The areas that unmixing would find, by (subject, method); empty where the campaign does not unmix."""
-    out: dict[tuple[str, str], Abundance] = {}
-    unmixed, detection = side.observed.unmixed, side.campaign.detection
-    if unmixed is None or detection is None or detection.unmixing is None:
-        return out
-    truths, task = truths or [{} for _ in side.scenarios], detection.unmixing
-    known = unmixed.subjects, unmixed.bands, unmixed.covariances, unmixed.pixel_area_m2
-    for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
-        own = scenario, side.origins(scenario), truth, prediction
-        out |= predicted_areas(*own, *known, draws=task.draws, seed=task.seed)
-    return out
