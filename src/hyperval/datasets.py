@@ -400,16 +400,11 @@ def _resolve_data(path: str) -> Path:
         mend = f"hyperval data fetch {owner.name}"
     elif holder:
         mend = f"the collection is not public, it is held by {holder.holder}: {how_to_get(holder)}"
-    else:
-        raise _unknown(path, looked)
+    else:  # neither the registry nor this machine knows it: the names nearest to it
+        folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
+        beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
+        close = nearest(path, [*_by_path(), *beside]) or nearest(path.split("/")[0], registry())
+        perhaps = f"perhaps {', '.join(PREFIX + name for name in close)}" if close else ""
+        raise refusal("data.unknown", PREFIX + path, looked=looked, perhaps=perhaps)
     # Reports say what is missing, and not which folders a machine has: that is for whoever runs it.
     raise MissingDataError("not on this machine", where=PREFIX + path, expected=f"it below {looked}", mend=mend)
-
-
-def _unknown(path: str, looked: str) -> HypervalError:
-    """The error for a file that neither the registry nor this machine knows, with the names nearest to it."""
-    folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
-    beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
-    close = nearest(path, [*_by_path(), *beside]) or nearest(path.split("/")[0], registry())
-    perhaps = f"perhaps {', '.join(PREFIX + name for name in close)}" if close else ""
-    return refusal("data.unknown", PREFIX + path, looked=looked, perhaps=perhaps)

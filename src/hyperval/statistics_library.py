@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,10 +29,6 @@ from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_file
-
-if TYPE_CHECKING:
-    import xarray as xr
-
 
 MAX_BYTES = 512 << 20
 _MOST = {"band": 5000, "class": 1000, "component": MOST_COMPONENTS}
@@ -156,28 +152,24 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     """
     path = checked_file(path, what="statistics library", most=MAX_BYTES)
     with opened_netcdf(path, "statistics library", _AXES, _MOST, _MAY_LACK) as data:
-        return _class_of(data, path, record)
-
-
-def _class_of(data: xr.Dataset, path: Path, record: str | None) -> ClassStatistics:
-    names = [str(n) for n in data["class_name"].values]
-    refuse(record is None and len(names) > 1, "classes.several", path, names=", ".join(names))
-    wanted = names[0] if record is None else record
-    refuse(wanted not in names, "classes.none", path, name=wanted, names=", ".join(names))
-    at = names.index(wanted)
-    one = data.isel({"class": at})
-    good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
-    tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
-    with told_of(str(path)):
-        if "component_weight" in one and (used := one["component_weight"].values != 0).any():
-            weight, offset, covariance = (one[name].values[used] for name in _PARTS)
-            dof = float(one["component_dof"])
-            components = Components(weight, offset, covariance, np.inf if np.isnan(dof) else dof)
-        return ClassStatistics(
-            names[at], SpectralAxis(one["wavelength"].values, one["fwhm"].values, good),
-            np.asarray(one["mean"].values, dtype=float), np.asarray(one["covariance"].values, dtype=float),
-            int(one["n"]) or None, str(one["source"].values), None if np.isnan(tail) else tail, components,
-        )  # fmt: skip
+        names = [str(n) for n in data["class_name"].values]
+        refuse(record is None and len(names) > 1, "classes.several", path, names=", ".join(names))
+        wanted = names[0] if record is None else record
+        refuse(wanted not in names, "classes.none", path, name=wanted, names=", ".join(names))
+        at = names.index(wanted)
+        one = data.isel({"class": at})
+        good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
+        tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
+        with told_of(str(path)):
+            if "component_weight" in one and (used := one["component_weight"].values != 0).any():
+                weight, offset, covariance = (one[name].values[used] for name in _PARTS)
+                dof = float(one["component_dof"])
+                components = Components(weight, offset, covariance, np.inf if np.isnan(dof) else dof)
+            return ClassStatistics(
+                names[at], SpectralAxis(one["wavelength"].values, one["fwhm"].values, good),
+                np.asarray(one["mean"].values, dtype=float), np.asarray(one["covariance"].values, dtype=float),
+                int(one["n"]) or None, str(one["source"].values), None if np.isnan(tail) else tail, components,
+            )  # fmt: skip
 
 
 def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 10.0) -> ClassStatistics:

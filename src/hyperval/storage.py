@@ -102,7 +102,9 @@ def whole_file(path: Path) -> Iterator[Path]:
         yield temporary
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
-        os.chmod(temporary, 0o666 & ~umask())
+        mask = os.umask(0)  # which is read by setting it
+        os.umask(mask)
+        os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -192,13 +194,6 @@ def installed_file(package: str, *parts: str) -> Path:
 def files_within(folder: Path) -> list[Path]:
     """The files below a folder, in the order of their names."""
     return sorted(p for p in folder.rglob("*") if p.is_file())
-
-
-def umask() -> int:
-    """The permissions that this process takes from what it makes."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 LIST = ".hyperval.json"

@@ -318,7 +318,18 @@ def _mistakes(job: Job, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[It
     predicted: list[str] = []
     for scenario, lookup in scenarios:
         predicted += _scenario_mistakes(scenario, lookup, offered.axis, offered.regions if measured else ())
-    _comparison_mistakes(campaign, own, offered, predicted)
+    # Metrics that a product does not have, and subjects of spectra and curves that neither side has.
+    pools = [pool.name for pool in campaign.detection.pools] if campaign.detection else []
+    both = {**{name: [*offered.regions, *offered.subjects] for name in SPECTRA}, "roc": [*offered.subjects, *pools]}
+    for i, gate in enumerate(campaign.comparisons):
+        if wrong := foreign(gate.metric, gate.product):
+            own.add(("comparisons", i, "metric"), wrong)
+        known = both.get(gate.product, [])
+        for k, pattern in enumerate(gate.subjects if known else ()):
+            if not any(fnmatchcase(name, pattern) for name in (*known, *TOGETHER)):
+                own.one(("comparisons", i, "subjects", k), pattern, known, "", "the collection has no")
+            elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in (*predicted, *TOGETHER)):
+                own.one(("comparisons", i, "subjects", k), pattern, predicted, "subject ", "no scenario has a")
     return [item for lookup in (own, *(lookup for _, lookup in scenarios)) for item in lookup.mistakes]
 
 
@@ -449,20 +460,3 @@ def _scenario_mistakes(
         lookup.spectrum(at, source, "surroundings", axis, regions)
     surfaces = (*scene.classes, *scene.panels, *scene.sites)
     return [*(s.name for s in surfaces), *(p.name for t in scene.targets for p in t.populations)]
-
-
-def _comparison_mistakes(
-    campaign: Campaign, lookup: Lookup, offered: CollectionNames, predicted: Sequence[str]
-) -> None:
-    """Metrics that a product does not have, and subjects of spectra and curves that neither side has."""
-    pools = [pool.name for pool in campaign.detection.pools] if campaign.detection else []
-    both = {**{name: [*offered.regions, *offered.subjects] for name in SPECTRA}, "roc": [*offered.subjects, *pools]}
-    for i, gate in enumerate(campaign.comparisons):
-        if wrong := foreign(gate.metric, gate.product):
-            lookup.add(("comparisons", i, "metric"), wrong)
-        known = both.get(gate.product, [])
-        for k, pattern in enumerate(gate.subjects if known else ()):
-            if not any(fnmatchcase(name, pattern) for name in (*known, *TOGETHER)):
-                lookup.one(("comparisons", i, "subjects", k), pattern, known, "", "the collection has no")
-            elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in (*predicted, *TOGETHER)):
-                lookup.one(("comparisons", i, "subjects", k), pattern, predicted, "subject ", "no scenario has a")

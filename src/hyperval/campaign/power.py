@@ -129,7 +129,10 @@ def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> Powe
         stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
 
         def injected(error: Family) -> Injected:
-            """What it turns; of a scenario that has nothing of the kind the prediction stays."""
+            """What it turns, and what the attribution says of it when it came to what is measured.
+
+            Of a scenario that has nothing of the kind the prediction stays.
+            """
             sides: list[tuple[PredictedProducts, Truth]] = []
             refused = []
             for scenario, plain, own in zip(scenarios, stated, origins, strict=True):
@@ -142,7 +145,10 @@ def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> Powe
                 return Injected(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
             found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
-            return found.model_copy(update={"reason": _reason(causes, truths)})
+            ((with_it, _),), level = causes.evaluate([truths], "injected error"), causes.predicted
+            cause = causes.or_rarer(with_it - level, np.arange(level.size), level, causes.of_inputs)
+            reason = " or ".join((cause.first, *cause.alike[:3])) + (", enough" if cause.enough else "")
+            return found.model_copy(update={"reason": reason})
 
         before = outcomes(here, predicted_side(here, stated))
         model, worlds = scenario_model(here), worlds_of(here)
@@ -162,14 +168,6 @@ def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> Powe
             errors=rows,
             reasons=_calibrated(causes),
         )
-
-
-def _reason(causes: Causes, truths: Sequence[Truth]) -> str:
-    """What the attribution says of an error that came to what is measured."""
-    ((with_it, _),) = causes.evaluate([truths], "injected error")
-    level = causes.predicted
-    found = causes.or_rarer(with_it - level, np.arange(level.size), level, causes.of_inputs)
-    return " or ".join((found.first, *found.alike[:3])) + (", enough" if found.enough else "")
 
 
 def _calibrated(causes: Causes) -> Reasons:

@@ -97,14 +97,21 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
     """What both sides say, compared and judged; what the collection says where nothing was predicted."""
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
     more: dict[str, Any] = {"kind": "Collection of campaign"}
-    prediction = None
+    prediction = power = None
     if predicted:
+        power = accepted_table(campaign.name, side.inputs.base)
         prediction = predicted_side(side, predicted)
         rows = outcomes(side, prediction)
         deciding = undecided(side, rows, prediction)
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
-        rows += reasons(side, prediction)
+        if campaign.attribution is not None:  # why the two sides differ
+            rows += attribute(
+                scenario_model(side), observed.observation, worlds_of(side), campaign.attribution,
+                budgeted=prediction,
+                accepted=power.reasons.sides if power and power.reasons else {},
+                simulated=bool(campaign.simulated),
+            )  # fmt: skip
         more = {"kind": "Campaign", "deciding": deciding}
     else:
         rows = list(product_rows(observed.observation, "observed"))
@@ -119,7 +126,6 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
     provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
-    power = accepted_table(campaign.name, side.inputs.base) if predicted else None
     return report_of(
         campaign,
         rows,
@@ -190,22 +196,6 @@ def undecided_by(job: Job) -> list[tuple[Result, str]]:
     with collected(job) as side:
         prediction = predicted_side(side, [predict(s, side.origins(s)) for s in side.scenarios])
         return undecided(side, outcomes(side, prediction), prediction)
-
-
-def reasons(side: Collected, prediction: PredictedProducts) -> list[Result]:
-    """Why the two sides differ: rows of the model asked again with inputs moved, and of the what-ifs.
-
-    None where the campaign does not ask for them; ``prediction`` as it was compared.
-    """
-    if side.campaign.attribution is None:
-        return []
-    accepted = accepted_table(side.campaign.name, side.inputs.base)
-    return attribute(
-        scenario_model(side), side.observed.observation, worlds_of(side), side.campaign.attribution,
-        budgeted=prediction,
-        accepted=accepted.reasons.sides if accepted and accepted.reasons else {},
-        simulated=bool(side.campaign.simulated),
-    )  # fmt: skip
 
 
 def worlds_of(side: Collected) -> list[World]:
