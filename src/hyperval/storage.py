@@ -231,7 +231,11 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
         raise _no_folder(Path(path), error) from error
     with _claimed(place, Path(path)):
         _finish(place)
-        _refuse_foreign(place, kind)
+        held, files = _list(place)  # hidden files stay as they are
+        foreign = sorted(_names(place) - files)
+        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
+        refuse(foreign, "folder.foreign", place, names=", ".join(foreign[:3]) + more)
+        refuse(held not in ("", kind), "folder.kind", place, held=held, kind=kind)
         try:
             new = Path(tempfile.mkdtemp(prefix=_NEW, dir=place))
         except OSError as error:
@@ -260,17 +264,6 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
 def partial_folder(path: Path) -> Path:
     """Where a run into ``path`` keeps what it finished so far."""
     return Path(path).resolve() / PARTIAL
-
-
-def _refuse_foreign(place: Path, kind: str) -> None:
-    """Raise UsageError where the folder holds what no run wrote, or another kind; hidden files stay as they are."""
-    listing = _list(place)
-    foreign = sorted(_names(place) - (listing[1] if listing else set()))
-    if foreign:
-        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
-        raise refusal("folder.foreign", place, names=", ".join(foreign[:3]) + more)
-    if listing is not None and listing[0] != kind:
-        raise refusal("folder.kind", place, held=listing[0], kind=kind)
 
 
 @contextmanager
@@ -308,19 +301,19 @@ def _no_folder(path: Path, error: Exception) -> HypervalError:
 
 def _finish(place: Path) -> None:
     """Finish a change that was cut off and remove what a killed run left; the folder is claimed."""
-    listing = _list(place / _SWAP)
-    if listing is not None:
-        _swap_content(place, *listing)
+    kind, new = _list(place / _SWAP)
+    if kind:
+        _swap_content(place, kind, new)
     for left in (*place.glob(_NEW + "*"), place / _SWAP):
         shutil.rmtree(left, ignore_errors=True)
 
 
 def _swap_content(place: Path, kind: str, new: set[str]) -> None:
     """Put the files of the swap folder in the place of the old ones; called again, it goes on where it ended."""
-    swap, marker, before = place / _SWAP, MARKERS[kind], _list(place)
+    swap, marker = place / _SWAP, MARKERS[kind]
     if (swap / marker).is_file():
         (place / marker).unlink(missing_ok=True)
-    for name in sorted((before[1] if before else set()) - new):
+    for name in sorted(_list(place)[1] - new):
         (place / name).unlink(missing_ok=True)
         for folder in PurePosixPath(name).parents[:-1]:
             with suppress(OSError):  # others are left in it, or it went before
@@ -339,16 +332,15 @@ def _names(folder: Path) -> set[str]:
     return {p.as_posix() for p in shown if p.name == RECORD or not p.name.startswith(".")}
 
 
-def _list(folder: Path) -> tuple[str, set[str]] | None:
-    """Kind and files by the list in a folder; None where there is none that can be read."""
-    try:
+def _list(folder: Path) -> tuple[str, set[str]]:
+    """Kind and files by the list in a folder; none where there is no list that can be read."""
+    with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
         content = json.loads((folder / LIST).read_bytes())
         files = {str(PurePosixPath(name)) for name in content["files"]}
-        if content["schema"] != 1 or any(".." in PurePosixPath(f).parts or f.startswith("/") for f in files):
-            return None
-        return (str(content["kind"]), files) if content["kind"] in MARKERS else None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
+        leaves = any(".." in PurePosixPath(f).parts or f.startswith("/") for f in files)
+        if content["schema"] == 1 and content["kind"] in MARKERS and not leaves:
+            return str(content["kind"]), files
+    return "", set()
 
 
 _NOT_STARTED = (126, 127)  # exit codes of setpriv, as of a shell
