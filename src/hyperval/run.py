@@ -47,12 +47,11 @@ import h5netcdf
 import h5py
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 import hyperval
 import hyperval.products as product_types
 from hyperval.data import Mask
-from hyperval.errors import UsageError, reader, refusal, refuse
+from hyperval.errors import UsageError, package_table, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
 from hyperval.products import SPECTRA, ObjectScores, ObservedProducts, PredictedProducts, Products
@@ -617,8 +616,7 @@ class Layout(NamedTuple):
 
 @cache
 def _layouts() -> dict[str, Layout]:
-    stated = yaml.safe_load((Path(__file__).parent / "products.yaml").read_text("utf-8"))
-    return {name: _layout(name, about) for name, about in stated.items()}
+    return {name: _layout(name, about) for name, about in package_table("products.yaml").items()}
 
 
 def _layout(name: str, about: Mapping[str, Any]) -> Layout:

@@ -24,7 +24,7 @@ from hyperval.campaign.products import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml
 from hyperval.data import Mask
-from hyperval.errors import HypervalError, InputError, UsageError, refusal, refuse
+from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
 from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.pixels import drawn_pixels
@@ -117,8 +117,7 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
 
 
 def _templates() -> dict[str, Any]:
-    content: dict[str, Any] = yaml.safe_load(Path(__file__).with_name("draft.yaml").read_text("utf-8"))
-    return content
+    return package_table("campaign/draft.yaml")
 
 
 @dataclass
@@ -358,7 +357,7 @@ class Draft:
     def _flight(self, place: Place) -> Entry:
         """Atmosphere, sun, sensor, and what is known of them."""
         sources, usual = self.sources, _templates()["flight"]
-        state, self.collection["calibration"] = usual["atmosphere"], usual["calibration"]
+        state, self.collection["calibration"] = {**usual["atmosphere"]}, usual["calibration"]
         for name in ("atmosphere", "state", "calibration"):
             self.guess(name)
         centre = centre_of(place)
@@ -369,7 +368,7 @@ class Draft:
         sensor = sources.sensor or self._library_sensor(place)
         is_file = sources.sensor is not None and Path(sensor).is_file()
         sensor = self.reference(Path(sensor)) if is_file else sensor
-        return {"atmosphere": state, "sensor": sensor, "uncertainty": usual["uncertainty"]}
+        return {"atmosphere": state, "sensor": sensor, "uncertainty": {**usual["uncertainty"]}}
 
     def _library_sensor(self, place: Place) -> str:
         """The sensor of the library with the bands of the image."""
@@ -445,10 +444,11 @@ class Draft:
         collection["regions"].append({"name": "known objects", "file": "objects.csv"})
         collection |= usual["collection"]
         detection |= usual["detection"]
+        scene = usual["scene"]
         if pixels < _FEW:
-            usual["scene"]["targets"][0]["covariance"] = {"relative_sd": 0.05}
-        model = {"scene": usual["scene"], "processing": usual["processing"]}
-        self.content["scenarios"] = [{"schema": 1, "name": self.name, **model}]
+            scene = {**scene, "targets": [{**scene["targets"][0], "covariance": {"relative_sd": 0.05}}]}
+        model = {"schema": 1, "name": self.name, "scene": scene, "processing": usual["processing"]}
+        self.content["scenarios"] = [model]
         self.guess("objects", why=why, scored=len(scored), pixels=pixels)
         self.guess("objects filled")
         self.content["comparisons"] = usual_comparisons(self.content)
