@@ -394,9 +394,7 @@ def scene_content(
             for one in members:
                 kinds.setdefault(one.name, {})[target.name] = subject
     of_targets = np.zeros(numbers.shape, bool)
-    for one in place.targets:
-        if one.name not in kinds:
-            continue
+    for one in (target for target in place.targets if target.name in kinds):
         if kinds[one.name] not in contents:
             contents.append(kinds[one.name])
         own = scored_part(one, place)
@@ -423,8 +421,7 @@ def score_maps(
     """
     if observed.detected is None or observed.place is None or detection is None:
         return {}
-    cube = observed.place.cube
-    size = observed.place.pixel_area_m2
+    cube, size = observed.place.cube, observed.place.pixel_area_m2
     maps = expected_maps(observed.place, detection, prediction.expected_scores if prediction else {})
     said = {(r.subject, r.method): r.reason for r in rows if r.metric == "pfa_ratio_without@1e-2"}
     carried = {}
@@ -434,16 +431,11 @@ def score_maps(
             threshold = float(measured.threshold[false_alarm_ratio(law, measured, 1e-2).at])
             ratio = np.append(law.influence.at(threshold), np.nan)[law.influence.number]
             carried[map_name(*key)] = ratio, threshold, words
+    transform = tuple(cube.transform)[:6] if cube.transform else None
+    crs, side_m = cube.crs.to_wkt() if cube.crs else None, float(np.sqrt(size)) if size else None
+    outlines = observed.detected.outlines
     return {
-        name: ScoreMap(
-            values,
-            tuple(cube.transform)[:6] if cube.transform else None,
-            cube.crs.to_wkt() if cube.crs else None,
-            observed.detected.outlines.get(name, {}),
-            float(np.sqrt(size)) if size else None,
-            maps.get(name),
-            carried.get(name),
-        )
+        name: ScoreMap(values, transform, crs, outlines.get(name, {}), side_m, maps.get(name), carried.get(name))
         for name, values in observed.detected.score_maps.items()
     }
 

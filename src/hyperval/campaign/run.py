@@ -141,16 +141,9 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
 
 def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
     """What a campaign's file and its rows alone say; ``more`` : other fields of :class:`hyperval.run.Run`."""
-    return Run(
-        campaign=campaign.name,
-        title=campaign.title,
-        description=campaign.description,
-        simulated=bool(campaign.simulated),
-        computed=campaign.computed,
-        references=campaign.references,
-        table=ResultTable(of_campaign(rows, campaign.name)),
-        **more,
-    )
+    own = {name: getattr(campaign, name) for name in ("title", "description", "computed", "references")}
+    table = ResultTable(of_campaign(rows, campaign.name))
+    return Run(table, campaign=campaign.name, simulated=bool(campaign.simulated), **own, **more)
 
 
 def unfinished(job: Job, outcome: Outcome, reason: str, remedy: str = "") -> Run:
