@@ -251,14 +251,11 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
             os.rename(new, place / _SWAP)
             _finish(place)
         except OSError as error:
-            is_new = new.exists()
-            raise Unplaced(
-                f"the results could not be put here: {error.strerror or error}",
-                where=str(place),
-                mend=f"they are complete in {new}: copy them from there before the next run"
-                if is_new
-                else "mend that and run again: the next run into this folder finishes the change",
-            ) from error
+            mend = "mend that and run again: the next run into this folder finishes the change"
+            if new.exists():
+                mend = f"they are complete in {new}: copy them from there before the next run"
+            what = f"the results could not be put here: {error.strerror or error}"
+            raise Unplaced(what, where=str(place), mend=mend) from error
 
 
 def partial_folder(path: Path) -> Path:

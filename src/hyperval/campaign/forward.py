@@ -21,15 +21,11 @@ def predict_to_folder(name_or_path: str, output: Path) -> int:
     log = InputLog(scenario.folder or Path())
     with whole_folder(output) as folder:  # first of all: it may not be writable
         prediction = predict(scenario, Origins(resolve=log.resolve))
+        rows = ResultTable(of_campaign(product_rows(prediction, "predicted"), scenario.name))
+        record = record_of(log, [scenario], None, {"scenario": scenario}, [prediction])
         run = Run(
-            campaign=scenario.name,
-            title=scenario.title or scenario.name,
-            description=scenario.description,
-            kind="Prediction of scenario",
-            table=ResultTable(of_campaign(product_rows(prediction, "predicted"), scenario.name)),
-            given={"predicted": prediction},
-            provenance=record_of(log, [scenario], None, {"scenario": scenario}, [prediction]),
-            notes=prediction.notes,
-        )
+            rows, record, {"predicted": prediction}, scenario.title or scenario.name, campaign=scenario.name,
+            description=scenario.description, kind="Prediction of scenario", notes=prediction.notes,
+        )  # fmt: skip
         write_outputs(run, folder)
     return 0

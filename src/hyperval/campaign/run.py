@@ -164,15 +164,11 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     ----------
     prediction : of :func:`hyperval.campaign.products.predicted_side`
     """
-    engines = {s.atmosphere.engine for s in side.scenarios if s.atmosphere}
-    rows = compare_products(
-        prediction,
-        side.observed.observation,
-        method="+".join(sorted(engines)) or "statistics",
-        equivalence_margin=side.campaign.equivalence_margin,
-        fitted_on=side.campaign.fitted_on,
-    )
-    return told_apart(judged(rows, side.campaign.comparisons), side.campaign.fitted_on)
+    campaign, sides = side.campaign, (prediction, side.observed.observation)
+    method = "+".join(sorted({s.atmosphere.engine for s in side.scenarios if s.atmosphere})) or "statistics"
+    margin, fitted_on = campaign.equivalence_margin, campaign.fitted_on
+    rows = compare_products(*sides, method=method, equivalence_margin=margin, fitted_on=fitted_on)
+    return told_apart(judged(rows, campaign.comparisons), fitted_on)
 
 
 def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:

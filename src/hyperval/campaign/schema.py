@@ -189,10 +189,9 @@ class Outline(Model):
     def every_choice(self) -> list[tuple[str, str]]:
         """What was set after the campaign's own data were seen, each with what it was before."""
         stated = [(choice.what, choice.before) for choice in self.chosen_after]
+        after = [g for g in self.comparisons if g.chosen_after]
         return stated + [
-            (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before)
-            for g in self.comparisons
-            if g.chosen_after
+            (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before) for g in after
         ]
 
 
