@@ -315,9 +315,28 @@ def _mistakes(job: Job, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[It
     campaign, own = job.campaign, Lookup(str(job.path), job.lines, partial(resolve, base=job.folder))
     offered, cube = _offered(campaign, own), campaign.collection.cube
     measured = cube is not None and (cube.quantity != "radiance" or campaign.collection.empirical_line is not None)
-    predicted: list[str] = []
+    regions = offered.regions if measured else ()  # that the collection gives statistics of
+    predicted: list[str] = []  # the subjects of all scenarios
     for scenario, lookup in scenarios:
-        predicted += _scenario_mistakes(scenario, lookup, offered.axis, offered.regions if measured else ())
+        scene, axis = scenario.scene, offered.axis
+        if scenario.sensor is not None:
+            with lookup.within("sensor"):
+                name = scenario.sensor
+                sensor = load_sensor(lookup.find(name) if name.endswith((".yaml", ".yml")) else name)
+                axis = axis or sensor.axis
+        for kind in ("classes", "panels", "sites", "targets"):
+            for at, surface in lookup.named(scenario, f"scene.{kind}.*"):
+                lookup.spectrum((*at, "spectrum"), surface.spectrum, surface.name, axis, regions)
+                spread = surface.covariance
+                if spread is not None and spread.measured is not None:
+                    lookup.measured((*at, "covariance", "measured"), spread.measured, regions)
+                if spread is not None and spread.builtin is not None and axis is not None:
+                    with lookup.within(*at, "covariance", "builtin"):
+                        builtin_class(spread.builtin, axis)
+        for at, source in lookup.named(scenario, "scene.adjacency.spectrum"):
+            lookup.spectrum(at, source, "surroundings", axis, regions)
+        predicted += [s.name for s in (*scene.classes, *scene.panels, *scene.sites)]
+        predicted += [p.name for t in scene.targets for p in t.populations]
     # Metrics that a product does not have, and subjects of spectra and curves that neither side has.
     pools = [pool.name for pool in campaign.detection.pools] if campaign.detection else []
     both = {**{name: [*offered.regions, *offered.subjects] for name in SPECTRA}, "roc": [*offered.subjects, *pools]}
@@ -430,33 +449,3 @@ def _simulated(campaign: Campaign, lookup: Lookup) -> CollectionNames:
         grouped = detection is not None and detection.group == "{group}"
         return CollectionNames(axis, regions, tuple(g.name for g in scene.targets) if grouped else ())
     return CollectionNames()
-
-
-def _scenario_mistakes(
-    scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, regions: Sequence[str]
-) -> list[str]:
-    """Look up everything that a scenario names; returns the names of its subjects.
-
-    Parameters
-    ----------
-    regions : that the collection gives statistics of
-    """
-    scene = scenario.scene
-    if scenario.sensor is not None:
-        with lookup.within("sensor"):
-            name = scenario.sensor
-            sensor = load_sensor(lookup.find(name) if name.endswith((".yaml", ".yml")) else name)
-            axis = axis or sensor.axis
-    for kind in ("classes", "panels", "sites", "targets"):
-        for at, surface in lookup.named(scenario, f"scene.{kind}.*"):
-            lookup.spectrum((*at, "spectrum"), surface.spectrum, surface.name, axis, regions)
-            spread = surface.covariance
-            if spread is not None and spread.measured is not None:
-                lookup.measured((*at, "covariance", "measured"), spread.measured, regions)
-            if spread is not None and spread.builtin is not None and axis is not None:
-                with lookup.within(*at, "covariance", "builtin"):
-                    builtin_class(spread.builtin, axis)
-    for at, source in lookup.named(scenario, "scene.adjacency.spectrum"):
-        lookup.spectrum(at, source, "surroundings", axis, regions)
-    surfaces = (*scene.classes, *scene.panels, *scene.sites)
-    return [*(s.name for s in surfaces), *(p.name for t in scene.targets for p in t.populations)]

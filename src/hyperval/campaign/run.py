@@ -416,19 +416,15 @@ class CampaignRun(NamedTuple):
         with step_of(run.campaign, "report"), working("figures and report"):
             write_outputs(run, self.folder)
         if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
-            write_record(self.job, run, self.folder)
+            read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
+            files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
+            with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
+                written = [path for path in files_within(self.folder) if path.name != RECORD]
+                outputs = {path.relative_to(self.folder).as_posix(): sha256_of(path) for path in written}
+                record = {"made_of": made_of(self.job, files), "files": list(files), "outputs": outputs}
+                write_text(self.folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
         table = ResultTable(row for row in run.table if row.planned or not row.per_band)  # most are of single bands
         return replace(run, table=table, given={}, score_maps={}, quicklook=None), code
-
-
-def write_record(job: Job, run: Run, folder: Path) -> None:
-    """Write into a campaign's folder what it was made of."""
-    read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
-    files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
-    with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
-        outputs = {p.relative_to(folder).as_posix(): sha256_of(p) for p in files_within(folder) if p.name != RECORD}
-        record = {"made_of": made_of(job, files), "files": list(files), "outputs": outputs}
-        write_text(folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
 
 
 def as_before(job: Job, folder: Path) -> Run | None:
