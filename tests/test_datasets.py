@@ -107,10 +107,10 @@ def test_what_was_read_is_recorded_without_a_path_of_this_machine(places, tmp_pa
     assert entries["b.csv"]["sha256"] == hashlib.sha256(b"1,2").hexdigest()
     assert (entries["b.csv"]["bytes"], entries["b.csv"]["licence"]) == (3, None)
     assert str(tmp_path) not in repr(log.entries())
-    known = datasets.describe("data:" + HEADER)
-    assert (known["dataset"], known["licence"], len(str(known["sha256"]))) == ("hysu", "CC-BY-4.0", 64)
-    assert "Cerra" in str(known["citation"])
-    assert {*datasets.describe("cube.img").values(), *datasets.describe("data:mine/cube.img").values()} == {None}
+    known = datasets.owner_of("data:" + HEADER)
+    assert (known.name, known.licence) == ("hysu", "CC-BY-4.0")
+    assert "Cerra" in known.citation
+    assert datasets.owner_of("cube.img") is datasets.owner_of("data:mine/cube.img") is None
 
 
 def test_a_set_that_is_not_public_says_who_holds_it_and_where_it_goes(places):
@@ -202,7 +202,9 @@ def server(monkeypatch) -> Iterator[type[Handler]]:
         threading.Thread(target=partial(http.serve_forever, poll_interval=0.01), daemon=True).start()
         root = f"http://127.0.0.1:{http.server_port}"
         paths = zip(("toy/a.txt", "toy/b.chn.gz"), handler.content.items(), strict=True)
-        toy = toy_set(*(DataFile(p, root + at, len(c), hashlib.sha256(c).hexdigest()) for p, (at, c) in paths))
+        toy = toy_set(
+            *(DataFile(p, root + at, len(c), f"sha256:{hashlib.sha256(c).hexdigest()}") for p, (at, c) in paths)
+        )
         monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
         monkeypatch.setattr(datasets, "ATTEMPTS", 1)
         monkeypatch.setenv("NO_PROXY", "127.0.0.1")
@@ -241,7 +243,7 @@ def test_a_file_whose_git_blob_id_alone_is_published(server, places, monkeypatch
     server.content["/c.img"] = content
     a = datasets.dataset("toy").files[0]
     blob = "bd9dbf5aae1a3862dd1526723246b20206e5fc37"
-    entry = toy_set(DataFile("toy/c.img", a.address.replace("/a.txt", "/c.img"), len(content), "", blob))
+    entry = toy_set(DataFile("toy/c.img", a.address.replace("/a.txt", "/c.img"), len(content), f"git-blob:{blob}"))
     monkeypatch.setattr(datasets, "registry", lambda: {"toy": entry})
     for wrong in (b"what is up, cat?", content[:-1]):
         server.content["/c.img"] = wrong
@@ -271,7 +273,7 @@ def test_what_cannot_be_had_or_kept_is_one_clear_error(server, places, tmp_path,
         with pytest.raises(InputError, match="cannot write"):
             datasets.fetch("toy")
     # Port 9 (discard) of the loopback address: nothing listens there.
-    toy = toy_set(DataFile("toy/a.txt", "http://127.0.0.1:9/a.txt", 5, "0" * 64))
+    toy = toy_set(DataFile("toy/a.txt", "http://127.0.0.1:9/a.txt", 5, f"sha256:{'0' * 64}"))
     monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
     with pytest.raises(InputError, match=r"cannot be downloaded: no connection(?s:.*)hyperval data fetch toy"):
         datasets.fetch("toy")

@@ -36,65 +36,6 @@ from hyperval.storage import has_digest, sha256_of, size_of, whole_file
 ATTEMPTS = 3
 
 
-def download(address: str, target: Path, *, size: int, digest: str, pack: bool = False, mend: str = "") -> Path:
-    """Bring the file at ``address`` to ``target`` and return ``target``.
-
-    Parameters
-    ----------
-    size, digest : of the published content, as ``sha256:HEX`` or ``git-blob:HEX``; an answer that grows past
-        ``size`` is cut off
-    pack : keep the content gzip-compressed at ``target``, whose name then ends in ``.gz``
-    mend : what the user can do when it fails
-
-    Raises
-    ------
-    InputError : no connection, another content, or no room to write; nothing stands at ``target`` then.
-    """
-    # Imported here: only a download needs a network client, and its import is slow.
-    import requests
-
-    try:
-        with whole_file(target) as temporary:
-            for left in reversed(range(ATTEMPTS)):
-                with suppress(*((requests.RequestException, ValueError) if left else ())):
-                    _receive(address, temporary, size, digest)
-                    break
-            if pack:  # no time in the header: the same content gives the same bytes
-                temporary.write_bytes(gzip.compress(temporary.read_bytes(), mtime=0))
-    except requests.RequestException as error:
-        raise refusal("data.download", address, why=_reason(error), mend=mend) from error
-    except ValueError as error:
-        raise refusal("data.content", address, size=size, digest=digest, mend=mend) from error
-    except OSError as error:
-        raise refusal("file.unwritable", target, why=error.strerror or error) from error
-    return target
-
-
-def _receive(address: str, output: Path, size: int, digest: str) -> None:
-    """Write the answer to ``output``; ValueError for another content than the registered, cut off beyond its size."""
-    import requests
-
-    with requests.get(address, stream=True, timeout=60) as answer, open(output, "wb") as stream:
-        answer.raise_for_status()
-        for chunk in answer.iter_content(1 << 14):
-            stream.write(chunk)
-            if stream.tell() > size:
-                break
-    if not has_digest(output, digest):
-        raise ValueError("different content")
-
-
-def _reason(error: Exception) -> str:
-    """The cause in a few words: the text of the exception repeats the address several times."""
-    import requests
-
-    if isinstance(error, requests.HTTPError) and error.response is not None:
-        return f"the server answered {error.response.status_code}"
-    if isinstance(error, requests.Timeout):
-        return "no answer in time"
-    return "no connection" if isinstance(error, requests.ConnectionError) else type(error).__name__
-
-
 PREFIX, SIMULATED = "data:", "simulated:"
 
 
@@ -106,20 +47,14 @@ class DataFile:
     ----------
     path : where it stands below the data directory, with forward slashes
     address : public address of the pinned version
-    size, sha256 or git_blob : of the published content.  A path in ``.gz`` whose address is not is stored packed
-        here, and they then describe the content before packing.
+    size, digest : of the published content, as ``sha256:HEX`` or ``git-blob:HEX``.  A path in ``.gz`` whose address
+        is not is stored packed here, and they then describe the content before packing.
     """
 
     path: str
     address: str
     size: int
-    sha256: str
-    git_blob: str = ""
-
-    @property
-    def digest(self) -> str:
-        """The published digest with its kind."""
-        return f"sha256:{self.sha256}" if self.sha256 else f"git-blob:{self.git_blob}"
+    digest: str
 
     @property
     def packed(self) -> bool:
@@ -135,7 +70,65 @@ class DataFile:
                 content = stream.read(self.size + 1)
         except (OSError, EOFError, zlib.error):
             return False
-        return hashlib.sha256(content).hexdigest() == self.sha256
+        return f"sha256:{hashlib.sha256(content).hexdigest()}" == self.digest
+
+
+def download(file: DataFile, target: Path, mend: str) -> Path:
+    """Bring a file from its address to ``target`` and return ``target``.
+
+    An answer that grows past the registered size is cut off.
+
+    Parameters
+    ----------
+    mend : what the user can do when it fails
+
+    Raises
+    ------
+    InputError : no connection, another content, or no room to write; nothing stands at ``target`` then.
+    """
+    # Imported here: only a download needs a network client, and its import is slow.
+    import requests
+
+    try:
+        with whole_file(target) as temporary:
+            for left in reversed(range(ATTEMPTS)):
+                with suppress(*((requests.RequestException, ValueError) if left else ())):
+                    _receive(file, temporary)
+                    break
+            if file.packed:  # no time in the header: the same content gives the same bytes
+                temporary.write_bytes(gzip.compress(temporary.read_bytes(), mtime=0))
+    except requests.RequestException as error:
+        raise refusal("data.download", file.address, why=_reason(error), mend=mend) from error
+    except ValueError as error:
+        raise refusal("data.content", file.address, size=file.size, digest=file.digest, mend=mend) from error
+    except OSError as error:
+        raise refusal("file.unwritable", target, why=error.strerror or error) from error
+    return target
+
+
+def _receive(file: DataFile, output: Path) -> None:
+    """Write the answer to ``output``; ValueError for another content than the registered, cut off beyond its size."""
+    import requests
+
+    with requests.get(file.address, stream=True, timeout=60) as answer, open(output, "wb") as stream:
+        answer.raise_for_status()
+        for chunk in answer.iter_content(1 << 14):
+            stream.write(chunk)
+            if stream.tell() > file.size:
+                break
+    if not has_digest(output, file.digest):
+        raise ValueError("different content")
+
+
+def _reason(error: Exception) -> str:
+    """The cause in a few words: the text of the exception repeats the address several times."""
+    import requests
+
+    if isinstance(error, requests.HTTPError) and error.response is not None:
+        return f"the server answered {error.response.status_code}"
+    if isinstance(error, requests.Timeout):
+        return "no answer in time"
+    return "no connection" if isinstance(error, requests.ConnectionError) else type(error).__name__
 
 
 class DataSet(Model):
@@ -180,7 +173,8 @@ def registry() -> Mapping[str, DataSet]:
         inside = f"{entry.repository}/{entry.commit}/{entry.upstream}/{row['upstream']}".replace("//", "/")
         where = quote(row["upstream"][1:] if row["upstream"].startswith("@") else inside)
         address = f"https://raw.githubusercontent.com/{where}"
-        files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), row["sha256"], row["git_blob"]))
+        digest = f"sha256:{row['sha256']}" if row["sha256"] else f"git-blob:{row['git_blob']}"
+        files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), digest))
     return {name: e.model_copy(update={"name": name, "files": tuple(files[name])}) for name, e in entries.items()}
 
 
@@ -227,22 +221,19 @@ def resolve(reference: str, base: Path | None = None) -> Path:
     return path if is_pattern(reference) and matching(path) else checked_store(path)
 
 
-def describe(reference: str) -> dict[str, str | None]:
-    """Set, licence, citation, address and SHA-256 of a reference; None where the registry knows nothing."""
-    owner, file = None, None
-    if reference.startswith(PREFIX):
-        owner, file = _by_path().get(_data_path(reference), (set_on_request(reference), None))
-    known: dict[str, str | None] = dict.fromkeys(("dataset", "licence", "citation", "address", "sha256"))
-    known |= {"dataset": owner.name, "licence": owner.licence, "citation": owner.citation} if owner else {}
-    return known | ({"address": file.address, "sha256": file.sha256 or None} if file else {})
+def owner_of(reference: str) -> DataSet | None:
+    """The set that a reference belongs to: by its file, or by its folder where the set is not public; else None."""
+    if not reference.startswith(PREFIX):
+        return None
+    path = _data_path(reference)
+    beside = registry().get(path.split("/")[0])
+    return _by_path()[path][0] if path in _by_path() else None if beside is None or beside.public else beside
 
 
 def set_on_request(reference: str) -> DataSet | None:
     """The set that is not public to which a ``data:`` reference belongs, None for any other reference."""
-    if not reference.startswith(PREFIX):
-        return None
-    owner = registry().get(_data_path(reference).split("/")[0])
-    return owner if owner is not None and not owner.public else None
+    owner = owner_of(reference)
+    return None if owner is None or owner.public else owner
 
 
 def files_at_hand(name: str) -> int:
@@ -281,10 +272,7 @@ def fetch(name: str) -> list[Path]:
             raise _another_file(name, file, path)
         needed.append(file)
     again = f"check the connection and repeat: hyperval data fetch {name}; or name a copy with HYPERVAL_DATA"
-    return [
-        download(f.address, cache_dir() / f.path, size=f.size, digest=f.digest, pack=f.packed, mend=again)
-        for f in track(needed, f"fetching {name}")
-    ]
+    return [download(file, cache_dir() / file.path, again) for file in track(needed, f"fetching {name}")]
 
 
 def check_copy(reference: str, path: Path) -> None:
@@ -346,9 +334,9 @@ class InputLog:
         reference = reference or self._relative(path)
         if reference not in self._entries:
             check_copy(reference, path)
-            known, own = describe(reference), {"sha256": sha256_of(path), "bytes": size_of(path)}
-            of_set = {key: known[key] for key in ("dataset", "licence", "citation")}
-            self._entries[reference] = {"reference": reference} | own | of_set
+            owner, own = owner_of(reference), {"sha256": sha256_of(path), "bytes": size_of(path)}
+            whose = {key: getattr(owner, key, None) for key in ("licence", "citation")}
+            self._entries[reference] = {"reference": reference, **own, "dataset": owner and owner.name, **whose}
         return path
 
     def entries(self) -> list[dict[str, Any]]:

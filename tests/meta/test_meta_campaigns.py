@@ -8,7 +8,7 @@ import pytest
 from hyperval.attribute import injected_errors
 from hyperval.campaign import accepted_table, job_of
 from hyperval.config import load_yaml
-from hyperval.datasets import describe
+from hyperval.datasets import owner_of
 from hyperval.metrics import plain_words
 from hyperval.results import Outcome
 from hyperval.sensor import library_names, load_sensor
@@ -28,7 +28,7 @@ def test_every_data_reference_of_a_campaign_is_registered():
         for path in (ROOT / "campaigns").rglob("*.yaml")
         for pair in re.findall(r"""["'](data:[^"']+)["']|(?<!["'])(data:[^\s"',\]}#]+)""", path.read_text("utf-8"))
         for reference in pair
-        if reference and describe(reference)["dataset"] is None
+        if reference and owner_of(reference) is None
     }
     assert unknown == set()
 

@@ -22,7 +22,7 @@ from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
-from hyperval.datasets import PREFIX, SIMULATED, describe, resolve, set_on_request
+from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve, set_on_request
 from hyperval.errors import HypervalError, UsageError, reader, refuse
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, read_radcalnet
@@ -326,8 +326,8 @@ class Job:
     @property
     def missing_sets(self) -> list[str]:
         """Names of the registered data sets that files which are not at hand belong to."""
-        owners = [describe(f.text)["dataset"] for f in self.files if f.text.startswith(PREFIX) and f.path is None]
-        return list(dict.fromkeys(name for name in owners if name))
+        owners = [owner_of(file.text) for file in self.files if file.path is None]
+        return list(dict.fromkeys(owner.name for owner in owners if owner is not None))
 
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
