@@ -417,10 +417,13 @@ def _is_head(line: str) -> bool:
 
 def results_csv(rows: Iterable[Result]) -> str:
     """The table as CSV: the columns ``results.COLUMNS``, an empty cell for NaN and None."""
+    return csv_text(chain([COLUMNS], ([_cell(value) for value in _values(row)] for row in rows)))
+
+
+def csv_text(rows: Iterable[Iterable[Any]]) -> str:
+    """Rows as CSV."""
     out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows([_cell(value) for value in _values(row)] for row in rows)
+    csv.writer(out, lineterminator="\n").writerows(rows)
     return out.getvalue()
 
 

@@ -5,7 +5,7 @@ Every name that a campaign uses, looked up without a pixel's being computed: hea
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -24,7 +24,7 @@ from hyperval.imagery import needs_header
 from hyperval.metrics import foreign
 from hyperval.model import Sources
 from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe_radcalnet, open_place, target_groups
-from hyperval.paths import matching
+from hyperval.paths import Resolve, matching
 from hyperval.products import SPECTRA
 from hyperval.results import Outcome, Result, row_name
 from hyperval.run import is_run, read_rows
@@ -37,7 +37,6 @@ from hyperval.statistics_library import builtin_class
 FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
 PRESENT, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
 NEVER_MET, INCONCLUSIVE = "can never be met", "inconclusive"
-Find = Callable[[str], Path]
 
 
 @dataclass(frozen=True)
@@ -203,7 +202,7 @@ class Lookup:
 
     file: str
     lines: Mapping[Location, int]
-    find: Find  # what its references lead to
+    find: Resolve  # what its references lead to
     at: Location = ()
     mistakes: list[Item] = field(default_factory=list)
 

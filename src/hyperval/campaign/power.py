@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from hyperval.model import Truth, predict
 from hyperval.products import PredictedProducts
 from hyperval.progress import bars, track
 from hyperval.results import Outcome, Result, ResultTable, paired
+from hyperval.run import csv_text
 from hyperval.storage import POWER, whole_folder, write_text
 
 SEED, WORLDS = 34, 20  # worlds for each kind of cause
@@ -206,12 +206,10 @@ def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
 
 
 def _csv(table: Sequence[Power]) -> str:
-    text = io.StringIO()
-    lines = csv.writer(text, lineterminator="\n")
-    lines.writerow(["campaign", "error", "seen_by", "gates", "rows_that_do_not_decide", "which"])
+    lines: list[list[Any]] = [["campaign", "error", "seen_by", "gates", "rows_that_do_not_decide", "which"]]
     for item in table:
         for name, injected in item.table.errors.items() if item.table else ():
             which = injected.not_applicable or "; ".join(injected.gates)
             rows = sum(injected.informing.values())
-            lines.writerow([item.campaign, name, str(injected.sight), len(injected.gates), rows, which])
-    return text.getvalue()
+            lines.append([item.campaign, name, str(injected.sight), len(injected.gates), rows, which])
+    return csv_text(lines)
