@@ -20,7 +20,6 @@ from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
@@ -30,7 +29,7 @@ from hyperval.collection import Detection
 from hyperval.config import twice
 from hyperval.datasets import InputLog
 from hyperval.errors import needed, one_of, refusal, refuse
-from hyperval.imagery import Cube, TargetObject, all_pixels, sun_zenith_deg, time_notes
+from hyperval.imagery import TargetObject, all_pixels, sun_zenith_deg, time_notes
 from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_part, target_groups
@@ -455,7 +454,15 @@ def quicklook(observed: Observed) -> Quicklook | None:
     if cube.axis.numbered:  # from the long end to the short one, as red, green and blue stand
         bands = [cube.bands * quarter // 4 for quarter in (3, 2, 1)]
     step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
-    picture = _some_pixels(cube, bands, step)
+    lines = range(0, cube.lines, step)  # every so many, and as many samples
+    picture = np.empty((len(lines), len(range(0, cube.samples, step)), len(bands)), np.float32)
+    # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
+    together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
+    with cube.kept_open():
+        for out, line in zip(picture, lines, strict=True):
+            if line % together == 0:
+                part = cube.read_some_bands(line, min(together, cube.lines - line), bands)
+            out[:] = part[line % together, ::step]
     offset, gain = np.zeros(3), np.ones(3)
     if observed.elm is not None and np.all(observed.elm.usable[bands]):
         offset, gain = observed.elm.offset[bands], observed.elm.gain[bands]
@@ -475,17 +482,3 @@ def quicklook(observed: Observed) -> Quicklook | None:
     return Quicklook(
         colours, outlines, tuple(float(centre[b]) for b in bands), step * float(np.sqrt(size)) if size else None
     )
-
-
-def _some_pixels(cube: Cube, bands: list[int], step: int) -> npt.NDArray[Any]:
-    """(lines, samples, bands) values of every ``step``-th line and sample, as float32."""
-    lines, samples = range(0, cube.lines, step), range(0, cube.samples, step)
-    out = np.empty((len(lines), len(samples), len(bands)), np.float32)
-    # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
-    together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
-    with cube.kept_open():
-        for row, line in enumerate(lines):
-            if line % together == 0:
-                part = cube.read_some_bands(line, min(together, cube.lines - line), bands)
-            out[row] = part[line % together, ::step]
-    return out
