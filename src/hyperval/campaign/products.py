@@ -27,6 +27,7 @@ from hyperval.atmosphere.solar import parse_utc
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
 from hyperval.config import twice
+from hyperval.data import Mask
 from hyperval.datasets import InputLog
 from hyperval.errors import needed, one_of, refusal, refuse
 from hyperval.imagery import TargetObject, all_pixels, sun_zenith_deg, time_notes
@@ -324,25 +325,19 @@ def without_circles(
     """
     surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
     taken = {s.name for s in surfaces if s.spectrum.measured is not None}
-    spread = {
-        s.name
-        for s in surfaces
-        if s.covariance is not None
-        and s.covariance.measured is not None
-        and (place is None or not {s.name, s.covariance.measured} <= place.regions.keys()
-             or np.any(place.regions[s.name] & place.regions[s.covariance.measured]))
-    }  # fmt: skip
+    measured = [(s.name, s.covariance.measured) for s in surfaces if s.covariance and s.covariance.measured is not None]
+    known: Mapping[str, Mask] = place.regions if place is not None else {}
+    spread = {own for own, of in measured if not {own, of} <= known.keys() or np.any(known[own] & known[of])}
     radiance, reflectance = (
         {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in spectra.items() if k not in taken}
         for spectra in (prediction.radiance, prediction.reflectance)
     )
     fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
     tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}
-    prediction = replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails)
-    if not taken:
-        return prediction
-    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
-    return replace(prediction, notes=(*prediction.notes, note))
+    notes = prediction.notes
+    if taken:
+        notes += (f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}",)
+    return replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails, notes=notes)
 
 
 Expected = Mapping[tuple[str, str, str], float]
