@@ -133,10 +133,8 @@ def reader(function: Callable[P, R]) -> Callable[P, R]:
             raise
         except Exception as error:
             words = str(error).splitlines()[0][:200] if str(error) else "no more is known"
-            raise InputError(
-                f"damaged, or not of the kind that its name says ({type(error).__name__}: {words})",
-                where=str(named)[:300],
-            ) from error
+            what = f"damaged, or not of the kind that its name says ({type(error).__name__}: {words})"
+            raise InputError(what, where=str(named)[:300]) from error
 
     return read
 

@@ -63,10 +63,8 @@ class Power:
         """Errors that are seen by gates, by other rows or not at all where the accepted table says otherwise."""
         if self.table is None or self.accepted is None:
             return []
-        now, before = (
-            {name: str(injected.sight) for name, injected in table.errors.items()}
-            for table in (self.table, self.accepted)
-        )
+        now = {name: str(injected.sight) for name, injected in self.table.errors.items()}
+        before = {name: str(injected.sight) for name, injected in self.accepted.errors.items()}
         names = dict.fromkeys((*now, *before))
         pairs = [(n, now.get(n, "not in the table"), before.get(n, "not in the table")) for n in names]
         return [f"{name}: {sight}, accepted: {accepted}" for name, sight, accepted in pairs if sight != accepted]
@@ -150,11 +148,10 @@ def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> Powe
             reason = " or ".join((cause.first, *cause.alike[:3])) + (", enough" if cause.enough else "")
             return found.model_copy(update={"reason": reason})
 
-        before = outcomes(here, predicted_side(here, stated))
-        model, worlds = scenario_model(here), worlds_of(here)
-        causes = causes_of(model, here.observed.observation, worlds, predicted_side(here, stated))
-        named = track(errors.items(), "injected errors", len(errors))
-        rows = {name: injected(error) for name, error in named}
+        prediction = predicted_side(here, stated)
+        before = outcomes(here, prediction)
+        causes = causes_of(scenario_model(here), here.observed.observation, worlds_of(here), prediction)
+        rows = {name: injected(error) for name, error in track(errors.items(), "injected errors", len(errors))}
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
         return PowerTable(
@@ -199,10 +196,8 @@ def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
     """What disagrees after and did not before."""
     wrong, pairs = Outcome.DISAGREES, paired(ResultTable(before), ResultTable(after))
     new = [p.b for p in pairs if p.b and p.b.outcome is wrong and not (p.a and p.a.outcome is wrong)]
-    return Injected(
-        gates=tuple(dict.fromkeys(row.key for row in new if row.gates)),
-        informing=dict(Counter(row.product for row in new if not row.gates)),
-    )
+    gates = tuple(dict.fromkeys(row.key for row in new if row.gates))
+    return Injected(gates=gates, informing=dict(Counter(row.product for row in new if not row.gates)))
 
 
 def _csv(table: Sequence[Power]) -> str:

@@ -520,10 +520,8 @@ def observe(path: Path, output: Path, *, write_reflectance: Form | None = None) 
 
         def cube(observed: Observed) -> None:
             if observed.place is not None and write_reflectance:
-                written = reflectance_cube(
-                    folder / "reflectance", "reflectance", observed.place.cube, observed.elm, write_reflectance
-                )
-                notes.append(written[1])
+                of = folder / "reflectance", "reflectance", observed.place.cube, observed.elm
+                notes.append(reflectance_cube(*of, write_reflectance)[1])
 
         run = run_campaign(job, predicts=False, with_observed=cube)
         with step_of(run.campaign, "report", predicts=False), working("figures and report"):
