@@ -83,9 +83,8 @@ def _bar(*columns: str) -> Progress:
     from rich.console import Console
 
     parts = [getattr(progress, f"{name}Column")() for name in ("Bar", *columns)]
-    return progress.Progress(
-        progress.TextColumn("{task.description}"), *parts, console=Console(stderr=True), transient=True
-    )
+    words = progress.TextColumn("{task.description}")
+    return progress.Progress(words, *parts, console=Console(stderr=True), transient=True)
 
 
 def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool | None = None) -> Iterator[T]:

@@ -36,7 +36,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import cache, cached_property
-from itertools import chain, takewhile
+from itertools import chain, dropwhile, islice, takewhile
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -344,6 +344,7 @@ _values = attrgetter(*COLUMNS)
 # What XML 1.0 cannot hold at all, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
+_ROWS = ' "rows": [\n'  # the last line before the rows of a table
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
 _NUMBERS = tuple(f.name for f in fields(Result) if f.type == "float")
 _KNOWN = set(COLUMNS)
@@ -399,20 +400,15 @@ def _is_joined(path: Path) -> bool:
 def _json_head(path: Path) -> dict[str, Any]:
     """What a table says before its rows."""
     with open(path, encoding="utf-8") as stream:
-        text = "".join(takewhile(_is_head, stream)).rstrip()
+        text = "".join(takewhile(_ROWS.__ne__, stream)).rstrip()
     return dict(json.loads(text.removesuffix(",") + "}" if text.endswith(",") else text))
 
 
 def _row_lines(path: Path) -> Iterator[str]:
     """The rows of a table as they are written there."""
     with open(path, encoding="utf-8") as stream:
-        for _ in takewhile(_is_head, stream):
-            pass
-        yield from (line.rstrip(",\n") for line in takewhile(lambda line: line != " ]\n", stream))
-
-
-def _is_head(line: str) -> bool:
-    return line != ' "rows": [\n'
+        rows = islice(dropwhile(_ROWS.__ne__, stream), 1, None)
+        yield from (line.rstrip(",\n") for line in takewhile(" ]\n".__ne__, rows))
 
 
 def results_csv(rows: Iterable[Result]) -> str:

@@ -134,10 +134,8 @@ def summary(items: Sequence[Item]) -> list[str]:
         words += [f"{wrong} unknown names"] * bool(wrong)
         ready = "ready" + f"; {never} acceptance criteria can never be met" * bool(never)
         states.setdefault((own[0].general(name), ", ".join(words) or ready), []).append(name)
-    out = [
-        f"{names[0] if len(names) == 1 else f'{general} ({len(names)} campaigns)'}: {state}"
-        for (general, state), names in states.items()
-    ]
+    who = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
+    out = [f"{names}: {state}" for (_, state), names in who.items()]
     holders = {owner.name: owner for i in items if i.state == MISSING and (owner := set_on_request(i.what)) is not None}
     out += [f"{o.name} is held by {o.holder}: {how_to_get(o)}" for o in holders.values()]
     return out
