@@ -921,7 +921,7 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
         if "None" in hint and np.isnan(value).all():
             item[name] = None
         elif isinstance(value, np.ndarray):
-            item[name] = value.astype(np.int64 if "int64" in hint else float)
+            item[name] = value.astype(np.int64 if hint.startswith("Counts") else float)
         else:
             item[name] = int(value) if hint.startswith("int") else bool(value) if hint == "bool" else float(value)
     return kind(**item)
