@@ -25,6 +25,7 @@ from hyperval.errors import UsageError, refuse
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
+from hyperval.study.schema import StudyFile
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of
 
 Schema = Mapping[str, Any]
@@ -404,9 +405,9 @@ def scenario_form() -> Form:
     return Form()
 
 
-def plain(scenario: Scenario) -> dict[str, Any]:
-    """A scenario as a file has it: what is stated, and no defaults."""
-    return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
+def plain(stated: Scenario | StudyFile) -> dict[str, Any]:
+    """A scenario or study as a file has it: what is stated, and no defaults."""
+    return stated.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
 def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> Scenario:
@@ -416,9 +417,8 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     ------
     Refused : every mistake with its field.
     """
-    refuse_excess(data)
     try:
-        scenario = Scenario.model_validate(data)
+        scenario = Scenario.model_validate(of_bounded_size(data))
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
     mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads)] or list(_of_cost(scenario))
@@ -427,8 +427,8 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     return scenario
 
 
-def refuse_excess(data: Any, at: str = "") -> None:
-    """Look at the size of data before it is checked entry by entry.
+def of_bounded_size(data: Any, at: str = "") -> Any:
+    """The data, whose size is looked at before it is checked entry by entry.
 
     Raises
     ------
@@ -444,6 +444,7 @@ def refuse_excess(data: Any, at: str = "") -> None:
             break
     if mistakes:
         raise Refused(422, mistakes)
+    return data
 
 
 def _values(data: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from itertools import groupby
 from typing import Annotated, Any
@@ -38,9 +39,9 @@ from hyperval.web.forms import (
     checked_scenario,
     marked,
     needs,
+    of_bounded_size,
     plain,
     predefined,
-    refuse_excess,
     scenario_form,
     yaml_text,
 )
@@ -86,9 +87,7 @@ def predict_form(
         words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
         raise Refused(410, [FieldMistake("s", words)])
     begun = f"run:{run}" if run is not None else scenario or "free"
-    if begun == "free":
-        return _form(request, _FREE)
-    data = _first(request, begun)
+    data = _FREE if begun == "free" else _first(request, begun)
     if data is None:
         raise Refused(404, [FieldMistake("scenario", "no scenario or prediction has that name")])
     return _form(request, data, begun)
@@ -189,12 +188,7 @@ Setting = float | str | bool | list[Any] | None
 
 def small(at: str) -> BeforeValidator:
     """Looks at the size of an entry of a body before its parts are checked one by one."""
-
-    def bounded(data: Any) -> Any:
-        refuse_excess(data, at)
-        return data
-
-    return BeforeValidator(bounded)
+    return BeforeValidator(partial(of_bounded_size, at=at))
 
 
 class PredictionOrder(BaseModel):
@@ -272,13 +266,6 @@ def _source(request: Request, name: str) -> str:
     return _file(request, name)
 
 
-def _number(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text  # and refused at its field
-
-
 def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
     """What is asked, checked against its scenario.
 
@@ -289,7 +276,7 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     texts = [(name, text.strip()) for name, text in given.multi_items() if isinstance(text, str) and text.strip()]
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
-    data["moved"] = {name[3:]: _number(text) for name, text in texts if name.startswith("at:")}
+    data["moved"] = {name[3:]: text for name, text in texts if name.startswith("at:")}
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
@@ -360,20 +347,15 @@ def curve(request: Request) -> Response:
     return StreamingResponse(pieces(), media_type="application/x-ndjson")
 
 
-def _study(request: Request, given: QueryParams | FormData, *, exact: bool = False) -> tuple[str, dict[str, Any]]:
-    """The scenario of what is asked, its name or its file, and the study."""
-    source, trade, p = _asked(request, given)
-    study = study_of(p, trade, source if source in builtin_scenarios() else "scenario.yaml", exact=exact)
-    return source, study.model_dump(mode="json", by_alias=True, exclude_unset=True)
-
-
 @pages.get("/trade/{name}")
 def take_away(request: Request, name: str) -> Response:
     """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
-    source, study = _study(request, request.query_params)
-    note = _NOTE if "atmosphere.engine" in study.get("settings", ()) else ""
-    texts = {"study.yaml": yaml_text("study", study, note)}
-    if source not in builtin_scenarios():
+    source, trade, offers = _asked(request, request.query_params)
+    is_beside = source not in builtin_scenarios()
+    study = study_of(offers, trade, "scenario.yaml" if is_beside else source)
+    note = _NOTE if "atmosphere.engine" in study.settings else ""
+    texts = {"study.yaml": yaml_text("study", plain(study), note)}
+    if is_beside:
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
     texts["trade.ipynb"] = notebook(texts)
     if name not in texts:
@@ -386,13 +368,16 @@ def take_away(request: Request, name: str) -> Response:
 async def keep(request: Request) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
     async with request.form(max_fields=1000) as form:
-        study = (await run_in_threadpool(_study, request, form, exact=True))[1]
-    study["scenario"] = form.get("scenario") or _FIRST
-    run = await run_in_threadpool(order_study, request, study)
+        run = await run_in_threadpool(_kept, request, form)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
-def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
+def _kept(request: Request, given: FormData) -> WebRun:
+    _, trade, offers = _asked(request, given)
+    return order_study(request, study_of(offers, trade, trade.scenario, exact=True))
+
+
+def order_study(request: Request, study: StudyFile) -> WebRun:
     """Order a study of a predefined scenario, or of the scenario of a run of this session (``run:ID``).
 
     Raises
@@ -400,16 +385,12 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     Refused : what is wrong with it, or there is no room.
     """
     own = Uploads(request)
-    try:
-        study = StudyFile.model_validate(data)
-    except ValidationError as error:
-        raise Refused(422, mistakes_of(error, data)) from error
     scenario = load_scenario(_source(request, study.scenario))
     if mistakes := [*_of_size(study, request.app.state.settings.points), *_of_paths(study, scenario, own.names())]:
         raise Refused(422, mistakes)
     text = yaml_text("scenario", plain(scenario))
-    asked = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
-    files: Files = {"study.yaml": yaml_text("study", asked), "scenario.yaml": text, **own.copies(text)}
+    asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
+    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text)}
     return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 
@@ -423,8 +404,7 @@ class StudyOrder(BaseModel):
 @api.post("/studies", status_code=201)
 def studies(request: Request, order: StudyOrder) -> RunAnswer:
     """Evaluate a trade-off study; ask for the run to learn how far it is."""
-    data = order.study.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    return answer_of(request, order_study(request, data))
+    return answer_of(request, order_study(request, order.study))
 
 
 def _of_size(study: StudyFile, most: int) -> Iterator[FieldMistake]:
