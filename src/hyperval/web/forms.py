@@ -122,18 +122,18 @@ class Form:
         self,
         data: Mapping[str, Any] | None = None,
         begun: Mapping[str, Any] | None = None,
-        more: Mapping[str, tuple[str, ...]] | None = None,
+        sensors: tuple[str, ...] = (),
     ) -> tuple[Node, ...]:
         """The parts of the form, filled in with ``data``.
 
         Parameters
         ----------
         begun : data that the form began with
-        more : entry -> names that may stand there besides
+        sensors : names that may stand there besides those of the library
         """
         nodes = {node.path: node for node in self._group(self.schema, "", data, begun)}
-        for path, names in (more or {}).items():
-            nodes[path] = replace(nodes[path], choices=tuple(dict.fromkeys((*nodes[path].choices, *names))))
+        known = dict.fromkeys((*nodes["sensor"].choices, *sensors))
+        nodes["sensor"] = replace(nodes["sensor"], choices=tuple(known))
         sections = []
         for title, entries in _SECTIONS.items():
             first, *others = [nodes.pop(name) for name in entries]
@@ -205,7 +205,7 @@ class Form:
             children = self._group(members[0], path, value, begun)
             is_shown = node.is_shown or any(child.is_shown for child in children)
             is_open = (bool(value) or node.is_needed) and _is_open(path)
-            hint = node.hint or _summary(members[0])
+            hint = node.hint or str(members[0].get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
             return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
         if kinds == ["rows"]:
             rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
@@ -286,13 +286,13 @@ def _kind(schema: Schema) -> str:
         return "group" if "properties" in schema else "yaml"
     if kind == "array":
         return "rows" if "$ref" in schema.get("items", {}) else "yaml"
-    return {"number": "number", "integer": "integer", "boolean": "flag"}.get(str(kind), "text")
+    return {"number": "number", "integer": "number", "boolean": "flag"}.get(str(kind), "text")
 
 
 def _one_kind(kinds: list[str]) -> str:
     """One kind of field for several kinds of values."""
     if len(set(kinds)) == 1:
-        return {"integer": "number"}.get(kinds[0], kinds[0])
+        return kinds[0]
     return "yaml" if set(kinds) & {"yaml", "rows"} else "text"
 
 
@@ -318,11 +318,6 @@ def _limits(schema: Schema) -> str:
     return ", ".join(f"{said} {schema[key]:g}" for key, said in words.items() if key in schema)
 
 
-def _summary(schema: Schema) -> str:
-    """The first paragraph of a description."""
-    return str(schema.get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
-
-
 def _blank(value: Any) -> bool:
     """Whether nothing is said: a form cannot tell it from a field that is left alone."""
     return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
@@ -346,9 +341,8 @@ def _value(text: str, kinds: list[str], path: str) -> Any:
         except UsageError as error:
             words = f"{error.what}; expected: a list such as [1, 2] or {{key: value}}"
             raise Refused(422, [FieldMistake(path, words)]) from error
-    if set(kinds) & {"number", "integer"} and _NUMBER.fullmatch(text):
-        number = float(text)
-        return int(text) if text.lstrip("+-").isdigit() and len(text) < 18 else number
+    if "number" in kinds and _NUMBER.fullmatch(text):
+        return int(text) if text.lstrip("+-").isdigit() and len(text) < 18 else float(text)
     if "flag" in kinds and text in ("true", "false"):
         return text == "true"
     return text
@@ -366,17 +360,6 @@ def predefined() -> dict[str, Scenario]:
     with resources.as_file(resources.files("hyperval.web") / "scenarios") as folder:
         scenes = [load_scenario(path) for path in sorted(folder.glob("*.yaml"))]
     return known | {scene.name: scene for scene in scenes}
-
-
-@lru_cache(maxsize=1)
-def known_files() -> frozenset[str]:
-    """Files of data sets that the predefined scenarios name, and that anybody may name therefore."""
-    return frozenset(
-        surface.spectrum.file
-        for scenario in predefined().values()
-        for surface in scenario.scene.targets
-        if surface.spectrum.file is not None
-    )
 
 
 def needs(source: object) -> dict[str, str]:
@@ -482,11 +465,13 @@ def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMis
 
 
 def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
+    # What the predefined scenarios name of data sets, anybody may name.
+    known = {target.spectrum.file for scenario in predefined().values() for target in scenario.scene.targets}
     for at, value in _values(data):
         is_file, path = at[-1:] == ("file",), ".".join(at)
         if not {*at[-1:]} & _FILES or value is None or (is_file and value in uploads):
             continue
-        if is_file and value in known_files():
+        if is_file and value in known:
             yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
         else:
             words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"

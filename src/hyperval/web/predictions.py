@@ -30,7 +30,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.plan import MOST_TRIED, moved, values_to_try
-from hyperval.study.schema import Input, Required, StudyFile
+from hyperval.study.schema import StudyFile
 from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.forms import (
     MOST_ROWS,
@@ -157,7 +157,7 @@ def _form(
     """The form, and what differs in it from the scenario that it began with."""
     own, first = Uploads(request), _first(request, begun)
     begun = begun if first else ""
-    nodes = scenario_form().nodes(data, first, {"sensor": own.names("sensors")})
+    nodes = scenario_form().nodes(data, first, own.names("sensors"))
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
     return page(
@@ -425,8 +425,7 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
         yield FieldMistake("settings", f"{wrong[0]!r} cannot be set from here")
         return
     tries = [("settings", study.settings)]
-    asked: list[tuple[str, Input | Required]] = [(f"inputs.{i}", one) for i, one in enumerate(study.inputs)]
-    asked += [(f"required.{i}", one) for i, one in enumerate(study.required)]
+    asked = [(f"{kind}.{i}", one) for kind in ("inputs", "required") for i, one in enumerate(getattr(study, kind))]
     for at, item in asked:
         values = list({repr(value): value for value in values_to_try(item)}.values())
         if len(values) > MOST_TRIED:
