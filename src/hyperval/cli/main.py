@@ -315,8 +315,6 @@ def drift(
     ] = None,
 ) -> int:
     """Print a row for each day of finished runs, and the change in a year with its interval."""
-    from hyperval.compare import judge, spectra
-
     refuse(within is not None and not within[0] < within[1], "drift.within", within=within)
     days = hyperval.run.days_of(folders, product, subject, metric)
     print_table(
@@ -327,13 +325,13 @@ def drift(
         ],
     )
     years = [when.timestamp() / hyperval.run.SECONDS_PER_YEAR for when, _ in days]
-    trend = spectra.drift(years, [row.value for _, row in days])
+    trend = hyperval.compare.drift(years, [row.value for _, row in days])
     words = f"{metric} changes by {trend.value:+.3g} in a year, 95 % interval "
     words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
     if within is None:
         note(f"{words} ({len(days)} days)")
         return 0
-    outcome = judge.against_range(trend.lower, trend.upper, *within)
+    outcome = hyperval.compare.against_range(trend.lower, trend.upper, *within)
     note(f"{words} ({len(days)} days): {outcome} with {within[0]:g} to {within[1]:g}")
     return {outcome.AGREES: 0, outcome.DISAGREES: 1}.get(outcome, 5)
 
