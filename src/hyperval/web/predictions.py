@@ -109,7 +109,7 @@ def _posted(request: Request, given: dict[str, list[str]]) -> Response:
         data = {"schema": 1} | scenario_form().data(given)
         ordered = order_prediction(request, data)
     except Refused as refusal:
-        return _form(request, data, begun, to_show(refusal), 422)
+        return _form(request, data, begun, to_show(refusal))
     store_of(request).wait(ordered, _WAIT_S)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
@@ -151,9 +151,7 @@ def _first(request: Request, begun: str) -> dict[str, Any] | None:
     return None
 
 
-def _form(
-    request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = (), status: int = 200
-) -> Response:
+def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = ()) -> Response:
     """The form, and what differs in it from the scenario that it began with."""
     own, first = Uploads(request), _first(request, begun)
     begun = begun if first else ""
@@ -161,7 +159,7 @@ def _form(
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
     return page(
-        request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(),
+        request, "predict.html.j2", errors=errors, scenarios=predefined(),
         changes=sum(n.changes for n in nodes), parts=form_parts(nodes, errors, begun),
         titles=titles, begun=begun, uploads=own.names("spectra"),
     )  # fmt: skip
@@ -296,11 +294,11 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
 @pages.get("/trade")
 def desk(request: Request) -> Response:
     """The desk, as its address says."""
-    mistakes, status = list[FieldMistake](), 200
+    mistakes = list[FieldMistake]()
     try:
         source, trade, offers = _asked(request, request.query_params)
     except Refused as refusal:
-        mistakes, status = to_show(refusal), 422
+        mistakes = to_show(refusal)
         name = request.query_params.get("scenario", _FIRST)
         first = {"scenario": _FIRST if any(m.field == "scenario" for m in mistakes) else name}
         source, trade, offers = _asked(request, QueryParams(first))
@@ -311,7 +309,7 @@ def desk(request: Request) -> Response:
     ]  # fmt: skip
     runs = store_of(request).of(owner_of(request), "prediction")
     return page(
-        request, "trade.html.j2", status=status, trade=trade, offers=offers, sliders=shown,
+        request, "trade.html.j2", trade=trade, offers=offers, sliders=shown,
         errors=marked(mistakes, [mistake.field for mistake in mistakes]),
         groups=[(name, list(some)) for name, some in groupby(ordered, lambda o: o.group)],
         scenarios={name: s.title or name for name, s in predefined().items() if not needs(s)}, runs=runs[:20],

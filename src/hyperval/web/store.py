@@ -356,10 +356,9 @@ class Runs:
             try:
                 place.mkdir(mode=0o700)
                 for file, source in files.items():
-                    (place / file).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(source, place / file) if isinstance(source, Path) else write_text(
-                        place / file, source
-                    )
+                    target = place / file
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(source, target) if isinstance(source, Path) else write_text(target, source)
                 self._write(run)
                 pool = self.quick if kind == "prediction" else self.long
                 self._hand((owner, run.id), pool, task, partial(self._end, run, task))
