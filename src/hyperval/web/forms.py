@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
@@ -144,12 +145,7 @@ class Form:
         return (*nodes.values(), *sections)
 
     def data(self, given: Given) -> dict[str, Any]:
-        """The nested data of a form as it was sent.
-
-        Raises
-        ------
-        Refused : a field of lists that is not of their form.
-        """
+        """The nested data of a form as it was sent."""
         return self._read_group(self.schema, "", given)
 
     def _members(self, schema: Schema) -> list[Schema]:
@@ -260,7 +256,7 @@ class Form:
         values = [v.strip() for v in given.get(path, []) if v.strip()]
         if _choices(path) and _one_kind(kinds) == "yaml":
             return values or ([] if is_list else None)
-        return _value(values[0], kinds, path) if values else None
+        return _value(values[0], kinds) if values else None
 
 
 def _is_open(path: str) -> bool:
@@ -334,13 +330,10 @@ def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     return 0
 
 
-def _value(text: str, kinds: list[str], path: str) -> Any:
+def _value(text: str, kinds: list[str]) -> Any:
     if "yaml" in kinds:
-        try:
-            return parse_yaml(text, path)[0]
-        except UsageError as error:
-            words = f"{error.what}; expected: a list such as [1, 2] or {{key: value}}"
-            raise Refused(422, [FieldMistake(path, words)]) from error
+        with suppress(UsageError):  # what cannot be read is text, and refused at its field by the model
+            return parse_yaml(text)[0]
     if "number" in kinds and _NUMBER.fullmatch(text):
         return int(text) if text.lstrip("+-").isdigit() and len(text) < 18 else float(text)
     if "flag" in kinds and text in ("true", "false"):

@@ -102,11 +102,11 @@ async def predict_post(request: Request) -> Response:
 
 
 def _posted(request: Request, given: dict[str, list[str]]) -> Response:
-    data, begun = dict[str, Any](), given.get("begun", [""])[0]
+    begun = given.get("begun", [""])[0]
     if given.get("action", ["run"])[0] != "run":
         return _form(request, scenario_form().data(with_action(given)), begun)
+    data = {"schema": 1} | scenario_form().data(given)
     try:
-        data = {"schema": 1} | scenario_form().data(given)
         ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, begun, to_show(refusal))
