@@ -54,10 +54,7 @@ def run_of(request: Request, run_id: str) -> WebRun:
     ------
     Refused : there is none by that name, or it is another session's.
     """
-    try:
-        return store_of(request).run(run_id, owner_of(request))
-    except KeyError:
-        raise Refused(404, "there is no such run in this session") from None
+    return store_of(request).run(run_id, owner_of(request))
 
 
 OwnRun = Annotated[WebRun, Depends(run_of)]

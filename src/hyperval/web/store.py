@@ -228,8 +228,6 @@ class Runs:
 
     def place(self, run_id: str) -> Path:
         """The folder of a run."""
-        if not _ID.fullmatch(run_id):
-            raise KeyError(run_id)
         return self.folder / "runs" / run_id
 
     def _known(self, place: Path) -> WebRun | None:
@@ -249,11 +247,11 @@ class Runs:
 
         Raises
         ------
-        KeyError : there is none, or it is another session's.
+        Refused : there is none by that name, or it is another session's.
         """
-        run = self._known(self.place(run_id))
+        run = self._known(self.place(run_id)) if _ID.fullmatch(run_id) else None
         if run is None or run.owner not in (owner, EVERYBODY):
-            raise KeyError(run_id)
+            raise Refused(404, "there is no such run in this session")
         return run
 
     def of(self, owner: str, kind: str | None = None) -> list[WebRun]:
