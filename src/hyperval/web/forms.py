@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from typing import Any
 
 import yaml
@@ -410,16 +410,12 @@ def of_bounded_size(data: Any, at: str = "") -> Any:
     ------
     Refused : it holds too much, at which field.
     """
-    mistakes = list[FieldMistake]()
-    for number, (place, value) in enumerate(_values(data, (at,) if at else ()), start=1):
-        words = _excess(place, value)
-        if number == _MOST_VALUES:
-            words = f"with it there are more than {_MOST_VALUES:,} values"
-        mistakes += [FieldMistake(".".join(place), words)] if words else []
-        if number == _MOST_VALUES or len(mistakes) == _MOST_MISTAKES:
-            break
-    if mistakes:
-        raise Refused(422, mistakes)
+    values = enumerate(islice(_values(data, (at,) if at else ()), _MOST_VALUES), start=1)
+    many = f"with it there are more than {_MOST_VALUES:,} values"
+    told = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
+    mistakes = (FieldMistake(".".join(place), words) for place, words in told if words)
+    if listed := list(islice(mistakes, _MOST_MISTAKES)):
+        raise Refused(422, listed)
     return data
 
 
@@ -489,14 +485,11 @@ def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[s
     out: dict[str, list[str]] = {}
     for mistake in mistakes:
         at = mistake.field
-        named = [
-            p
-            for p in paths
-            if p.rpartition(".")[0] == at and re.search(rf"\b{re.escape(p.rpartition('.')[2])}\b", mistake.message)
-        ]
+        names = {p: p.rpartition(".")[2] for p in paths if p.rpartition(".")[0] == at}
+        named = [p for p, name in names.items() if re.search(rf"\b{re.escape(name)}\b", mistake.message)]
         while at and at not in paths:
             at = at.rpartition(".")[0]
-        first = min(named, key=lambda p: mistake.message.find(p.rpartition(".")[2]), default=at)
+        first = min(named, key=lambda p: mistake.message.find(names[p]), default=at)
         out.setdefault(first, []).append(mistake.message)
     return out
 
