@@ -50,7 +50,7 @@ AnyOutput = Annotated[Path | None, typer.Option("--output", "-o", help="Folder f
 
 Scheduler = Annotated[
     str | None,
-    typer.Option("--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
+    typer.Option(help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
 ]
 
 
@@ -139,9 +139,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
 Sensors = Annotated[
     list[str] | None,
-    typer.Option(
-        "--sensors", metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."
-    ),
+    typer.Option(metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."),
 ]
 Baselines = Annotated[Path | None, typer.Option(help="Folder of accepted numbers [validation/baselines].")]
 Header = Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")]
@@ -205,11 +203,6 @@ def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
 
 baseline_app = typer.Typer(help="Accepted numbers of campaigns and sensors.", no_args_is_help=True)
 app.add_typer(baseline_app, name="baseline")
-
-
-@baseline_app.callback()
-def accepted_numbers() -> None:
-    """Accepted numbers of campaigns and sensors."""
 
 
 @command(
@@ -443,13 +436,11 @@ def benchmark(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: Output,
     extend: Annotated[
-        list[Path] | None, typer.Option("--extend", help="A Python file that registers detectors; it is run.")
+        list[Path] | None, typer.Option(help="A Python file that registers detectors; it is run.")
     ] = None,
     scores: Annotated[
         list[str] | None,
-        typer.Option(
-            "--scores", metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."
-        ),
+        typer.Option(metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
     scheduler: Scheduler = None,
@@ -466,7 +457,7 @@ def power(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: AnyOutput = None,
     accept: Annotated[bool, typer.Option("--accept", help="Keep the tables as those that reports show.")] = False,
-    errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
+    errors: Annotated[Path | None, typer.Option(help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
