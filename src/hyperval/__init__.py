@@ -4,15 +4,8 @@
 The command line is ``hyperval``.
 """
 
-from typing import Any
+import lazy_loader
 
 __version__ = "0.1.0"
-
-
-def __getattr__(name: str) -> Any:
-    """``open``, loaded when it is asked for: the command line starts without the libraries behind it."""
-    if name == "open":
-        from importlib import import_module
-
-        return import_module("hyperval.api").open
-    raise AttributeError(f"module 'hyperval' has no attribute {name!r}")
+# What is not asked for is not loaded: names and modules stand in the file of types beside this one.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

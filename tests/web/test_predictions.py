@@ -139,6 +139,7 @@ def test_wrong_value_is_told_at_its_field_and_nothing_runs(client, server):
         answer = client.post(f"{server.address}/predict", data=sent, headers=headers)
         assert answer.status_code == 422, name
         assert answer.text.count(words) == 1, "at its field"
+        assert dict(sent_of(answer.text))["title"] == fields["title"]
     answer = client.post(f"{server.address}/predict", data={**fields, "scene.classes#": "0", "action": "run"})
     assert answer.status_code == 422
     assert "no background is chosen" in answer.text

@@ -35,6 +35,8 @@ def pool(request):
             one = WorkerPool(0, 1, 2.0, 0, cluster.scheduler_address, "web_tasks")
         yield one
         one.close()
+        if request.param == "scheduler":  # a place that never had a task kept the others from ending
+            WorkerPool(0, 1, 2.0, 0, cluster.scheduler_address, "web_tasks").close()
         with pytest.raises(Full):
             one.submit(WorkerTask("add", {"a": 1, "b": 2}))
 

@@ -12,14 +12,6 @@ def warm() -> None:
     """There is nothing to load."""
 
 
-def _die() -> None:
-    os._exit(9)
-
-
-def _hoard() -> int:
-    return len(bytearray(4_000_000_000))
-
-
 def _wrong() -> None:
     raise UsageError("no such thing", where="/secret/place/file.yaml", expected="a thing of /secret/place")
 
@@ -41,6 +33,7 @@ def _count(folder: str, seconds: float) -> None:
 
 TASKS = {
     "count": _count,
-    "add": lambda a, b: a + b, "sleep": time.sleep, "die": _die, "hoard": _hoard, "wrong": _wrong,
+    "add": lambda a, b: a + b, "sleep": time.sleep, "wrong": _wrong,
+    "die": lambda: os._exit(9), "hoard": lambda: len(bytearray(4_000_000_000)),
     "unforeseen": _unforeseen, "write": _write, "pid": os.getpid,
 }  # fmt: skip

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import lazy_loader
 import numpy as np
 
+import hyperval
 from hyperval import baseline, imagery, model, spectra
 from hyperval import campaign as campaigns
 from hyperval.envi_header import header_beside
@@ -40,9 +41,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray as xr
     from matplotlib.axes import Axes
-
-    from hyperval.campaign import Job
-    from hyperval.simulate.schema import SceneFile
 else:  # which take a second, when they are used
     pandas, xr = lazy_loader.load("pandas"), lazy_loader.load("xarray")
 
@@ -297,9 +295,7 @@ class _Side(_Tables):
 
     def to_dataframe(self) -> pandas.DataFrame:
         """Spectra by band, score moments, P_D at decades of P_FA and areas: a row each, as in ``results.csv``."""
-        from hyperval.compare.products import product_rows
-
-        return ResultTable(product_rows(self.products, type(self).__name__.lower())).frame()
+        return ResultTable(hyperval.compare.product_rows(self.products, type(self).__name__.lower())).frame()
 
 
 class Prediction(_Side):
@@ -516,9 +512,8 @@ class Collection(_Shown):
 
     def to_xarray(self) -> xr.Dataset:
         """The cube, read where it is asked for: radiance over lines, samples and bands."""
-        from hyperval.imagery import open_cube
-
-        return xr.Dataset({"radiance": open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT).to_xarray()})
+        cube = imagery.open_cube(self.cube, quantity="radiance", unit=RADIANCE_UNIT)
+        return xr.Dataset({"radiance": cube.to_xarray()})
 
     def to_dataframe(self) -> pandas.DataFrame:
         """The list of targets."""
@@ -559,7 +554,7 @@ class Metrics(_Shown):
         return pandas.DataFrame([{n: getattr(m, n) for n in names} for m in self.rows.values()]).set_index("name")
 
 
-def load_campaign(path: Path | str) -> Job:
+def load_campaign(path: Path | str) -> campaigns.Job:
     """Read and check a campaign file of one run; its parts are below ``campaign``.
 
     >>> load_campaign("campaign.yaml").campaign.name
@@ -628,7 +623,7 @@ def predict(
     return Prediction(model.predict(known, model.Origins(**origins), objects=objects, object_curves=object_curves))
 
 
-def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) -> Observation:
+def observe(campaign: campaigns.Job | Path | str, *, show_progress: bool | None = None) -> Observation:
     """What the collection of a campaign says.
 
     >>> sorted(observe("campaign.yaml").reflectance)[:3]
@@ -645,7 +640,7 @@ def observe(campaign: Job | Path | str, *, show_progress: bool | None = None) ->
 
 def compare(
     prediction: Prediction | Scenario | Path | str,
-    observation: Observation | Job | Path | str,
+    observation: Observation | campaigns.Job | Path | str,
     *,
     name: str = "comparison",
     method: str = "model",
@@ -662,15 +657,14 @@ def compare(
     ------
     UsageError : the two sides are not on the same bands.
     """
-    from hyperval.compare import compare_products
-
     measured = (observation if isinstance(observation, Observation) else observe(observation)).products
     known = prediction if isinstance(prediction, Prediction) else predict(prediction, axis=measured.axis)
-    return Results(of_campaign(compare_products(known.products, measured, method=method), name))
+    rows = hyperval.compare.compare_products(known.products, measured, method=method)
+    return Results(of_campaign(rows, name))
 
 
 def validate(
-    campaign: Job | Path | str, *, output: Path | str | None = None, show_progress: bool | None = None
+    campaign: campaigns.Job | Path | str, *, output: Path | str | None = None, show_progress: bool | None = None
 ) -> Validation:
     """Predict, observe and compare a campaign of one run; with ``output`` the folder of results is written, too.
 
@@ -684,13 +678,11 @@ def validate(
     ------
     InputError, UsageError, EngineError : of the campaign.  Data that are not at hand make its rows SKIPPED.
     """
-    from hyperval.report.outputs import write_outputs
-
     with bars(show_progress):
         report = campaigns.run_campaign(_job(campaign))
     if output is not None:
         with whole_folder(Path(output)) as folder:
-            write_outputs(report, folder)
+            hyperval.report.write_outputs(report, folder)
     return Validation(report.campaign, report, tuple(report.notes))
 
 
@@ -705,11 +697,9 @@ def study(path: Path | str, *, output: Path | str | None = None, show_progress: 
     ------
     UsageError, InputError, EngineError : of the study or its scenario.
     """
-    from hyperval.study import study_to_folder
-
     with TemporaryDirectory(prefix="hyperval-study-") as scratch, bars(show_progress):
         folder = Path(scratch) / "study" if output is None else Path(output)
-        study_to_folder(Path(path), folder)
+        hyperval.study.study_to_folder(Path(path), folder)
         return _study(folder)
 
 
@@ -738,7 +728,9 @@ def check(
     return Results(baseline.rows_of(runs))
 
 
-def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress: bool | None = None) -> Collection:
+def simulate(
+    scene: hyperval.simulate.SceneFile | Path | str, output: Path | str, *, show_progress: bool | None = None
+) -> Collection:
     """Write a simulated collection with its truth into a folder.
 
     >>> simulate("scene.yaml", "simulated").cube.name
@@ -748,10 +740,8 @@ def simulate(scene: SceneFile | Path | str, output: Path | str, *, show_progress
     ------
     UsageError, InputError, EngineError : of the scene.
     """
-    from hyperval.simulate import simulate as simulate_scene
-
     with bars(show_progress):
-        return Collection(**simulate_scene(scene, Path(output)))
+        return Collection(**hyperval.simulate.simulate(scene, Path(output)))
 
 
 def open(folder: Path | str) -> Validation | Study:
@@ -781,7 +771,7 @@ def metrics() -> Metrics:
     return Metrics(table())
 
 
-def _job(campaign: Job | Path | str, *, compares: bool = True) -> Any:
+def _job(campaign: campaigns.Job | Path | str, *, compares: bool = True) -> Any:
     """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`jobs_of`."""
 
     if isinstance(campaign, campaigns.Job):

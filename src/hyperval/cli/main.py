@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -17,18 +18,15 @@ from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 from types import FrameType, SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn, TypeVar
+from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import typer
 from typer.exceptions import Abort, TyperException
 
+import hyperval
 from hyperval import __version__, baseline, campaign, scoreboard
 from hyperval.errors import HypervalError, InputError, UsageError, as_typed, needed, refuse, words_and_code
 from hyperval.progress import set_listener
-
-if TYPE_CHECKING:
-    from hyperval.results import Result
-
 
 app = typer.Typer(
     help="Does the model of a hyperspectral imager agree with what it measured?",
@@ -52,7 +50,7 @@ AnyOutput = Annotated[Path | None, typer.Option("--output", "-o", help="Folder f
 
 Scheduler = Annotated[
     str | None,
-    typer.Option("--scheduler", help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
+    typer.Option(help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
 ]
 
 
@@ -77,9 +75,7 @@ def options(
     settings.quiet, settings.debug = quiet, debug
     set_listener((lambda *_: None) if quiet else None)  # who is quiet is told nothing
     if data_dir is not None:
-        from hyperval.datasets import set_data_dir
-
-        set_data_dir(data_dir)
+        hyperval.datasets.set_data_dir(data_dir)
 
 
 def finished(code: int, output: Path | None) -> int:
@@ -94,31 +90,26 @@ def say_verdicts(output: Path) -> None:
 
     Errors are said under --quiet too.
     """
-    from hyperval.report import first_screen, last_line
-    from hyperval.results import Outcome
-    from hyperval.run import is_run, read_rows
-
-    rows = list(read_rows(output, every=False)) if is_run(output) else []
+    outcomes = hyperval.results.Outcome
+    rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
     for name, own in groupby(rows, lambda row: row.campaign):
-        note(f"{name}: {first_screen(list(own)).words}")
-    for outcome in (Outcome.ERROR, Outcome.SKIPPED):
+        note(f"{name}: {hyperval.report.first_screen(list(own)).words}")
+    for outcome in (outcomes.ERROR, outcomes.SKIPPED):
         concerned: dict[str, dict[str, None]] = {}
         for row in rows:
             if row.outcome is outcome and row.reason:
                 concerned.setdefault(row.reason, {})[row.campaign] = None
         for reason, campaigns in concerned.items():
             line = f"{', '.join(campaigns)}: {outcome}: {reason}"
-            print(line, file=sys.stderr) if outcome is Outcome.ERROR else note(line)
+            print(line, file=sys.stderr) if outcome is outcomes.ERROR else note(line)
     if rows:
-        note(last_line(rows))
+        note(hyperval.report.last_line(rows))
 
 
 def say_warnings(output: Path) -> None:
     """The warnings of a finished run, each with its campaign."""
-    from hyperval.run import provenance_of, runs_in
-
-    for folder in runs_in([output]) if output.is_dir() else ():
-        record = provenance_of(folder)
+    for folder in hyperval.run.runs_in([output]) if output.is_dir() else ():
+        record = hyperval.run.provenance_of(folder)
         name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
         for line in record.get("warnings", ()):
             note(f"{name}: {line}")
@@ -148,9 +139,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
 Sensors = Annotated[
     list[str] | None,
-    typer.Option(
-        "--sensors", metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."
-    ),
+    typer.Option(metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."),
 ]
 Baselines = Annotated[Path | None, typer.Option(help="Folder of accepted numbers [validation/baselines].")]
 Header = Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")]
@@ -188,7 +177,7 @@ def check(
     return finished(baseline.rows_of(runs).exit_code(), output)
 
 
-def _cells(row: Result) -> tuple[str, ...]:
+def _cells(row: hyperval.results.Result) -> tuple[str, ...]:
     accepted, width = (row.limit_high + row.limit_low) / 2.0, (row.limit_high - row.limit_low) / 2.0
     numbers = (f"{accepted:.6g}", f"{row.value:.6g}", f"{row.value - accepted:+.3g}", f"{width:.3g}")
     outcome = row.reason or str(row.outcome)
@@ -197,9 +186,7 @@ def _cells(row: Result) -> tuple[str, ...]:
 
 def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
     """One line of summary; what was not compared, and is in no table, says why."""
-    from hyperval.results import Outcome
-
-    wrong = [row for row in run.rows if row.outcome is Outcome.DISAGREES]
+    wrong = [row for row in run.rows if row.outcome is hyperval.results.Outcome.DISAGREES]
     if run.before is None:
         for row in wrong:
             print(f"{row.campaign}: {row.reason}", file=sys.stderr)
@@ -216,11 +203,6 @@ def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
 
 baseline_app = typer.Typer(help="Accepted numbers of campaigns and sensors.", no_args_is_help=True)
 app.add_typer(baseline_app, name="baseline")
-
-
-@baseline_app.callback()
-def accepted_numbers() -> None:
-    """Accepted numbers of campaigns and sensors."""
 
 
 @command(
@@ -265,15 +247,16 @@ app.add_typer(data_app, name="data")
 @command("data list", of=data_app, name="list")
 def data_list() -> int:
     """List the registered data sets and whether they are on this machine."""
-    from hyperval.datasets import files_at_hand, missing, registry
-
     rows = []
-    for name, entry in registry().items():
+    for name, entry in hyperval.datasets.registry().items():
         if entry.public:
-            lacking, size = len(missing(name)), f"{sum(file.size for file in entry.files) / 1e6:.1f} MB"
+            lacking, size = (
+                len(hyperval.datasets.missing(name)),
+                f"{sum(file.size for file in entry.files) / 1e6:.1f} MB",
+            )
             state = f"{lacking} of {len(entry.files)} files missing" if lacking else "here"
         else:
-            count, size = files_at_hand(name), "-"
+            count, size = hyperval.datasets.files_at_hand(name), "-"
             state = f"{count} files here" if count else f"held by {entry.holder}: {entry.obtain}"
         rows.append((name, size, entry.licence, state, entry.title))
     print_table(("name", "size", "licence", "state", "title"), rows)
@@ -283,11 +266,9 @@ def data_list() -> int:
 @command("data fetch hysu", of=data_app, name="fetch")
 def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data sets.")]) -> int:
     """Bring data sets into the user's cache; every file is checked against its digest."""
-    from hyperval.datasets import cache_dir, dataset, fetch
-
-    for entry in [dataset(name) for name in names]:
-        new = fetch(entry.name)
-        note(f"{entry.name}: {len(new)} files fetched into {cache_dir()}" if new else f"{entry.name}: complete")
+    for entry in [hyperval.datasets.dataset(name) for name in names]:
+        new, cache = hyperval.datasets.fetch(entry.name), hyperval.datasets.cache_dir()
+        note(f"{entry.name}: {len(new)} files fetched into {cache}" if new else f"{entry.name}: complete")
         note(f"  licence {entry.licence}; please cite: {entry.citation}")
     return 0
 
@@ -297,12 +278,11 @@ def data_verify(
     names: Annotated[list[str] | None, typer.Argument(help="Names of data sets; all when none is named.")] = None,
 ) -> int:
     """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
-    from hyperval.datasets import dataset, registry, verify
-
     for name in names or []:
-        if not dataset(name).public:
+        if not hyperval.datasets.dataset(name).public:
             note(f"{name}: not public, so no checksums are registered")
-    checks = [(name, path, state) for name in names or registry() for path, state in verify(name).items()]
+    every = names or hyperval.datasets.registry()
+    checks = [(name, path, state) for name in every for path, state in hyperval.datasets.verify(name).items()]
     print_table(("set", "file", "state"), checks)
     return 0 if all(state == "ok" for *_, state in checks) else InputError.exit_code
 
@@ -314,9 +294,7 @@ def compare(
     output: Output,
 ) -> int:
     """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
-    from hyperval.report.side_by_side import compare_runs
-
-    return finished(compare_runs(one, other, output), output)
+    return finished(hyperval.report.compare_runs(one, other, output), output)
 
 
 @command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
@@ -330,12 +308,8 @@ def drift(
     ] = None,
 ) -> int:
     """Print a row for each day of finished runs, and the change in a year with its interval."""
-    from hyperval.compare import judge, spectra
-    from hyperval.results import Outcome
-    from hyperval.run import SECONDS_PER_YEAR, days_of
-
     refuse(within is not None and not within[0] < within[1], "drift.within", within=within)
-    days = days_of(folders, product, subject, metric)
+    days = hyperval.run.days_of(folders, product, subject, metric)
     print_table(
         ("time", "campaign", metric, "lower", "upper"),
         [
@@ -343,15 +317,16 @@ def drift(
             for when, row in days
         ],
     )
-    trend = spectra.drift([when.timestamp() / SECONDS_PER_YEAR for when, _ in days], [row.value for _, row in days])
+    years = [when.timestamp() / hyperval.run.SECONDS_PER_YEAR for when, _ in days]
+    trend = hyperval.compare.drift(years, [row.value for _, row in days])
     words = f"{metric} changes by {trend.value:+.3g} in a year, 95 % interval "
     words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
     if within is None:
         note(f"{words} ({len(days)} days)")
         return 0
-    outcome = judge.against_range(trend.lower, trend.upper, *within)
+    outcome = hyperval.compare.against_range(trend.lower, trend.upper, *within)
     note(f"{words} ({len(days)} days): {outcome} with {within[0]:g} to {within[1]:g}")
-    return {Outcome.AGREES: 0, Outcome.DISAGREES: 1}.get(outcome, 5)
+    return {outcome.AGREES: 0, outcome.DISAGREES: 1}.get(outcome, 5)
 
 
 @command("figures results -o figures --format svg --style journal")
@@ -364,9 +339,7 @@ def figures(
     ] = "house",
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
-    from hyperval.report.html import figures_to_folder
-
-    return finished(figures_to_folder(folder, output, kind, style == "journal"), output)
+    return finished(hyperval.report.figures_to_folder(folder, output, kind, style == "journal"), output)
 
 
 @command("metrics", "metrics bias_ratio")
@@ -374,12 +347,10 @@ def metrics(
     name: Annotated[str | None, typer.Argument(help="One metric, with everything the table says of it.")] = None,
 ) -> int:
     """List the metrics: range, interval, how each is judged and what moves it."""
-    from hyperval.metrics import HEADER, entry, listed, metric_of
-
     if name is None:
-        print_table(HEADER, [tuple(str(x) for x in row) for row in listed()])
+        print_table(hyperval.metrics.HEADER, [tuple(str(x) for x in row) for row in hyperval.metrics.listed()])
     else:
-        print("\n".join(entry(metric_of(name))).strip())
+        print("\n".join(hyperval.metrics.entry(hyperval.metrics.metric_of(name))).strip())
     return 0
 
 
@@ -390,9 +361,7 @@ def explain(
     key: Key = None,
 ) -> int:
     """Say what a file is as the reader sees it: every number's origin, what is not known, and what mends it."""
-    from hyperval.api import explain as explained
-
-    for row in explained(file, header=header, key=key):
+    for row in hyperval.api.explain(file, header=header, key=key):
         typer.echo("\t".join(" ".join(cell.split()) for cell in row))
     return 0
 
@@ -420,20 +389,16 @@ def init(
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
-    import re
-
-    from hyperval.config import parse_yaml, placeholders, unwritten, write_draft
-
-    path = unwritten(output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml")
+    path = hyperval.config.unwritten(output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml")
     called = path.stem if path == output else output.resolve().name
     own = name or re.sub(r"[^a-z0-9]+", "-", called.lower()).strip("-") or "campaign"
     given = cube, regions or (), targets, spectra or (), header, quantity, unit
     sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key)
     text, guesses = campaign.starter_campaign(sources, path.parent, own)
-    write_draft(path, "campaign", text)
+    hyperval.config.write_draft(path, "campaign", text)
     for guess in guesses:
         note(f"guess: {guess}")
-    asked = placeholders(*parse_yaml(text), str(path))
+    asked = hyperval.config.placeholders(*hyperval.config.parse_yaml(text), str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
     then = as_typed(*(("validate", "--dry-run") if asked or "\ncomparisons:" in text else ("observe",)), path)
@@ -447,13 +412,11 @@ def schema(
     output: Draft = None,
 ) -> int:
     """Print the JSON Schema of a kind of file, by which editors complete, explain and mark errors."""
-    from hyperval.config import schema_text
-    from hyperval.storage import write_text
-
+    text = hyperval.config.schema_text(kind)
     if output is None:
-        print(schema_text(kind), end="")
+        print(text, end="")
     else:
-        write_text(output, schema_text(kind))
+        hyperval.storage.write_text(output, text)
         note(f"{output}: the first line '# yaml-language-server: $schema={output}' of a file names it")
     return 0
 
@@ -465,9 +428,7 @@ def study(
     scheduler: Scheduler = None,
 ) -> int:
     """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
-    from hyperval.study.run import study_to_folder
-
-    return finished(study_to_folder(study_file, output, scheduler=scheduler), output)
+    return finished(hyperval.study.study_to_folder(study_file, output, scheduler=scheduler), output)
 
 
 @command("benchmark campaigns/*/campaign.yaml -o ranks", "benchmark campaign.yaml --scores net=net.npy -o ranks")
@@ -475,13 +436,11 @@ def benchmark(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: Output,
     extend: Annotated[
-        list[Path] | None, typer.Option("--extend", help="A Python file that registers detectors; it is run.")
+        list[Path] | None, typer.Option(help="A Python file that registers detectors; it is run.")
     ] = None,
     scores: Annotated[
         list[str] | None,
-        typer.Option(
-            "--scores", metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."
-        ),
+        typer.Option(metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
     scheduler: Scheduler = None,
@@ -498,7 +457,7 @@ def power(
     campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: AnyOutput = None,
     accept: Annotated[bool, typer.Option("--accept", help="Keep the tables as those that reports show.")] = False,
-    errors: Annotated[Path | None, typer.Option("--errors", help="Errors of your own: NAME: {path: value}.")] = None,
+    errors: Annotated[Path | None, typer.Option(help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
@@ -562,13 +521,9 @@ def validate(
     if dry_run:
         return _dry_run(campaigns, output)
     output = needed(output, "validate.output")
-
-    from hyperval.run import JUNIT
-    from hyperval.storage import write_text
-
     code = campaign.validate(campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note)
     if junit is not None:
-        write_text(junit, (output / JUNIT).read_text("utf-8"))
+        hyperval.storage.write_text(junit, (output / hyperval.run.JUNIT).read_text("utf-8"))
     finished(code, output)
     say_warnings(output)
     say_verdicts(output)
@@ -578,9 +533,7 @@ def validate(
 @command("simulate scene.yaml -o collection")
 def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], output: Output) -> int:
     """Write a simulated collection with its truth."""
-    from hyperval.simulate import simulate_to_folder
-
-    return finished(simulate_to_folder(scene, output), output)
+    return finished(hyperval.simulate.simulate_to_folder(scene, output), output)
 
 
 def _dry_run(campaigns: list[Path], finished: Path | None) -> int:
@@ -601,10 +554,8 @@ app.add_typer(sensor_app, name="sensor")
 @command("sensor list", of=sensor_app, name="list")
 def sensor_list() -> int:
     """List the sensors that come with the package."""
-    from hyperval.sensor.specification import library_names, load_sensor
-
     rows = []
-    for sensor in map(load_sensor, library_names()):
+    for sensor in map(hyperval.sensor.load_sensor, hyperval.sensor.library_names()):
         nm = sensor.axis.centre_nm
         rows.append((sensor.name, str(nm.size), f"{nm.min():.0f}-{nm.max():.0f} nm", sensor.specification.title))
     print_table(("name", "bands", "range", "title"), rows)
@@ -616,9 +567,7 @@ def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, 
     """Print a sensor's specification as YAML: every number with its source."""
     import yaml
 
-    from hyperval.sensor.specification import load_sensor
-
-    entries = load_sensor(name).specification.model_dump(mode="json", by_alias=True, exclude_none=True)
+    entries = hyperval.sensor.load_sensor(name).specification.model_dump(mode="json", by_alias=True, exclude_none=True)
     print(yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100), end="")
     return 0
 
@@ -632,16 +581,14 @@ def sensor_check(
     ] = 20.0,
 ) -> int:
     """Run the acceptance suite on a sensor; with --output, write its datasheet."""
-    from hyperval.report.verdict import gate_fails, limits_text
-    from hyperval.sensor_check import check_to_folder
-
-    check = check_to_folder(name, output, vary=vary / 100.0)
+    check = hyperval.sensor_check.check_to_folder(name, output, vary=vary / 100.0)
     decided = [r for r in check.table if r.planned]
     rows = [
-        (str(r.outcome), r.product, r.subject, r.metric, f"{r.value:.4g}", limits_text(r), r.reason) for r in decided
+        (str(r.outcome), r.product, r.subject, r.metric, f"{r.value:.4g}", hyperval.report.limits_text(r), r.reason)
+        for r in decided
     ]
     print_table(("outcome", "part", "subject", "check", "value", "limit", "remark"), rows)
-    failed = sum(gate_fails(r) for r in decided)
+    failed = sum(map(hyperval.report.gate_fails, decided))
     note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
          else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
     return finished(check.table.exit_code(), output)
@@ -654,11 +601,9 @@ def sensor_new(
     arms: Annotated[str, typer.Option(help="Its spectrometers, with commas between.")] = "VNIR",
 ) -> int:
     """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
-    from hyperval.config import unwritten, write_draft
-    from hyperval.sensor.specification import new_sensor_file
-
-    path = unwritten(output or Path(f"{name}.yaml"))
-    write_draft(path, "sensor", new_sensor_file(name, [arm.strip() for arm in arms.split(",")]))
+    path = hyperval.config.unwritten(output or Path(f"{name}.yaml"))
+    text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")])
+    hyperval.config.write_draft(path, "sensor", text)
     note(f"{path}: replace every FILL_IN, then: {as_typed('sensor', 'check', path)}")
     return 0
 
@@ -698,12 +643,9 @@ def serve(
     try:
         import uvicorn
 
-        from hyperval.web.app import make_app
-        from hyperval.web.guard import connections_of
+        from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connections_of, make_app
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
-    from hyperval.web.store import LOOPBACK, MEGABYTE, ServerSettings
-
     for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
         refuse(given is not None and not given.is_dir(), "serve.folder", str(given), words=words)
     application = make_app(ServerSettings(
@@ -723,11 +665,10 @@ def serve(
 
 def keep_caches(place: Path) -> None:
     """Keep what is computed once in the server's folder, where its user has no home, as that of a service."""
-    from hyperval.datasets import cache_dir
-
+    caches = hyperval.datasets.cache_dir().parent
     with suppress(OSError):
-        cache_dir().parent.mkdir(parents=True, exist_ok=True)
-    if not os.access(cache_dir().parent, os.W_OK):
+        caches.mkdir(parents=True, exist_ok=True)
+    if not os.access(caches, os.W_OK):
         os.environ["HYPERVAL_CACHE"] = str(place / "cache")
         os.environ.setdefault("MPLCONFIGDIR", str(place / "cache" / "matplotlib"))
 

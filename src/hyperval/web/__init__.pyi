@@ -8,6 +8,7 @@ from .refusal import said
 from .runs import campaigns_of
 from .store import (
     LOOPBACK,
+    MEGABYTE,
     Cancelled,
     Full,
     Runs,
@@ -20,7 +21,7 @@ from .store import (
 )
 
 __all__ = [
-    "LOOPBACK", "POLICY", "Cancelled", "Full", "Runs", "ServerSettings", "TaskFailed", "WebRun",
+    "LOOPBACK", "MEGABYTE", "POLICY", "Cancelled", "Full", "Runs", "ServerSettings", "TaskFailed", "WebRun",
     "WorkerPool", "WorkerTask", "campaigns_of", "connections_of", "make_app", "needs", "plain", "predefined", "said",
     "scenario_form", "view_name", "walk",
 ]  # fmt: skip

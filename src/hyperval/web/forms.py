@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import resources
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from typing import Any
 
 import yaml
@@ -25,6 +26,7 @@ from hyperval.errors import UsageError, refuse
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
+from hyperval.study.schema import StudyFile
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of
 
 Schema = Mapping[str, Any]
@@ -121,18 +123,18 @@ class Form:
         self,
         data: Mapping[str, Any] | None = None,
         begun: Mapping[str, Any] | None = None,
-        more: Mapping[str, tuple[str, ...]] | None = None,
+        sensors: tuple[str, ...] = (),
     ) -> tuple[Node, ...]:
         """The parts of the form, filled in with ``data``.
 
         Parameters
         ----------
         begun : data that the form began with
-        more : entry -> names that may stand there besides
+        sensors : names that may stand there besides those of the library
         """
         nodes = {node.path: node for node in self._group(self.schema, "", data, begun)}
-        for path, names in (more or {}).items():
-            nodes[path] = replace(nodes[path], choices=tuple(dict.fromkeys((*nodes[path].choices, *names))))
+        known = dict.fromkeys((*nodes["sensor"].choices, *sensors))
+        nodes["sensor"] = replace(nodes["sensor"], choices=tuple(known))
         sections = []
         for title, entries in _SECTIONS.items():
             first, *others = [nodes.pop(name) for name in entries]
@@ -143,12 +145,7 @@ class Form:
         return (*nodes.values(), *sections)
 
     def data(self, given: Given) -> dict[str, Any]:
-        """The nested data of a form as it was sent.
-
-        Raises
-        ------
-        Refused : a field of lists that is not of their form.
-        """
+        """The nested data of a form as it was sent."""
         return self._read_group(self.schema, "", given)
 
     def _members(self, schema: Schema) -> list[Schema]:
@@ -204,7 +201,7 @@ class Form:
             children = self._group(members[0], path, value, begun)
             is_shown = node.is_shown or any(child.is_shown for child in children)
             is_open = (bool(value) or node.is_needed) and _is_open(path)
-            hint = node.hint or _summary(members[0])
+            hint = node.hint or str(members[0].get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
             return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
         if kinds == ["rows"]:
             rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
@@ -259,7 +256,7 @@ class Form:
         values = [v.strip() for v in given.get(path, []) if v.strip()]
         if _choices(path) and _one_kind(kinds) == "yaml":
             return values or ([] if is_list else None)
-        return _value(values[0], kinds, path) if values else None
+        return _value(values[0], kinds) if values else None
 
 
 def _is_open(path: str) -> bool:
@@ -285,13 +282,13 @@ def _kind(schema: Schema) -> str:
         return "group" if "properties" in schema else "yaml"
     if kind == "array":
         return "rows" if "$ref" in schema.get("items", {}) else "yaml"
-    return {"number": "number", "integer": "integer", "boolean": "flag"}.get(str(kind), "text")
+    return {"number": "number", "integer": "number", "boolean": "flag"}.get(str(kind), "text")
 
 
 def _one_kind(kinds: list[str]) -> str:
     """One kind of field for several kinds of values."""
     if len(set(kinds)) == 1:
-        return {"integer": "number"}.get(kinds[0], kinds[0])
+        return kinds[0]
     return "yaml" if set(kinds) & {"yaml", "rows"} else "text"
 
 
@@ -317,11 +314,6 @@ def _limits(schema: Schema) -> str:
     return ", ".join(f"{said} {schema[key]:g}" for key, said in words.items() if key in schema)
 
 
-def _summary(schema: Schema) -> str:
-    """The first paragraph of a description."""
-    return str(schema.get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
-
-
 def _blank(value: Any) -> bool:
     """Whether nothing is said: a form cannot tell it from a field that is left alone."""
     return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
@@ -338,16 +330,12 @@ def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     return 0
 
 
-def _value(text: str, kinds: list[str], path: str) -> Any:
+def _value(text: str, kinds: list[str]) -> Any:
     if "yaml" in kinds:
-        try:
-            return parse_yaml(text, path)[0]
-        except UsageError as error:
-            words = f"{error.what}; expected: a list such as [1, 2] or {{key: value}}"
-            raise Refused(422, [FieldMistake(path, words)]) from error
-    if set(kinds) & {"number", "integer"} and _NUMBER.fullmatch(text):
-        number = float(text)
-        return int(text) if text.lstrip("+-").isdigit() and len(text) < 18 else number
+        with suppress(UsageError):  # what cannot be read is text, and refused at its field by the model
+            return parse_yaml(text)[0]
+    if "number" in kinds and _NUMBER.fullmatch(text):
+        return int(text) if text.lstrip("+-").isdigit() and len(text) < 18 else float(text)
     if "flag" in kinds and text in ("true", "false"):
         return text == "true"
     return text
@@ -365,17 +353,6 @@ def predefined() -> dict[str, Scenario]:
     with resources.as_file(resources.files("hyperval.web") / "scenarios") as folder:
         scenes = [load_scenario(path) for path in sorted(folder.glob("*.yaml"))]
     return known | {scene.name: scene for scene in scenes}
-
-
-@lru_cache(maxsize=1)
-def known_files() -> frozenset[str]:
-    """Files of data sets that the predefined scenarios name, and that anybody may name therefore."""
-    return frozenset(
-        surface.spectrum.file
-        for scenario in predefined().values()
-        for surface in scenario.scene.targets
-        if surface.spectrum.file is not None
-    )
 
 
 def needs(source: object) -> dict[str, str]:
@@ -404,9 +381,9 @@ def scenario_form() -> Form:
     return Form()
 
 
-def plain(scenario: Scenario) -> dict[str, Any]:
-    """A scenario as a file has it: what is stated, and no defaults."""
-    return scenario.model_dump(mode="json", by_alias=True, exclude_unset=True)
+def plain(stated: Scenario | StudyFile) -> dict[str, Any]:
+    """A scenario or study as a file has it: what is stated, and no defaults."""
+    return stated.model_dump(mode="json", by_alias=True, exclude_unset=True)
 
 
 def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> Scenario:
@@ -416,9 +393,8 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     ------
     Refused : every mistake with its field.
     """
-    refuse_excess(data)
     try:
-        scenario = Scenario.model_validate(data)
+        scenario = Scenario.model_validate(of_bounded_size(data))
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
     mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads)] or list(_of_cost(scenario))
@@ -427,23 +403,20 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     return scenario
 
 
-def refuse_excess(data: Any, at: str = "") -> None:
-    """Look at the size of data before it is checked entry by entry.
+def of_bounded_size(data: Any, at: str = "") -> Any:
+    """The data, whose size is looked at before it is checked entry by entry.
 
     Raises
     ------
     Refused : it holds too much, at which field.
     """
-    mistakes = list[FieldMistake]()
-    for number, (place, value) in enumerate(_values(data, (at,) if at else ()), start=1):
-        words = _excess(place, value)
-        if number == _MOST_VALUES:
-            words = f"with it there are more than {_MOST_VALUES:,} values"
-        mistakes += [FieldMistake(".".join(place), words)] if words else []
-        if number == _MOST_VALUES or len(mistakes) == _MOST_MISTAKES:
-            break
-    if mistakes:
-        raise Refused(422, mistakes)
+    values = enumerate(islice(_values(data, (at,) if at else ()), _MOST_VALUES), start=1)
+    many = f"with it there are more than {_MOST_VALUES:,} values"
+    told = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
+    mistakes = (FieldMistake(".".join(place), words) for place, words in told if words)
+    if listed := list(islice(mistakes, _MOST_MISTAKES)):
+        raise Refused(422, listed)
+    return data
 
 
 def _values(data: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -481,11 +454,13 @@ def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMis
 
 
 def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
+    # What the predefined scenarios name of data sets, anybody may name.
+    known = {target.spectrum.file for scenario in predefined().values() for target in scenario.scene.targets}
     for at, value in _values(data):
         is_file, path = at[-1:] == ("file",), ".".join(at)
         if not {*at[-1:]} & _FILES or value is None or (is_file and value in uploads):
             continue
-        if is_file and value in known_files():
+        if is_file and value in known:
             yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
         else:
             words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
@@ -510,14 +485,11 @@ def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[s
     out: dict[str, list[str]] = {}
     for mistake in mistakes:
         at = mistake.field
-        named = [
-            p
-            for p in paths
-            if p.rpartition(".")[0] == at and re.search(rf"\b{re.escape(p.rpartition('.')[2])}\b", mistake.message)
-        ]
+        names = {p: p.rpartition(".")[2] for p in paths if p.rpartition(".")[0] == at}
+        named = [p for p, name in names.items() if re.search(rf"\b{re.escape(name)}\b", mistake.message)]
         while at and at not in paths:
             at = at.rpartition(".")[0]
-        first = min(named, key=lambda p: mistake.message.find(p.rpartition(".")[2]), default=at)
+        first = min(named, key=lambda p: mistake.message.find(names[p]), default=at)
         out.setdefault(first, []).append(mistake.message)
     return out
 

@@ -32,16 +32,6 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{43}")
 _PORT = re.compile(r"(?<=[^:]):\d+$")
 
 
-def _session(headers: Headers) -> tuple[str, bool]:
-    """The name in the cookie, and whether it is new: where there is none, or a malformed one.
-
-    Whoever knows it is the session.
-    """
-    given = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
-    is_known = _NAME.fullmatch(given) is not None
-    return (given if is_known else secrets.token_urlsafe(32)), not is_known
-
-
 UPLOADS = "/uploads"
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _YEAR_S = 365 * 24 * 3600
@@ -77,7 +67,10 @@ class Guard:
         headers, settings = Headers(scope=scope), self.settings
         is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
         bound = settings.upload_bytes if is_upload else settings.body_bytes
-        name, is_new = _session(headers)
+        # Whoever knows the name is the session; it is new where the cookie has none, or a malformed one.
+        given = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
+        is_new = _NAME.fullmatch(given) is None
+        name = secrets.token_urlsafe(32) if is_new else given
         # What its runs are stored under, from which the name does not follow.
         scope["owner"] = hashlib.sha256(b"owner" + name.encode()).hexdigest()[:32]
         refusal = self._refusal(scope, headers, bound)
@@ -158,7 +151,7 @@ class _Connection(H11Protocol):
 
     most: ClassVar[int]
     most_of_all: ClassVar[int]
-    every: ClassVar[list[_Connection]]
+    every: ClassVar[set[_Connection]]
     _look_again: asyncio.TimerHandle | None = None
     _awaited = ""
     _begun = 0.0
@@ -176,7 +169,7 @@ class _Connection(H11Protocol):
                 return
             self.every.remove(idle)
             idle._end(408)
-        self.every.append(self)
+        self.every.add(self)
         self._look()
 
     def data_received(self, data: bytes) -> None:
@@ -190,8 +183,7 @@ class _Connection(H11Protocol):
         super().connection_lost(exc)
         if self._look_again is not None:
             self._look_again.cancel()
-        if self in self.every:
-            self.every.remove(self)
+        self.every.discard(self)
 
     @property
     def _address(self) -> str:
@@ -222,4 +214,4 @@ class _Connection(H11Protocol):
 def connections_of(most: int) -> type[H11Protocol]:
     """The class of a server's connections, of which one address has at most ``most`` at a time."""
     of_all = max(16, os.sysconf("SC_OPEN_MAX") - _FILES)
-    return type("Connection", (_Connection,), {"most": most, "most_of_all": of_all, "every": []})
+    return type("Connection", (_Connection,), {"most": most, "most_of_all": of_all, "every": set()})

@@ -69,12 +69,12 @@ def store_of(request: Request) -> Runs:
 
 
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
-    """A page of the application."""
+    """A page of the application; one that shows mistakes of a form bears the status of a refusal."""
     text = _environment().get_template(template).render(
         version=hyperval.__version__, notices=store_of(request).notices,
         place=request.url.path, **content,
     )  # fmt: skip
-    return HTMLResponse(text, status_code=status)
+    return HTMLResponse(text, status_code=422 if content.get("errors") else status)
 
 
 def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: str = "") -> Markup:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from itertools import groupby
 from typing import Annotated, Any
@@ -29,7 +30,7 @@ from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.plan import MOST_TRIED, moved, values_to_try
-from hyperval.study.schema import Input, Required, StudyFile
+from hyperval.study.schema import StudyFile
 from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.forms import (
     MOST_ROWS,
@@ -38,9 +39,9 @@ from hyperval.web.forms import (
     checked_scenario,
     marked,
     needs,
+    of_bounded_size,
     plain,
     predefined,
-    refuse_excess,
     scenario_form,
     yaml_text,
 )
@@ -86,9 +87,7 @@ def predict_form(
         words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
         raise Refused(410, [FieldMistake("s", words)])
     begun = f"run:{run}" if run is not None else scenario or "free"
-    if begun == "free":
-        return _form(request, _FREE)
-    data = _first(request, begun)
+    data = _FREE if begun == "free" else _first(request, begun)
     if data is None:
         raise Refused(404, [FieldMistake("scenario", "no scenario or prediction has that name")])
     return _form(request, data, begun)
@@ -103,14 +102,14 @@ async def predict_post(request: Request) -> Response:
 
 
 def _posted(request: Request, given: dict[str, list[str]]) -> Response:
-    data, begun = dict[str, Any](), given.get("begun", [""])[0]
+    begun = given.get("begun", [""])[0]
     if given.get("action", ["run"])[0] != "run":
         return _form(request, scenario_form().data(with_action(given)), begun)
+    data = {"schema": 1} | scenario_form().data(given)
     try:
-        data = {"schema": 1} | scenario_form().data(given)
         ordered = order_prediction(request, data)
     except Refused as refusal:
-        return _form(request, data, begun, to_show(refusal), 422)
+        return _form(request, data, begun, to_show(refusal))
     store_of(request).wait(ordered, _WAIT_S)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
@@ -152,17 +151,15 @@ def _first(request: Request, begun: str) -> dict[str, Any] | None:
     return None
 
 
-def _form(
-    request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = (), status: int = 200
-) -> Response:
+def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = ()) -> Response:
     """The form, and what differs in it from the scenario that it began with."""
     own, first = Uploads(request), _first(request, begun)
     begun = begun if first else ""
-    nodes = scenario_form().nodes(data, first, {"sensor": own.names("sensors")})
+    nodes = scenario_form().nodes(data, first, own.names("sensors"))
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
     return page(
-        request, "predict.html.j2", status=status, errors=errors, scenarios=predefined(),
+        request, "predict.html.j2", errors=errors, scenarios=predefined(),
         changes=sum(n.changes for n in nodes), parts=form_parts(nodes, errors, begun),
         titles=titles, begun=begun, uploads=own.names("spectra"),
     )  # fmt: skip
@@ -189,12 +186,7 @@ Setting = float | str | bool | list[Any] | None
 
 def small(at: str) -> BeforeValidator:
     """Looks at the size of an entry of a body before its parts are checked one by one."""
-
-    def bounded(data: Any) -> Any:
-        refuse_excess(data, at)
-        return data
-
-    return BeforeValidator(bounded)
+    return BeforeValidator(partial(of_bounded_size, at=at))
 
 
 class PredictionOrder(BaseModel):
@@ -272,13 +264,6 @@ def _source(request: Request, name: str) -> str:
     return _file(request, name)
 
 
-def _number(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text  # and refused at its field
-
-
 def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
     """What is asked, checked against its scenario.
 
@@ -289,7 +274,7 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     texts = [(name, text.strip()) for name, text in given.multi_items() if isinstance(text, str) and text.strip()]
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
-    data["moved"] = {name[3:]: _number(text) for name, text in texts if name.startswith("at:")}
+    data["moved"] = {name[3:]: text for name, text in texts if name.startswith("at:")}
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
@@ -309,11 +294,11 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
 @pages.get("/trade")
 def desk(request: Request) -> Response:
     """The desk, as its address says."""
-    mistakes, status = list[FieldMistake](), 200
+    mistakes = list[FieldMistake]()
     try:
         source, trade, offers = _asked(request, request.query_params)
     except Refused as refusal:
-        mistakes, status = to_show(refusal), 422
+        mistakes = to_show(refusal)
         name = request.query_params.get("scenario", _FIRST)
         first = {"scenario": _FIRST if any(m.field == "scenario" for m in mistakes) else name}
         source, trade, offers = _asked(request, QueryParams(first))
@@ -324,7 +309,7 @@ def desk(request: Request) -> Response:
     ]  # fmt: skip
     runs = store_of(request).of(owner_of(request), "prediction")
     return page(
-        request, "trade.html.j2", status=status, trade=trade, offers=offers, sliders=shown,
+        request, "trade.html.j2", trade=trade, offers=offers, sliders=shown,
         errors=marked(mistakes, [mistake.field for mistake in mistakes]),
         groups=[(name, list(some)) for name, some in groupby(ordered, lambda o: o.group)],
         scenarios={name: s.title or name for name, s in predefined().items() if not needs(s)}, runs=runs[:20],
@@ -360,20 +345,15 @@ def curve(request: Request) -> Response:
     return StreamingResponse(pieces(), media_type="application/x-ndjson")
 
 
-def _study(request: Request, given: QueryParams | FormData, *, exact: bool = False) -> tuple[str, dict[str, Any]]:
-    """The scenario of what is asked, its name or its file, and the study."""
-    source, trade, p = _asked(request, given)
-    study = study_of(p, trade, source if source in builtin_scenarios() else "scenario.yaml", exact=exact)
-    return source, study.model_dump(mode="json", by_alias=True, exclude_unset=True)
-
-
 @pages.get("/trade/{name}")
 def take_away(request: Request, name: str) -> Response:
     """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
-    source, study = _study(request, request.query_params)
-    note = _NOTE if "atmosphere.engine" in study.get("settings", ()) else ""
-    texts = {"study.yaml": yaml_text("study", study, note)}
-    if source not in builtin_scenarios():
+    source, trade, offers = _asked(request, request.query_params)
+    is_beside = source not in builtin_scenarios()
+    study = study_of(offers, trade, "scenario.yaml" if is_beside else source)
+    note = _NOTE if "atmosphere.engine" in study.settings else ""
+    texts = {"study.yaml": yaml_text("study", plain(study), note)}
+    if is_beside:
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
     texts["trade.ipynb"] = notebook(texts)
     if name not in texts:
@@ -386,13 +366,16 @@ def take_away(request: Request, name: str) -> Response:
 async def keep(request: Request) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
     async with request.form(max_fields=1000) as form:
-        study = (await run_in_threadpool(_study, request, form, exact=True))[1]
-    study["scenario"] = form.get("scenario") or _FIRST
-    run = await run_in_threadpool(order_study, request, study)
+        run = await run_in_threadpool(_kept, request, form)
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
-def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
+def _kept(request: Request, given: FormData) -> WebRun:
+    _, trade, offers = _asked(request, given)
+    return order_study(request, study_of(offers, trade, trade.scenario, exact=True))
+
+
+def order_study(request: Request, study: StudyFile) -> WebRun:
     """Order a study of a predefined scenario, or of the scenario of a run of this session (``run:ID``).
 
     Raises
@@ -400,16 +383,12 @@ def order_study(request: Request, data: Mapping[str, Any]) -> WebRun:
     Refused : what is wrong with it, or there is no room.
     """
     own = Uploads(request)
-    try:
-        study = StudyFile.model_validate(data)
-    except ValidationError as error:
-        raise Refused(422, mistakes_of(error, data)) from error
     scenario = load_scenario(_source(request, study.scenario))
     if mistakes := [*_of_size(study, request.app.state.settings.points), *_of_paths(study, scenario, own.names())]:
         raise Refused(422, mistakes)
     text = yaml_text("scenario", plain(scenario))
-    asked = study.model_dump(mode="json", by_alias=True, exclude_unset=True) | {"scenario": "scenario.yaml"}
-    files: Files = {"study.yaml": yaml_text("study", asked), "scenario.yaml": text, **own.copies(text)}
+    asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
+    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text)}
     return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 
@@ -423,8 +402,7 @@ class StudyOrder(BaseModel):
 @api.post("/studies", status_code=201)
 def studies(request: Request, order: StudyOrder) -> RunAnswer:
     """Evaluate a trade-off study; ask for the run to learn how far it is."""
-    data = order.study.model_dump(mode="json", by_alias=True, exclude_unset=True)
-    return answer_of(request, order_study(request, data))
+    return answer_of(request, order_study(request, order.study))
 
 
 def _of_size(study: StudyFile, most: int) -> Iterator[FieldMistake]:
@@ -445,8 +423,7 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
         yield FieldMistake("settings", f"{wrong[0]!r} cannot be set from here")
         return
     tries = [("settings", study.settings)]
-    asked: list[tuple[str, Input | Required]] = [(f"inputs.{i}", one) for i, one in enumerate(study.inputs)]
-    asked += [(f"required.{i}", one) for i, one in enumerate(study.required)]
+    asked = [(f"{kind}.{i}", one) for kind in ("inputs", "required") for i, one in enumerate(getattr(study, kind))]
     for at, item in asked:
         values = list({repr(value): value for value in values_to_try(item)}.values())
         if len(values) > MOST_TRIED:

@@ -106,7 +106,5 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
 
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     """Every mistake of ``data`` with its field, each once."""
-    listed: dict[FieldMistake, None] = {}
-    for item in error.errors(include_url=False):
-        listed[mistake_of(item, field_name(item["loc"], data))] = None
-    return list(listed)[:_MOST]
+    every = error.errors(include_url=False)
+    return list(dict.fromkeys(mistake_of(item, field_name(item["loc"], data)) for item in every))[:_MOST]

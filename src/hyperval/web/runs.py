@@ -14,7 +14,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import Form, Query, Request
+from fastapi import Depends, Form, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
@@ -54,10 +54,10 @@ def run_of(request: Request, run_id: str) -> WebRun:
     ------
     Refused : there is none by that name, or it is another session's.
     """
-    try:
-        return store_of(request).run(run_id, owner_of(request))
-    except KeyError:
-        raise Refused(404, "there is no such run in this session") from None
+    return store_of(request).run(run_id, owner_of(request))
+
+
+OwnRun = Annotated[WebRun, Depends(run_of)]
 
 
 @pages.get("/runs")
@@ -80,9 +80,9 @@ def run(request: Request, run_id: str, wait: float = Query(0.0, ge=0, le=60)) ->
 
 
 @pages.get("/runs/{run_id}")
-def run_page(request: Request, run_id: str, beside: str | None = None) -> Response:
+def run_page(request: Request, run: OwnRun, beside: str | None = None) -> Response:
     """A run: its numbers and charts, or how far it is."""
-    run, store = run_of(request, run_id), store_of(request)
+    store = store_of(request)
     other = run_of(request, beside) if beside else None
     others = [r for r in store.of(run.owner, run.kind) if r.id != run.id and r.state == "finished"]
     files = files_of(store.place(run.id), run)
@@ -124,9 +124,8 @@ def files_of(place: Path, run: WebRun) -> list[str]:
 
 
 @api.get("/runs/{run_id}/charts", response_class=JSONResponse, response_model=None)
-def charts(request: Request, run_id: str, beside: str | None = None) -> Response:
+def charts(request: Request, run: OwnRun, beside: str | None = None) -> Response:
     """Charts of a prediction, beside another one where one is named, as Bokeh draws them."""
-    run = run_of(request, run_id)
     other = run_of(request, beside) if beside else None
     if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
         raise Refused(409, "charts are of predictions that have finished")
@@ -163,10 +162,10 @@ def file(request: Request, run_id: str, name: str) -> Response:
 
 
 @pages.post("/runs/{run_id}/cancel")
-def run_cancel(request: Request, run_id: str) -> Response:
+def run_cancel(request: Request, run: OwnRun) -> Response:
     """Call a run off."""
-    store_of(request).cancel(run_of(request, run_id))
-    return RedirectResponse(f"/runs/{run_id}", status_code=303)
+    store_of(request).cancel(run)
+    return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
 @api.post("/runs/{run_id}/cancel")
@@ -177,16 +176,15 @@ def cancel(request: Request, run_id: str) -> RunAnswer:
 
 
 @pages.post("/runs/{run_id}/remove")
-def run_remove(request: Request, run_id: str) -> Response:
+def run_remove(request: Request, run: OwnRun) -> Response:
     """Forget a run."""
-    remove(request, run_id)
+    remove(request, run)
     return RedirectResponse("/runs", status_code=303)
 
 
 @api.delete("/runs/{run_id}", status_code=204, response_model=None)
-def remove(request: Request, run_id: str) -> None:
+def remove(request: Request, run: OwnRun) -> None:
     """Forget a run of this session that has ended, and its files."""
-    run = run_of(request, run_id)
     if run.state not in ENDED:
         raise Refused(409, "it still runs: cancel it first")
     if run.owner == EVERYBODY:
@@ -280,9 +278,8 @@ def maps_of(place: Path) -> list[str]:
 
 
 @pages.get("/runs/{run_id}/map")
-def map_page(request: Request, run_id: str, name: str | None = None) -> Response:
+def map_page(request: Request, run: OwnRun, name: str | None = None) -> Response:
     """A score map with a threshold to move."""
-    run = run_of(request, run_id)
     maps = maps_of(store_of(request).place(run.id))
     if not maps or (name is not None and name not in maps):
         raise Refused(404, "this run has no such score map")
@@ -290,9 +287,8 @@ def map_page(request: Request, run_id: str, name: str | None = None) -> Response
 
 
 @pages.get("/runs/{run_id}/map.json")
-def map_data(request: Request, run_id: str, name: str) -> Response:
+def map_data(request: Request, run: OwnRun, name: str) -> Response:
     """A score map, 16 bits a pixel, with the measured curves that go with it."""
-    run = run_of(request, run_id)
     if name not in maps_of(store_of(request).place(run.id)):
         raise Refused(404, [FieldMistake("name", "this run has no such score map")])
     path = store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name)
@@ -301,10 +297,9 @@ def map_data(request: Request, run_id: str, name: str) -> Response:
 
 @pages.get("/runs/{run_id}/pixel.json")
 def pixel_data(
-    request: Request, run_id: str, line: int = Query(ge=0, lt=1_000_000), sample: int = Query(ge=0, lt=1_000_000)
+    request: Request, run: OwnRun, line: int = Query(ge=0, lt=1_000_000), sample: int = Query(ge=0, lt=1_000_000)
 ) -> Response:
     """The chart of a pixel's spectrum beside the predicted ones."""
-    run = run_of(request, run_id)
     if run.kind != "validation":
         raise Refused(409, "spectra of pixels stand beside predictions, which a validation has")
     known = known_campaigns(request).get(run.name)

@@ -228,8 +228,6 @@ class Runs:
 
     def place(self, run_id: str) -> Path:
         """The folder of a run."""
-        if not _ID.fullmatch(run_id):
-            raise KeyError(run_id)
         return self.folder / "runs" / run_id
 
     def _known(self, place: Path) -> WebRun | None:
@@ -249,11 +247,11 @@ class Runs:
 
         Raises
         ------
-        KeyError : there is none, or it is another session's.
+        Refused : there is none by that name, or it is another session's.
         """
-        run = self._known(self.place(run_id))
+        run = self._known(self.place(run_id)) if _ID.fullmatch(run_id) else None
         if run is None or run.owner not in (owner, EVERYBODY):
-            raise KeyError(run_id)
+            raise Refused(404, "there is no such run in this session")
         return run
 
     def of(self, owner: str, kind: str | None = None) -> list[WebRun]:
@@ -356,10 +354,9 @@ class Runs:
             try:
                 place.mkdir(mode=0o700)
                 for file, source in files.items():
-                    (place / file).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copyfile(source, place / file) if isinstance(source, Path) else write_text(
-                        place / file, source
-                    )
+                    target = place / file
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copyfile(source, target) if isinstance(source, Path) else write_text(target, source)
                 self._write(run)
                 pool = self.quick if kind == "prediction" else self.long
                 self._hand((owner, run.id), pool, task, partial(self._end, run, task))
@@ -510,6 +507,7 @@ def carried_out(module: str, task: str, arguments: Mapping[str, Any]) -> Any:
 
 _TICK_S = 0.2
 _NEWS, _STOP = ".news.json", ".stop"  # in the folder of a run
+_NOWHERE = Path(os.devnull)  # of a task that has no folder: below it are no files
 _alone = threading.Lock()  # a worker of several threads has one listener, and one library that draws
 
 
@@ -518,7 +516,8 @@ class _Place:
 
     def __init__(self, at: Workers, module: str):
         self._at, self._module = at, module
-        self._folder: Path | None = None
+        self._future: Future[Any] = Future()  # of no task yet
+        self._folder = _NOWHERE
 
     def is_alive(self) -> bool:
         """The scheduler looks after its workers."""
@@ -526,12 +525,12 @@ class _Place:
 
     def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
         """Hand a task in, and wait until a worker has it."""
-        self._folder = Path(task.arguments["folder"]) if "folder" in task.arguments else None
-        for name in (_NEWS, _STOP):
-            if self._folder is not None:
+        self._folder = Path(task.arguments.get("folder", _NOWHERE))
+        with suppress(NotADirectoryError):
+            for name in (_NEWS, _STOP):
                 (self._folder / name).unlink(missing_ok=True)
         self._future = self._at.submit(run, (self._module, task.task, dict(task.arguments)))
-        while self._folder and not (self._future.done() or self._told()[0] or is_over()):
+        while self._folder != _NOWHERE and not (self._future.done() or self._told()[0] or is_over()):
             time.sleep(_TICK_S)
 
     def news(self) -> tuple[str, Any]:
@@ -547,16 +546,14 @@ class _Place:
 
     def _told(self) -> tuple[str, Any]:
         with suppress(OSError, ValueError):
-            if self._folder is not None:
-                return "progress", tuple(json.loads((self._folder / _NEWS).read_text("utf-8")))
+            return "progress", tuple(json.loads((self._folder / _NEWS).read_text("utf-8")))
         return NOTHING
 
     def end(self) -> None:
         """Call the task off."""
         self._future.cancel()
         with suppress(OSError):
-            if self._folder is not None:
-                (self._folder / _STOP).touch()
+            (self._folder / _STOP).touch()
 
 
 def run(call: tuple[str, str, Mapping[str, Any]]) -> Any:

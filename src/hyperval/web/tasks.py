@@ -67,14 +67,14 @@ def warm() -> None:
 
 
 def predict(folder: str) -> dict[str, Any]:
-    """Predict the scenario of a folder, and write what pages draw of it."""
+    """Predict the scenario of a folder, and write what pages draw of it.
+
+    Returns
+    -------
+    Bands, mean SNR, and P_D at some P_FA with 95 % limits, a row for each curve.
+    """
     draw(folder)
-    return summary(_predicted(folder))
-
-
-def summary(prediction: api.Prediction) -> dict[str, Any]:
-    """Bands, mean SNR, and P_D at some P_FA with 95 % limits, a row for each curve."""
-    rows: list[dict[str, Any]] = []
+    prediction, rows = _predicted(folder), list[dict[str, Any]]()
     for key, pfa in product(prediction.products.roc, _PFA):
         about = dict(zip(("subject", "detector", "unit"), key, strict=True))
         found = prediction.pd(pfa=pfa, **about)

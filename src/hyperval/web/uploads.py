@@ -166,7 +166,7 @@ async def uploads_page(request: Request) -> Response:
             taken = await run_in_threadpool(take_files, request, form)
         except Refused as refusal:
             given = {name: value for name, value in form.items() if isinstance(value, str)}
-            return _page(request, given, to_show(refusal), 422)
+            return _page(request, given, to_show(refusal))
     return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
 
 
@@ -182,13 +182,11 @@ def form_of(request: Request) -> AbstractAsyncContextManager[FormData]:
     return request.form(max_files=MOST_FILES, max_fields=200)
 
 
-def _page(
-    request: Request, given: Mapping[str, str], mistakes: Sequence[FieldMistake] = (), status: int = 200
-) -> Response:
+def _page(request: Request, given: Mapping[str, str], mistakes: Sequence[FieldMistake] = ()) -> Response:
     settings, own = request.app.state.settings, Uploads(request)
     errors = marked(mistakes, [mistake.field for mistake in mistakes])
     return page(
-        request, "uploads.html.j2", status=status, errors=errors, given=given, most=settings.upload_bytes,
+        request, "uploads.html.j2", errors=errors, given=given, most=settings.upload_bytes,
         has_data=settings.data is not None, sensors=library_names(),
         kept={field: own.names(field) for field in _ENDINGS},
     )  # fmt: skip
