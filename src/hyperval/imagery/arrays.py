@@ -93,17 +93,9 @@ class Store:
         """A part of a named array; InputError where it cannot be read."""
         with self.kept_open() as opened:
             try:
-                array = opened[name]
-                return np.asarray(array[selection])
+                return np.asarray(opened[name][selection])
             except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
                 raise refusal("array.unreadable", self.path, name=name, why=error) from error
-
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """Size of the blocks that an array is stored in, None when it is stored as one."""
-        with self.kept_open() as opened:
-            array: Any = opened[name]
-            own = array.chunks if isinstance(array, h5py.Dataset) else getattr(array, "encoding", {}).get("chunksizes")
-            return own or None
 
 
 def hdf5(path: Path) -> h5py.File:
@@ -321,8 +313,12 @@ class ArrayRaster(Raster):
 
     def _block(self, piece: Piece) -> dict[str, int]:
         """Size of the blocks that a piece is stored in along each axis; a line where it is not stored in blocks."""
-        chunks = self.store.chunks(piece.terms[0].name)
-        if chunks is None:
+        with self.store.kept_open() as opened:
+            array = opened[piece.terms[0].name]
+            chunks = (
+                array.chunks if isinstance(array, h5py.Dataset) else getattr(array, "encoding", {}).get("chunksizes")
+            )
+        if not chunks:
             return {"l": 1, "s": self.samples, "b": piece.size("b")}
         return {axis: chunks[piece.axes.index(axis)] if axis in piece.axes else 1 for axis in AXES}
 
