@@ -371,17 +371,13 @@ class AtmosphericState(Model):
             return self.earth_sun_distance_au
         if self.day_of_year is not None:
             return solar.distance_on_day(self.day_of_year)
-        assert self.time_utc is not None  # noqa: S101
-        return solar.earth_sun_distance_au(solar.parse_utc(self.time_utc))
+        return solar.earth_sun_distance_au(solar.parse_utc(str(self.time_utc)))
 
     @property
     def aerosol_optical_depth(self) -> float:
         """Vertical aerosol optical depth at 550 nm above the ground [1]."""
-        if self.aerosol == "none":
-            return 0.0
-        if self.aot550 is not None:
-            return self.aot550
-        assert self.meteorological_range_km is not None  # noqa: S101
+        if self.meteorological_range_km is None:
+            return self.aot550 or 0.0  # with aerosol: none there is neither
         return aot550_from_range(self.meteorological_range_km, self.ground_altitude_km)
 
     @property

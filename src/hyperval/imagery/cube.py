@@ -196,9 +196,12 @@ class Cube:
         SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
         they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
         """
+        import spectral
         from spectral.io import envi
 
-        raster, bands, gain = self.raster, _band_info(self.axis), self.gain
+        raster, bands, gain = self.raster, spectral.BandInfo(), self.gain
+        bands.centers, bands.bandwidths = self.axis.centre_nm.tolist(), self.axis.fwhm_nm.tolist()
+        bands.band_unit, bands.band_quantity = "nm", "Wavelength"
         if isinstance(raster, EnviRaster) and not (self._reordered or np.ptp(gain) or np.any(self.offset)):
             image = envi.open(str(raster.header.path), str(raster.path))
             image.scale_factor, image.bands = 1.0 / float(gain[0]), bands
@@ -575,15 +578,6 @@ def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> x
     array = array.assign_coords(spatial_ref=((), 0, attrs))
     array.attrs["grid_mapping"] = "spatial_ref"
     return array
-
-
-def _band_info(axis: SpectralAxis) -> spectral.BandInfo:
-    import spectral
-
-    bands = spectral.BandInfo()
-    bands.centers, bands.bandwidths = axis.centre_nm.tolist(), axis.fwhm_nm.tolist()
-    bands.band_unit, bands.band_quantity = "nm", "Wavelength"
-    return bands
 
 
 def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:
