@@ -318,7 +318,18 @@ def envi_writer(
         "header offset": 0, "file type": "ENVI Standard", "data type": data_type, "interleave": interleave,
         "byte order": 0,
     }  # fmt: skip
-    entries |= _georeference(transform, crs)
+    if transform is not None:
+        refuse(transform.b or transform.d or transform.a <= 0 or transform.e >= 0, "write.north_up")
+        place = f"1, 1, {transform.c!r}, {transform.f!r}, {transform.a!r}, {-transform.e!r}"
+        epsg = crs.to_epsg() if crs is not None else None
+        if epsg is not None and (32601 <= epsg <= 32660 or 32701 <= epsg <= 32760):
+            side = "North" if epsg < 32700 else "South"
+            info = f"UTM, {place}, {epsg % 100}, {side}, WGS-84, units=Meters"
+        else:
+            info = f"Arbitrary, {place}" + (", units=Meters" if crs is None or crs.is_projected else ", units=Degrees")
+        entries["map info"] = "{" + info + "}"
+        if crs is not None:
+            entries["coordinate system string"] = "{" + crs.to_wkt(version="WKT1_ESRI") + "}"
     if axis is not None:
         entries["wavelength units"] = "Nanometers"
         entries["wavelength"] = _listed(axis.centre_nm, "{!r}")
@@ -352,20 +363,3 @@ def _listed(values: npt.NDArray[Any], form: str) -> str:
     parts = [form.format(v) for v in values.tolist()]
     rows = [", ".join(parts[i : i + 8]) for i in range(0, len(parts), 8)]
     return "{\n " + ",\n ".join(rows) + "}"
-
-
-def _georeference(transform: Affine | None, crs: CRS | None) -> dict[str, str]:
-    if transform is None:
-        return {}
-    refuse(transform.b or transform.d or transform.a <= 0 or transform.e >= 0, "write.north_up")
-    place = f"1, 1, {transform.c!r}, {transform.f!r}, {transform.a!r}, {-transform.e!r}"
-    epsg = crs.to_epsg() if crs is not None else None
-    if epsg is not None and (32601 <= epsg <= 32660 or 32701 <= epsg <= 32760):
-        side = "North" if epsg < 32700 else "South"
-        info = f"UTM, {place}, {epsg % 100}, {side}, WGS-84, units=Meters"
-    else:
-        info = f"Arbitrary, {place}" + (", units=Meters" if crs is None or crs.is_projected else ", units=Degrees")
-    out = {"map info": "{" + info + "}"}
-    if crs is not None:
-        out["coordinate system string"] = "{" + crs.to_wkt(version="WKT1_ESRI") + "}"
-    return out

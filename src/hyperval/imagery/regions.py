@@ -329,13 +329,12 @@ def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
     return {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
 
 
-def _xml_pairs(element: ElementTree.Element, where: str) -> list[list[float]]:
+def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
     text = " ".join(part.text or "" for part in element.iter("Coordinates"))
     values = np.array([number_of(v) for v in text.split()])
     refuse(np.isnan(values).any(), "roi.coordinates", where)
     refuse(values.size == 0 or values.size % 2, "roi.pairs", where, count=values.size)
-    pairs: list[list[float]] = values.reshape(-1, 2).tolist()
-    return pairs
+    return values.reshape(-1, 2)
 
 
 def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
