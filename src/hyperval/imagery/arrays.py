@@ -176,19 +176,14 @@ def _two_fills() -> AbstractContextManager[Any]:
 
 def check_own_values(path: Path) -> None:
     """Raise InputError where an HDF5 file leads to others: external links, external or virtual arrays."""
-    foreign: list[str] = []  # an error raised by a visitor would be lost in the library
 
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.ExternalLink) or (
-            isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
-        ):
-            foreign.append(name)
+    def foreign(name: str, item: Any) -> str | None:  # an error that it raises would be lost in the library
+        elsewhere = isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
+        return name if elsewhere or isinstance(item, h5py.ExternalLink) else None
 
     with Store(path, hdf5).kept_open() as file, _readable(path, "HDF5"):
-        file.visititems_links(visit)
-        file.visititems(visit)
-    if foreign:
-        raise refusal("array.foreign", path, name=foreign[0])
+        found = file.visititems_links(foreign) or file.visititems(foreign)
+    refuse(found, "array.foreign", path, name=found)
 
 
 # The image in its arrays --------------------------------------------------------------------------------------------

@@ -262,11 +262,9 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     two, second = factor not in (None, 1.0) and (name or quantity == "radiance"), name or "a radiance"
     key = "reflectance scale factor"
     refuse(two, "scale.two", header.where(key), first=f"{key!r}", second=second)
-    if name:
-        return [Scale(1.0 if gain is None else gain, 0.0 if offset is None else offset, name)]
-    if factor is not None and quantity == "reflectance":
+    if factor is not None and quantity == "reflectance" and not name:
         return [Scale(1.0 / factor, 0.0, f"stored values / {factor:g} (reflectance scale factor)")]
-    return []
+    return [Scale(1.0 if gain is None else gain, 0.0 if offset is None else offset, name)]
 
 
 def wavelengths_in_names(names: Sequence[str]) -> tuple[Array, str | None] | None:

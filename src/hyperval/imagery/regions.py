@@ -617,16 +617,6 @@ def _reader_of(path: Path) -> Callable[[Path, ImageGrid], Drawn]:
     return csv_regions
 
 
-def drawings_of(path: Path, grid: ImageGrid) -> dict[str, list[Part]]:
-    """What a file of regions draws, by name; features of one name are one region, other regions of one name refused."""
-    drawings: dict[str, list[Part]] = {}
-    regions = _reader_of(path)
-    for name, where, parts in regions(path, grid):
-        refuse(name in drawings and regions not in (geojson_regions, vector_regions), "roi.twice", where, name=name)
-        drawings.setdefault(name, []).extend(_checked_part(part, grid.shape, where) for part in parts)
-    return drawings
-
-
 @dataclass(frozen=True, eq=False)
 class Region:
     """A named set of pixels.
@@ -697,8 +687,12 @@ def read_regions(
     InputError : missing, unreadable, empty, wholly outside the image, or made for an image of another size.
     UsageError : unknown format, or ``coordinates`` not stated.
     """
-    path = checked_file(path, what="region file")
-    drawn = drawings_of(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field))
+    path, drawn = checked_file(path, what="region file"), dict[str, list[Part]]()
+    regions = _reader_of(path)
+    for name, where, parts in regions(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field)):
+        # Features of one name are one region.
+        refuse(name in drawn and regions not in (geojson_regions, vector_regions), "roi.twice", where, name=name)
+        drawn.setdefault(name, []).extend(_checked_part(part, cube_shape, where) for part in parts)
     refuse(not drawn, "region.none", path)
     wanted = {n: made for n, made in drawn.items() if any(n == p or fnmatchcase(n, p) for p in patterns)} or drawn
     return {name: _drawn(name, parts, cube_shape, path, touched=touched) for name, parts in wanted.items()}
