@@ -30,8 +30,8 @@ from hyperval.imagery.description import (
     Scale,
     equals,
     given_bands,
+    ignore_in_type,
     some_lines,
-    usable_pixels,
 )
 from hyperval.imagery.envi import EnviRaster, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
@@ -299,9 +299,26 @@ class Cube:
         return values
 
     def _usable(self, stored: npt.NDArray[Any], needed: Mask | None) -> Mask:
-        """Which pixels (...) of stored numbers (B, ...) hold data."""
-        zero_is_fill = self.quantity != "other"
-        return usable_pixels(stored, ignore=self.ignore_value, zero_is_fill=zero_is_fill, needed=needed)
+        """Which pixels (...) of stored numbers (B, ...) hold data.
+
+        None where a ``needed`` band (B,), by default any, holds the ignore value or is not finite, or where every band
+        is stored as 0, which but for "other" is fill.
+        """
+        usable, ignore = np.ones(stored.shape[1:], bool), self.ignore_value
+        some = slice(None) if needed is None or needed.all() else needed
+        if ignore is not None and ignore_in_type(stored.dtype, ignore) is not None:
+            usable &= ~equals(stored[some], ignore).any(axis=0)
+        if stored.dtype.kind == "f":
+            usable &= np.isfinite(stored[some]).all(axis=0)
+        if self.quantity != "other":
+            # Few pixels hold a 0 in each of three bands; only those are looked at in full.
+            dark = stored[-1] == 0
+            for band in (0, stored.shape[0] // 2):
+                if not dark.any():
+                    return usable
+                dark &= stored[band] == 0
+            usable[dark] &= stored[:, dark].any(axis=0)
+        return usable
 
 
 def _checked(cube: Cube) -> Cube:

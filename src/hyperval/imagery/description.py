@@ -1,7 +1,7 @@
 """What the files of an image say of it, and what is taken from that: bands, unit and scale, no data.
 
 Every reader hands on a :class:`Raster`: stored numbers with a :class:`Description`.  Here alone it is decided which
-wavelengths, which unit and which scale an image has, and which of its pixels hold data.  Entries without a standard
+wavelengths, which unit and which scale an image has, and which stored number means no data.  Entries without a standard
 (level of processing, shift of the wavelengths, time of the flight) change no number; they go into the notes.
 """
 
@@ -477,35 +477,6 @@ def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
     if float(ignore) == float(limits.max):  # as a float, the largest 64-bit number is the next power of two
         return dtype.type(limits.max)
     return dtype.type(int(ignore)) if limits.min <= int(ignore) <= limits.max else None
-
-
-def usable_pixels(
-    stored: npt.NDArray[Any], *, ignore: float | None, zero_is_fill: bool, needed: Mask | None = None
-) -> Mask:
-    """Pixels (lines, samples) of stored values (B, lines, samples) that can be used.
-
-    A pixel is not usable where a needed band holds the ignore value or is not finite, or where every band is
-    stored as 0 and ``zero_is_fill``.
-
-    Parameters
-    ----------
-    needed : (B,) bands that must hold data; all by default
-    """
-    usable = np.ones(stored.shape[1:], bool)
-    some = slice(None) if needed is None or needed.all() else needed
-    if ignore is not None and ignore_in_type(stored.dtype, ignore) is not None:
-        usable &= ~equals(stored[some], ignore).any(axis=0)
-    if stored.dtype.kind == "f":
-        usable &= np.isfinite(stored[some]).all(axis=0)
-    if zero_is_fill:
-        # Few pixels hold a 0 in each of three bands; only those are looked at in full.
-        dark = stored[-1] == 0
-        for band in (0, stored.shape[0] // 2):
-            if not dark.any():
-                return usable
-            dark &= stored[band] == 0
-        usable[dark] &= stored[:, dark].any(axis=0)
-    return usable
 
 
 def record(raster: Raster) -> list[tuple[str, str, str]]:

@@ -492,14 +492,10 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     details = [d if isinstance(d, dict) else {} for d in raster] if isinstance(raster, list) else []
     details = details if len(details) == bands else [{}] * bands
 
-    def column(*names: str, default: float | None = None) -> list[float] | None:
-        out = []
-        for band, detail in zip(listed, details, strict=True):
-            value = next((d[n] for n in names for d in (band, detail) if d.get(n) is not None), default)
-            if not isinstance(value, int | float):
-                return None
-            out.append(float(value))
-        return out
+    def column(*names: str, default: float | None = None) -> Array | None:
+        each = zip(listed, details, strict=True)
+        values = [next((d[n] for n in names for d in of_band if d.get(n) is not None), default) for of_band in each]
+        return np.array(values, float) if all(isinstance(value, int | float) for value in values) else None
 
     centre = column("eo:center_wavelength", "center_wavelength")
     if centre is None:
@@ -511,12 +507,12 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     width = column("eo:full_width_half_max", "full_width_half_max")
     said = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
     quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in said else None
-    gain, offset = column("raster:scale", "scale", default=1.0), column("raster:offset", "offset", default=0.0)
+    gain, offset = (column(f"raster:{n}", n, default=v) for n, v in (("scale", 1.0), ("offset", 0.0)))
     nodata = {d.get("nodata") for d in (*listed, *details, asset) if isinstance(d.get("nodata"), int | float)}
     return Description(
         product="STAC item",
-        bands=ListedBands(np.array(centre), None if width is None else np.array(width), "um"),  # as eo defines it
-        scale=Scale(1.0 if gain is None else np.array(gain), np.array(offset or 0.0), "scale of the STAC item"),
+        bands=ListedBands(centre, width, "um"),  # as eo defines it
+        scale=Scale(1.0 if gain is None else gain, 0.0 if offset is None else offset, "scale of the STAC item"),
         quantity=quantity,
         unit=unit if quantity == "radiance" else None,
         sensor=sensor,
