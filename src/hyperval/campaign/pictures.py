@@ -165,7 +165,7 @@ def _some_pixels(cube: Cube, bands: list[int], step: int) -> npt.NDArray[Any]:
     out = np.empty((len(lines), len(samples), len(bands)), np.float32)
     # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
     together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
-    with cube.kept_open():
+    with cube.raster.kept_open():
         for row, line in enumerate(lines):
             if line % together == 0:
                 part = cube.read_some_bands(line, min(together, cube.lines - line), bands)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -136,11 +136,6 @@ class Cube:
         return self.samples * self.raster.bands * self.dtype.itemsize
 
     @property
-    def threads(self) -> int | None:
-        """Threads of a pass: one where arrays of a file are read, which goes one by one; None as many as cores."""
-        return 1 if self.raster.in_blocks else None
-
-    @property
     def gain(self) -> Array:
         """(B,) value of a stored 1 less that of a stored 0, in the bands of the axis."""
         return np.asarray(self.scaling.gain, float)[self.stored_band]
@@ -164,11 +159,6 @@ class Cube:
     def pixel_area_m2(self) -> float | None:
         """Ground area of a pixel [m2], None when the map unit is unknown."""
         return pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
-
-    @property
-    def source_files(self) -> tuple[Path, ...]:
-        """The files that were read."""
-        return self.raster.source_files
 
     def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
         """The lines ``first_line`` to ``first_line + count - 1``."""
@@ -226,10 +216,6 @@ class Cube:
         lazy, about = indexing.LazilyIndexedArray(_lazy_cube(self)), {"units": self.unit, "quantity": self.quantity}
         values = xr.Variable(("line", "sample", "wavelength"), lazy, about)
         return _placed(xr.DataArray(values, coords, name=self.quantity), self.transform, self.crs)
-
-    def kept_open(self) -> AbstractContextManager[object]:
-        """Inside, an ENVI file is opened once for all reads."""
-        return self.raster.kept_open()
 
     def read_stored(
         self, first_line: int, count: int, needed: Mask | None = None, buffer: npt.NDArray[Any] | None = None
