@@ -610,12 +610,11 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
 
 def _run_all(decks: list[str], folder: Path, what: str) -> list[str]:
     """Outputs of all decks in their order; one process per processor at a time."""
-    with ThreadPoolExecutor(max_workers=cpu_count() or 1) as pool:
-        try:
-            return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks)))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
-            raise
+    pool = ThreadPoolExecutor(max_workers=cpu_count() or 1)
+    try:
+        return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks)))
+    finally:
+        pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
 
 
 def _aerosol_card(aerosol: AerosolMix | str) -> str:

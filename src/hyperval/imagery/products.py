@@ -56,7 +56,7 @@ def layouts() -> ProductLayout:
 
 @dataclass(frozen=True)
 class ProductTree:
-    """What the references of a layout mean in one opened file; ``layout`` is None where it has none that is known."""
+    """What the references of a layout mean in one opened file."""
 
     file: h5py.File
     path: Path
