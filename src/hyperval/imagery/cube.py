@@ -241,17 +241,6 @@ class Cube:
 
     def marked_pixels(self, where: Where) -> tuple[Array, Mask]:
         """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""
-        rows, cols = self._index(where)
-        stored = self.raster.read_pixels(rows, cols)
-        return self._physical(stored, np.dtype(np.float64))
-
-    @property
-    def _reordered(self) -> bool:
-        """Whether the bands of the axis are not all of the stored bands in their order."""
-        order = self.stored_band
-        return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
-
-    def _index(self, where: Where) -> tuple[Index, Index]:
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
             if rows.shape != cols.shape or rows.ndim != 1 or rows.dtype.kind + cols.dtype.kind not in _WHOLE:
@@ -259,12 +248,19 @@ class Cube:
             if not np.all((rows >= 0) & (rows < self.lines) & (cols >= 0) & (cols < self.samples)):
                 given = {"top": rows.min(), "bottom": rows.max(), "left": cols.min(), "right": cols.max()}
                 raise refusal("cube.outside", last_line=self.lines - 1, last_sample=self.samples - 1, **given)
-            return rows.astype(np.intp), cols.astype(np.intp)
-        mask = np.asarray(where)
-        if mask.dtype != bool or mask.shape != self.shape:
-            raise refusal("cube.mask", dtype=mask.dtype, shape=mask.shape, cube=self.shape)
-        rows, cols = np.nonzero(mask)
-        return rows, cols
+        else:
+            mask = np.asarray(where)
+            if mask.dtype != bool or mask.shape != self.shape:
+                raise refusal("cube.mask", dtype=mask.dtype, shape=mask.shape, cube=self.shape)
+            rows, cols = np.nonzero(mask)
+        stored = self.raster.read_pixels(rows.astype(np.intp, copy=False), cols.astype(np.intp, copy=False))
+        return self._physical(stored, np.dtype(np.float64))
+
+    @property
+    def _reordered(self) -> bool:
+        """Whether the bands of the axis are not all of the stored bands in their order."""
+        order = self.stored_band
+        return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
 
     def _physical(self, stored: npt.NDArray[Any], dtype: np.dtype) -> tuple[npt.NDArray[Any], Mask]:
         """Values (..., B) in the bands of the axis, and which pixels (...) are valid."""
