@@ -209,7 +209,12 @@ class Description:
             raise refusal("bands.width", at["fwhm"], band=band + 1, width=width[band] / to_nm)
         if width is not None and (np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM):
             raise refusal("bands.widths", at["fwhm"], least=width.min(), most=width.max(), unit=unit)
-        order = _order(centre, sort_bands or self.sorts, at["wavelength"])
+        falls, same = np.flatnonzero(np.diff(centre) <= 0), np.unique(centre).size < centre.size
+        if falls.size and (same or not (sort_bands or self.sorts)):
+            i = int(falls[0])
+            pair = {"second": i + 2, "second_nm": centre[i + 1], "first": i + 1, "first_nm": centre[i]}
+            raise refusal("bands.same" if same else "bands.order", at["wavelength"], **pair)
+        order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
         if width is None:
@@ -294,17 +299,6 @@ def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str)
         return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (note,))
     refuse(len(axis) != count, "bands.given", where, given=len(axis), count=count)
     return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
-
-
-def _order(centre: Array, sort_bands: bool, where: str) -> Index:
-    """The bands [nm] of a file in increasing wavelength; InputError where they have to be sorted and must not."""
-    falls = np.flatnonzero(np.diff(centre) <= 0)
-    same = np.unique(centre).size < centre.size
-    if falls.size and (same or not sort_bands):
-        at = int(falls[0])
-        pair = {"second": at + 2, "second_nm": centre[at + 1], "first": at + 1, "first_nm": centre[at]}
-        raise refusal("bands.same" if same else "bands.order", where, **pair)
-    return np.argsort(centre, kind="stable")
 
 
 def _spacing_by_detector(centre: Array) -> Array:

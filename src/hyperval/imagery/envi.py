@@ -252,7 +252,15 @@ class EnviWriter:
         ------
         UsageError : wrong shape, more lines than announced, values that do not fit the stored type.
         """
-        header, stored = self.header, self._stored(np.asarray(block))
+        header, values = self.header, np.asarray(block)
+        if header.dtype.kind != "f":
+            if values.dtype.kind == "f":
+                refuse(self.ignore is None and not np.isfinite(values).all(), "write.not_finite")
+                values = np.rint(np.where(np.isfinite(values), values, self.ignore or 0.0))
+            limits = np.iinfo(header.dtype)
+            if values.size and (values.min() < limits.min or values.max() > limits.max):
+                raise refusal("write.range", least=values.min(), most=values.max(), dtype=header.dtype.name)
+        stored = values.astype(header.dtype)
         if stored.ndim != 3 or stored.shape[1:] != (header.samples, header.bands):
             raise refusal("write.shape", shape=stored.shape, samples=header.samples, bands=header.bands)
         refuse(self.lines_written + len(stored) > header.lines, "write.many", lines=header.lines)
@@ -265,18 +273,6 @@ class EnviWriter:
             self.stream.seek(header.header_offset + row * header.samples * header.dtype.itemsize)
             self.stream.write(np.ascontiguousarray(values).tobytes())
         self.lines_written += len(stored)
-
-    def _stored(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        dtype = self.header.dtype
-        if dtype.kind == "f":
-            return values.astype(dtype)
-        if values.dtype.kind == "f":
-            refuse(self.ignore is None and not np.isfinite(values).all(), "write.not_finite")
-            values = np.rint(np.where(np.isfinite(values), values, self.ignore or 0.0))
-        limits = np.iinfo(dtype)
-        if values.size and (values.min() < limits.min or values.max() > limits.max):
-            raise refusal("write.range", least=values.min(), most=values.max(), dtype=dtype.name)
-        return values.astype(dtype)
 
 
 @contextmanager
