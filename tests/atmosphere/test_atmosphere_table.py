@@ -145,7 +145,7 @@ def test_runs_on_a_grid_or_a_star_are_exact_where_their_scales_are_and_travel_to
     truth = lambda a, o: np.exp(-0.8 * a - 0.5 * a**2 - 0.4 * o)  # noqa: E731
     axes = {"aot550": np.array([0.1, 0.05, 0.2]), "ozone_atm_cm": np.array([0.3, 0.25])}
     nodes = [truth(*x) for x in ((0.1, 0.3), (0.05, 0.3), (0.2, 0.3), (0.1, 0.25))]
-    star = air.interpolated_terms(axes, runs(*nodes), star=True, bounded=False)
+    star = air.interpolated_terms(axes, runs(*nodes), star=True)
     a, o = np.array([0.1, 0.13, 0.25]), np.array([0.3, 0.28, 0.33])  # the last one beyond the nodes
     np.testing.assert_allclose(star({"aot550": a, "ozone_atm_cm": o}).direct[:, 0], truth(a, o), rtol=1e-12)
 

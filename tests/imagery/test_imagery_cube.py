@@ -185,7 +185,7 @@ def test_sidecars_of_an_envi_cube_are_not_read(cube_file, values):
     cube = open_cube(cube_file, quantity="reflectance")
     assert np.allclose(cube.read(0, 6).values, values, atol=1e-15)
     assert (cube.ignore_value, cube.transform) == (None, None)
-    assert {p.name for p in cube.source_files} == {"cube.img", "cube.hdr"}
+    assert {p.name for p in cube.raster.source_files} == {"cube.img", "cube.hdr"}
 
 
 # Scale and no data ------------------------------------------------------------------------------
@@ -298,7 +298,7 @@ def test_position_and_further_entries_are_written_and_read_as_rasterio_reads_the
     cube = open_cube(path, quantity="reflectance")
     assert cube.raster.description.entries.items() >= extra.items()
     assert cube.description == "flight line 3"
-    assert [p.name for p in cube.source_files] == ["p.img", "p.hdr"]
+    assert [p.name for p in cube.raster.source_files] == ["p.img", "p.hdr"]
     with pytest.raises(UsageError, match="north-up"):
         write_cube(tmp_path / "turned.img", values, transform=Affine.rotation(30))
     assert (cube.transform, cube.crs, cube.pixel_area_m2) == (NORTH_UP, UTM18, pytest.approx(2.25))
@@ -555,7 +555,7 @@ def test_aviris_classic_is_divided_by_its_gain_file(tmp_path):
     cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", sort_bands=True)
     expected = (stored / [300.0, 300.0, 600.0, 600.0, 1200.0])[..., [0, 1, 3, 2, 4]]
     np.testing.assert_allclose(cube.read(0, 2).values, expected, rtol=1e-12)
-    assert cube.source_files[-1].name == "f130612t01p00r10rdn_e.gain"
+    assert cube.raster.source_files[-1].name == "f130612t01p00r10rdn_e.gain"
     assert any("f130612t01p00r10rdn_e.gain" in note for note in cube.notes)
     stated = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=1e-3, sort_bands=True)
     np.testing.assert_allclose(stated.read(0, 2).values[..., 0], stored[..., 0] * 1e-3, rtol=1e-12)

@@ -144,7 +144,7 @@ def test_other_sidecars_of_a_geotiff_are_not_read(placed, axis, values):
     assert np.allclose(cube.read(0, 6).values, values, atol=1e-15)
     assert cube.read(0, 6).valid.all()
     assert cube.transform == Affine(2, 0, 3e5, 0, -2, 47e5)
-    assert {p.name for p in cube.source_files} == {"t.tif"}
+    assert {p.name for p in cube.raster.source_files} == {"t.tif"}
 
 
 def test_damaged_files_other_containers_and_a_header_of_another_size(tmp_path, placed, cube_file):

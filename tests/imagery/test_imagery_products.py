@@ -246,7 +246,7 @@ def test_enmap_and_desis_by_their_metadata(tmp_path, sensor, level, factor, name
     gain, offset = shells.scale_of(level, sensor)
     want = factor * (gain[:, None, None] * stored + offset[:, None, None])
     assert np.allclose(values_of(cube), want[[0, 1, 3, 2]].transpose(1, 2, 0), rtol=1e-12, equal_nan=True)
-    assert {p.name for p in cube.source_files} == {image.name, metadata.name}
+    assert {p.name for p in cube.raster.source_files} == {image.name, metadata.name}
     assert cube.raster.description.entries["sensor"] == sensor
 
 

@@ -160,27 +160,26 @@ class InterpolatedTerms:
     values : term -> (runs, B), of transmittances the logarithm; on a star the run at all first nodes, then the other
         nodes input by input
     pattern : gives what is not interpolated
-    star : whether the runs are a star
-    bounded : whether a state outside the nodes is refused
+    star : whether the runs are a star, beyond whose nodes the outermost piece goes on; on a grid a state outside them
+        is refused
     """
 
     axes: Mapping[str, Array]
     values: Mapping[str, Array]
     pattern: AtmosphericTerms
     star: bool = False
-    bounded: bool = True
 
     def __call__(self, columns: Columns) -> AtmosphericTerms:
         """Terms (n, B) at the values (n,) of each input.
 
         Raises
         ------
-        UsageError : a value outside the nodes of a bounded table.
+        UsageError : a value outside the nodes of a grid.
         """
         parts = []
         for name, nodes in self.axes.items():
             x = np.atleast_1d(np.asarray(columns[name], dtype=float))
-            x = inside(f"atmosphere.{name}", nodes, x) if self.bounded else x
+            x = x if self.star else inside(f"atmosphere.{name}", nodes, x)
             parts.append(node_weights(nodes, x, smooth_rule(name)))
         joint = _star(parts) if self.star else reduce(_crossed, parts)
         terms: dict[str, Any] = {name: joint @ values for name, values in self.values.items()}
@@ -200,12 +199,12 @@ def _star(parts: Sequence[Array]) -> Array:
 
 
 def interpolated_terms(
-    axes: Mapping[str, Array], runs: Sequence[AtmosphericTerms], *, star: bool = False, bounded: bool = True
+    axes: Mapping[str, Array], runs: Sequence[AtmosphericTerms], *, star: bool = False
 ) -> InterpolatedTerms:
     """Interpolation between ``runs`` of an engine at the nodes of a grid or a star (see :class:`InterpolatedTerms`)."""
     values = {name: np.stack([getattr(t, name) for t in runs]) for name in runs[0].spectra()}
     values |= {name: np.log(np.maximum(v, _LEAST)) for name, v in values.items() if name not in AS_THEY_ARE}
-    return InterpolatedTerms(axes, values, runs[0], star, bounded)
+    return InterpolatedTerms(axes, values, runs[0], star)
 
 
 _LEAST_TERM = 1e-12  # of a term of which a logarithm or a ratio is taken [1]

@@ -374,7 +374,10 @@ def assembled(
     mu0, mu_v = setting.cosines
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
     value = {name: _log_log(values, GRID_NM) for name, values in node.items()}
-    molecules, haze = _whole_air(state, setting, value), value.get("depth_aerosol", np.zeros(GRID_NM.size))
+    molecules, haze = value["depth_rayleigh"], value.get("depth_aerosol", np.zeros(GRID_NM.size))
+    if setting.height_km is not None:  # from the ground to space: the part below the sensor over its share
+        model, ground = standard_profile(state.model), setting.ground_km
+        molecules = molecules / (1.0 - air_column(model, ground + setting.height_km) / air_column(model, ground))
     beam = np.exp(-(molecules + haze / state.aerosol_fraction_below) / mu0)
     direct_up = np.exp(-(value["depth_rayleigh"] + haze) / mu_v)
     diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
@@ -406,15 +409,6 @@ def assembled(
             "state": state.model_dump(mode="json"),
         },
     )
-
-
-def _whole_air(state: AtmosphericState, setting: Setting, value: Arrays) -> Array:
-    """Scattering optical depth of the molecules from the ground to space: the part below the sensor over its share."""
-    if setting.height_km is None:
-        return value["depth_rayleigh"]
-    model, ground = standard_profile(state.model), setting.ground_km
-    below = 1.0 - air_column(model, ground + setting.height_km) / air_column(model, ground)
-    return np.asarray(value["depth_rayleigh"] / below)
 
 
 def in_standard_air(state: AtmosphericState, setting: Setting) -> Setting:
@@ -610,12 +604,11 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
 
 def _run_all(decks: list[str], folder: Path, what: str) -> list[str]:
     """Outputs of all decks in their order; one process per processor at a time."""
-    with ThreadPoolExecutor(max_workers=cpu_count() or 1) as pool:
-        try:
-            return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks)))
-        except BaseException:
-            pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
-            raise
+    pool = ThreadPoolExecutor(max_workers=cpu_count() or 1)
+    try:
+        return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks)))
+    finally:
+        pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
 
 
 def _aerosol_card(aerosol: AerosolMix | str) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from datetime import UTC, datetime, timedelta
 from functools import lru_cache
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -72,11 +73,9 @@ def _algorithm() -> Any:
 
     That loads pandas and twenty parts of SciPy, half of the time of a prediction.
     """
-    spec = spec_from_file_location("pvlib.spa", installed_file("pvlib", "spa.py"))
-    assert spec is not None  # noqa: S101
-    assert spec.loader is not None  # noqa: S101
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
+    loader = SourceFileLoader("pvlib.spa", str(installed_file("pvlib", "spa.py")))
+    module = ModuleType(loader.name)
+    loader.exec_module(module)
     return module
 
 

@@ -327,14 +327,11 @@ class AtmosphericState(Model):
         by_angles = has & {*_ANGLES, *_DATES}
         lacking = [name for name in (_ANGLES if by_angles else _PLACE) if name not in has]
         needs = "both angles" if by_angles else f"{', '.join(_PLACE[:2])} and {_PLACE[2]}, or {' and '.join(_ANGLES)}"
-        clear, clash = self.aerosol == "none", ", ".join(sorted(has & set(_PLACE)))
+        clear, tabled, clash = self.aerosol == "none", self.engine == "table", ", ".join(sorted(has & set(_PLACE)))
         ground, sensor, alone = self.ground_altitude_km, self.sensor_altitude_km, "only the engine sixs takes it"
         exponent, share, given = "angstrom_exponent", "aerosol_share_below", "both are" if amounts else "neither is"
         for wrong, said in (
-            (
-                (self.engine == "table") != ("table" in has),
-                "engine: table needs the field table, and no other engine takes it",
-            ),
+            (tabled != ("table" in has), "engine: table needs the field table, and no other engine takes it"),
             (clear and amounts, f"aerosol: none takes no {' or '.join(amounts)}"),
             (not clear and len(amounts) != 1, f"give exactly one of aot550 and meteorological_range_km: {given} given"),
             (exponent in has and "aot550" not in has, f"{exponent} needs aot550, the depth that it starts from"),
@@ -371,17 +368,13 @@ class AtmosphericState(Model):
             return self.earth_sun_distance_au
         if self.day_of_year is not None:
             return solar.distance_on_day(self.day_of_year)
-        assert self.time_utc is not None  # noqa: S101
-        return solar.earth_sun_distance_au(solar.parse_utc(self.time_utc))
+        return solar.earth_sun_distance_au(solar.parse_utc(str(self.time_utc)))
 
     @property
     def aerosol_optical_depth(self) -> float:
         """Vertical aerosol optical depth at 550 nm above the ground [1]."""
-        if self.aerosol == "none":
-            return 0.0
-        if self.aot550 is not None:
-            return self.aot550
-        assert self.meteorological_range_km is not None  # noqa: S101
+        if self.meteorological_range_km is None:
+            return self.aot550 or 0.0  # with aerosol: none there is neither
         return aot550_from_range(self.meteorological_range_km, self.ground_altitude_km)
 
     @property

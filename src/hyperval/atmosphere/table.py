@@ -47,8 +47,7 @@ _LONG_NAMES = {
     "gas": "two-way gas transmittance",
     "diffuse": "diffuse fraction of the irradiance of black ground",
 }
-*QUANTITIES, _DIFFUSE = _LONG_NAMES
-OPTIONAL = (_DIFFUSE,)
+*QUANTITIES, _ = _LONG_NAMES  # the last one may lack
 AEROSOL_RULE = None  # all quantities together
 _MONOTONE, _CUBIC, _STRAIGHT = Rule("monotone"), Rule("cubic"), Rule("linear")
 # Rule of each axis, and by how much a state may miss a value that the table holds only once.
@@ -102,7 +101,7 @@ class AtmosphericTable:
             rising = nodes.ndim == 1 and nodes.size > 1 and np.all(np.diff(nodes) > 0) and np.all(np.isfinite(nodes))
             refuse(not rising, "table.nodes", name=name, nodes=nodes.tolist())
         refuse(nm.size < 2 or np.any(np.diff(nm) <= 0), "table.wavelengths")
-        for name in (*QUANTITIES, *(n for n in OPTIONAL if n in self.quantities)):
+        for name in (n for n in _LONG_NAMES if n in (*QUANTITIES, *self.quantities)):
             refuse(name not in self.quantities, "table.missing", name=name)
             values = self.quantities[name]
             refuse(values.shape != shape, "table.shape", name=name, found=values.shape, wanted=shape)
@@ -249,7 +248,7 @@ def write_table(table: AtmosphericTable, path: Path) -> None:
     """Write a table as NetCDF, whole or not at all; the same table gives the same bytes."""
     import xarray as xr  # 80 MB with pandas, which most runs do not need
 
-    dims, names = (*table.axes, "wavelength_nm"), [n for n in (*QUANTITIES, *OPTIONAL) if n in table.quantities]
+    dims, names = (*table.axes, "wavelength_nm"), [n for n in _LONG_NAMES if n in table.quantities]
     columns = {name: getattr(table, name) for name in _COLUMNS if getattr(table, name) is not None}
     records = {
         "fixed": table.fixed,
@@ -294,7 +293,7 @@ def _table_of(data: xr.Dataset, path: str) -> AtmosphericTable:
     missing = ", ".join(name for name in QUANTITIES if name not in data.variables)
     why, names = f"lacks {missing}" if missing else "another format", ", ".join(QUANTITIES)
     refuse(missing or data.attrs.get("format") != _FORMAT, "table.form", path, why=why, form=_FORMAT, names=names)
-    present = [name for name in (*QUANTITIES, *OPTIONAL) if name in data.variables]
+    present = [name for name in _LONG_NAMES if name in data.variables]
     total = sum(int(np.prod(data[name].shape, dtype=object)) for name in present)
     refuse(total > _MAX_VALUES, "table.large", path, total=total, most=_MAX_VALUES)
     dims = [str(d) for d in data["path"].dims]
@@ -383,7 +382,7 @@ def _assembled(
     """The table of rows in the order of its grid, with its leave-one-node-out error."""
     nm, fwhm = rows[0]["wavelength_nm"], rows[0].get("fwhm_nm")
     shape = (*(n.size for n in axes.values()), nm.size)
-    present = [name for name in (*QUANTITIES, *OPTIONAL) if all(r[name] is not None for r in rows)]
+    present = [name for name in _LONG_NAMES if all(r[name] is not None for r in rows)]
     quantities = {name: np.stack([r[name] for r in rows]).reshape(shape) for name in present}
     table = AtmosphericTable(nm, axes, fixed, quantities, solar_irradiance, fwhm, source)
     return replace(table, errors=leave_one_out(table))

@@ -453,7 +453,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
     picture = np.empty((len(lines), len(range(0, cube.samples, step)), len(bands)), np.float32)
     # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
     together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
-    with cube.kept_open():
+    with cube.raster.kept_open():
         for out, line in zip(picture, lines, strict=True):
             if line % together == 0:
                 part = cube.read_some_bands(line, min(together, cube.lines - line), bands)

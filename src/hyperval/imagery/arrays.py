@@ -93,17 +93,9 @@ class Store:
         """A part of a named array; InputError where it cannot be read."""
         with self.kept_open() as opened:
             try:
-                array = opened[name]
-                return np.asarray(array[selection])
+                return np.asarray(opened[name][selection])
             except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
                 raise refusal("array.unreadable", self.path, name=name, why=error) from error
-
-    def chunks(self, name: str) -> tuple[int, ...] | None:
-        """Size of the blocks that an array is stored in, None when it is stored as one."""
-        with self.kept_open() as opened:
-            array: Any = opened[name]
-            own = array.chunks if isinstance(array, h5py.Dataset) else getattr(array, "encoding", {}).get("chunksizes")
-            return own or None
 
 
 def hdf5(path: Path) -> h5py.File:
@@ -184,19 +176,14 @@ def _two_fills() -> AbstractContextManager[Any]:
 
 def check_own_values(path: Path) -> None:
     """Raise InputError where an HDF5 file leads to others: external links, external or virtual arrays."""
-    foreign: list[str] = []  # an error raised by a visitor would be lost in the library
 
-    def visit(name: str, item: Any) -> None:
-        if isinstance(item, h5py.ExternalLink) or (
-            isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
-        ):
-            foreign.append(name)
+    def foreign(name: str, item: Any) -> str | None:  # an error that it raises would be lost in the library
+        elsewhere = isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
+        return name if elsewhere or isinstance(item, h5py.ExternalLink) else None
 
     with Store(path, hdf5).kept_open() as file, _readable(path, "HDF5"):
-        file.visititems_links(visit)
-        file.visititems(visit)
-    if foreign:
-        raise refusal("array.foreign", path, name=foreign[0])
+        found = file.visititems_links(foreign) or file.visititems(foreign)
+    refuse(found, "array.foreign", path, name=found)
 
 
 # The image in its arrays --------------------------------------------------------------------------------------------
@@ -321,8 +308,12 @@ class ArrayRaster(Raster):
 
     def _block(self, piece: Piece) -> dict[str, int]:
         """Size of the blocks that a piece is stored in along each axis; a line where it is not stored in blocks."""
-        chunks = self.store.chunks(piece.terms[0].name)
-        if chunks is None:
+        with self.store.kept_open() as opened:
+            array = opened[piece.terms[0].name]
+            chunks = (
+                array.chunks if isinstance(array, h5py.Dataset) else getattr(array, "encoding", {}).get("chunksizes")
+            )
+        if not chunks:
             return {"l": 1, "s": self.samples, "b": piece.size("b")}
         return {axis: chunks[piece.axes.index(axis)] if axis in piece.axes else 1 for axis in AXES}
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,8 +30,8 @@ from hyperval.imagery.description import (
     Scale,
     equals,
     given_bands,
+    ignore_in_type,
     some_lines,
-    usable_pixels,
 )
 from hyperval.imagery.envi import EnviRaster, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
@@ -136,11 +136,6 @@ class Cube:
         return self.samples * self.raster.bands * self.dtype.itemsize
 
     @property
-    def threads(self) -> int | None:
-        """Threads of a pass: one where arrays of a file are read, which goes one by one; None as many as cores."""
-        return 1 if self.raster.in_blocks else None
-
-    @property
     def gain(self) -> Array:
         """(B,) value of a stored 1 less that of a stored 0, in the bands of the axis."""
         return np.asarray(self.scaling.gain, float)[self.stored_band]
@@ -164,11 +159,6 @@ class Cube:
     def pixel_area_m2(self) -> float | None:
         """Ground area of a pixel [m2], None when the map unit is unknown."""
         return pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
-
-    @property
-    def source_files(self) -> tuple[Path, ...]:
-        """The files that were read."""
-        return self.raster.source_files
 
     def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
         """The lines ``first_line`` to ``first_line + count - 1``."""
@@ -196,9 +186,12 @@ class Cube:
         SPy divides stored values by ``scale_factor``, which is 1/gain here; of ignore values it knows nothing, so that
         they come as numbers (``metadata["data ignore value"]``) from a mapped file and as NaN from a loaded one.
         """
+        import spectral
         from spectral.io import envi
 
-        raster, bands, gain = self.raster, _band_info(self.axis), self.gain
+        raster, bands, gain = self.raster, spectral.BandInfo(), self.gain
+        bands.centers, bands.bandwidths = self.axis.centre_nm.tolist(), self.axis.fwhm_nm.tolist()
+        bands.band_unit, bands.band_quantity = "nm", "Wavelength"
         if isinstance(raster, EnviRaster) and not (self._reordered or np.ptp(gain) or np.any(self.offset)):
             image = envi.open(str(raster.header.path), str(raster.path))
             image.scale_factor, image.bands = 1.0 / float(gain[0]), bands
@@ -224,10 +217,6 @@ class Cube:
         values = xr.Variable(("line", "sample", "wavelength"), lazy, about)
         return _placed(xr.DataArray(values, coords, name=self.quantity), self.transform, self.crs)
 
-    def kept_open(self) -> AbstractContextManager[object]:
-        """Inside, an ENVI file is opened once for all reads."""
-        return self.raster.kept_open()
-
     def read_stored(
         self, first_line: int, count: int, needed: Mask | None = None, buffer: npt.NDArray[Any] | None = None
     ) -> tuple[npt.NDArray[Any], Mask]:
@@ -252,17 +241,6 @@ class Cube:
 
     def marked_pixels(self, where: Where) -> tuple[Array, Mask]:
         """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""
-        rows, cols = self._index(where)
-        stored = self.raster.read_pixels(rows, cols)
-        return self._physical(stored, np.dtype(np.float64))
-
-    @property
-    def _reordered(self) -> bool:
-        """Whether the bands of the axis are not all of the stored bands in their order."""
-        order = self.stored_band
-        return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
-
-    def _index(self, where: Where) -> tuple[Index, Index]:
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
             if rows.shape != cols.shape or rows.ndim != 1 or rows.dtype.kind + cols.dtype.kind not in _WHOLE:
@@ -270,12 +248,19 @@ class Cube:
             if not np.all((rows >= 0) & (rows < self.lines) & (cols >= 0) & (cols < self.samples)):
                 given = {"top": rows.min(), "bottom": rows.max(), "left": cols.min(), "right": cols.max()}
                 raise refusal("cube.outside", last_line=self.lines - 1, last_sample=self.samples - 1, **given)
-            return rows.astype(np.intp), cols.astype(np.intp)
-        mask = np.asarray(where)
-        if mask.dtype != bool or mask.shape != self.shape:
-            raise refusal("cube.mask", dtype=mask.dtype, shape=mask.shape, cube=self.shape)
-        rows, cols = np.nonzero(mask)
-        return rows, cols
+        else:
+            mask = np.asarray(where)
+            if mask.dtype != bool or mask.shape != self.shape:
+                raise refusal("cube.mask", dtype=mask.dtype, shape=mask.shape, cube=self.shape)
+            rows, cols = np.nonzero(mask)
+        stored = self.raster.read_pixels(rows.astype(np.intp, copy=False), cols.astype(np.intp, copy=False))
+        return self._physical(stored, np.dtype(np.float64))
+
+    @property
+    def _reordered(self) -> bool:
+        """Whether the bands of the axis are not all of the stored bands in their order."""
+        order = self.stored_band
+        return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
 
     def _physical(self, stored: npt.NDArray[Any], dtype: np.dtype) -> tuple[npt.NDArray[Any], Mask]:
         """Values (..., B) in the bands of the axis, and which pixels (...) are valid."""
@@ -296,9 +281,26 @@ class Cube:
         return values
 
     def _usable(self, stored: npt.NDArray[Any], needed: Mask | None) -> Mask:
-        """Which pixels (...) of stored numbers (B, ...) hold data."""
-        zero_is_fill = self.quantity != "other"
-        return usable_pixels(stored, ignore=self.ignore_value, zero_is_fill=zero_is_fill, needed=needed)
+        """Which pixels (...) of stored numbers (B, ...) hold data.
+
+        None where a ``needed`` band (B,), by default any, holds the ignore value or is not finite, or where every band
+        is stored as 0, which but for "other" is fill.
+        """
+        usable, ignore = np.ones(stored.shape[1:], bool), self.ignore_value
+        some = slice(None) if needed is None or needed.all() else needed
+        if ignore is not None and ignore_in_type(stored.dtype, ignore) is not None:
+            usable &= ~equals(stored[some], ignore).any(axis=0)
+        if stored.dtype.kind == "f":
+            usable &= np.isfinite(stored[some]).all(axis=0)
+        if self.quantity != "other":
+            # Few pixels hold a 0 in each of three bands; only those are looked at in full.
+            dark = stored[-1] == 0
+            for band in (0, stored.shape[0] // 2):
+                if not dark.any():
+                    return usable
+                dark &= stored[band] == 0
+            usable[dark] &= stored[:, dark].any(axis=0)
+        return usable
 
 
 def _checked(cube: Cube) -> Cube:
@@ -575,15 +577,6 @@ def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> x
     array = array.assign_coords(spatial_ref=((), 0, attrs))
     array.attrs["grid_mapping"] = "spatial_ref"
     return array
-
-
-def _band_info(axis: SpectralAxis) -> spectral.BandInfo:
-    import spectral
-
-    bands = spectral.BandInfo()
-    bands.centers, bands.bandwidths = axis.centre_nm.tolist(), axis.fwhm_nm.tolist()
-    bands.band_unit, bands.band_quantity = "nm", "Wavelength"
-    return bands
 
 
 def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:

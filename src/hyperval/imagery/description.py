@@ -1,7 +1,7 @@
 """What the files of an image say of it, and what is taken from that: bands, unit and scale, no data.
 
 Every reader hands on a :class:`Raster`: stored numbers with a :class:`Description`.  Here alone it is decided which
-wavelengths, which unit and which scale an image has, and which of its pixels hold data.  Entries without a standard
+wavelengths, which unit and which scale an image has, and which stored number means no data.  Entries without a standard
 (level of processing, shift of the wavelengths, time of the flight) change no number; they go into the notes.
 """
 
@@ -209,7 +209,12 @@ class Description:
             raise refusal("bands.width", at["fwhm"], band=band + 1, width=width[band] / to_nm)
         if width is not None and (np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM):
             raise refusal("bands.widths", at["fwhm"], least=width.min(), most=width.max(), unit=unit)
-        order = _order(centre, sort_bands or self.sorts, at["wavelength"])
+        falls, same = np.flatnonzero(np.diff(centre) <= 0), np.unique(centre).size < centre.size
+        if falls.size and (same or not (sort_bands or self.sorts)):
+            i = int(falls[0])
+            pair = {"second": i + 2, "second_nm": centre[i + 1], "first": i + 1, "first_nm": centre[i]}
+            raise refusal("bands.same" if same else "bands.order", at["wavelength"], **pair)
+        order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
         if width is None:
@@ -262,11 +267,9 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     two, second = factor not in (None, 1.0) and (name or quantity == "radiance"), name or "a radiance"
     key = "reflectance scale factor"
     refuse(two, "scale.two", header.where(key), first=f"{key!r}", second=second)
-    if name:
-        return [Scale(1.0 if gain is None else gain, 0.0 if offset is None else offset, name)]
-    if factor is not None and quantity == "reflectance":
+    if factor is not None and quantity == "reflectance" and not name:
         return [Scale(1.0 / factor, 0.0, f"stored values / {factor:g} (reflectance scale factor)")]
-    return []
+    return [Scale(1.0 if gain is None else gain, 0.0 if offset is None else offset, name)]
 
 
 def wavelengths_in_names(names: Sequence[str]) -> tuple[Array, str | None] | None:
@@ -296,17 +299,6 @@ def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str)
         return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (note,))
     refuse(len(axis) != count, "bands.given", where, given=len(axis), count=count)
     return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
-
-
-def _order(centre: Array, sort_bands: bool, where: str) -> Index:
-    """The bands [nm] of a file in increasing wavelength; InputError where they have to be sorted and must not."""
-    falls = np.flatnonzero(np.diff(centre) <= 0)
-    same = np.unique(centre).size < centre.size
-    if falls.size and (same or not sort_bands):
-        at = int(falls[0])
-        pair = {"second": at + 2, "second_nm": centre[at + 1], "first": at + 1, "first_nm": centre[at]}
-        raise refusal("bands.same" if same else "bands.order", where, **pair)
-    return np.argsort(centre, kind="stable")
 
 
 def _spacing_by_detector(centre: Array) -> Array:
@@ -479,35 +471,6 @@ def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
     if float(ignore) == float(limits.max):  # as a float, the largest 64-bit number is the next power of two
         return dtype.type(limits.max)
     return dtype.type(int(ignore)) if limits.min <= int(ignore) <= limits.max else None
-
-
-def usable_pixels(
-    stored: npt.NDArray[Any], *, ignore: float | None, zero_is_fill: bool, needed: Mask | None = None
-) -> Mask:
-    """Pixels (lines, samples) of stored values (B, lines, samples) that can be used.
-
-    A pixel is not usable where a needed band holds the ignore value or is not finite, or where every band is
-    stored as 0 and ``zero_is_fill``.
-
-    Parameters
-    ----------
-    needed : (B,) bands that must hold data; all by default
-    """
-    usable = np.ones(stored.shape[1:], bool)
-    some = slice(None) if needed is None or needed.all() else needed
-    if ignore is not None and ignore_in_type(stored.dtype, ignore) is not None:
-        usable &= ~equals(stored[some], ignore).any(axis=0)
-    if stored.dtype.kind == "f":
-        usable &= np.isfinite(stored[some]).all(axis=0)
-    if zero_is_fill:
-        # Few pixels hold a 0 in each of three bands; only those are looked at in full.
-        dark = stored[-1] == 0
-        for band in (0, stored.shape[0] // 2):
-            if not dark.any():
-                return usable
-            dark &= stored[band] == 0
-        usable[dark] &= stored[:, dark].any(axis=0)
-    return usable
 
 
 def record(raster: Raster) -> list[tuple[str, str, str]]:

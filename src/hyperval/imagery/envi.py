@@ -252,7 +252,15 @@ class EnviWriter:
         ------
         UsageError : wrong shape, more lines than announced, values that do not fit the stored type.
         """
-        header, stored = self.header, self._stored(np.asarray(block))
+        header, values = self.header, np.asarray(block)
+        if header.dtype.kind != "f":
+            if values.dtype.kind == "f":
+                refuse(self.ignore is None and not np.isfinite(values).all(), "write.not_finite")
+                values = np.rint(np.where(np.isfinite(values), values, self.ignore or 0.0))
+            limits = np.iinfo(header.dtype)
+            if values.size and (values.min() < limits.min or values.max() > limits.max):
+                raise refusal("write.range", least=values.min(), most=values.max(), dtype=header.dtype.name)
+        stored = values.astype(header.dtype)
         if stored.ndim != 3 or stored.shape[1:] != (header.samples, header.bands):
             raise refusal("write.shape", shape=stored.shape, samples=header.samples, bands=header.bands)
         refuse(self.lines_written + len(stored) > header.lines, "write.many", lines=header.lines)
@@ -265,18 +273,6 @@ class EnviWriter:
             self.stream.seek(header.header_offset + row * header.samples * header.dtype.itemsize)
             self.stream.write(np.ascontiguousarray(values).tobytes())
         self.lines_written += len(stored)
-
-    def _stored(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        dtype = self.header.dtype
-        if dtype.kind == "f":
-            return values.astype(dtype)
-        if values.dtype.kind == "f":
-            refuse(self.ignore is None and not np.isfinite(values).all(), "write.not_finite")
-            values = np.rint(np.where(np.isfinite(values), values, self.ignore or 0.0))
-        limits = np.iinfo(dtype)
-        if values.size and (values.min() < limits.min or values.max() > limits.max):
-            raise refusal("write.range", least=values.min(), most=values.max(), dtype=dtype.name)
-        return values.astype(dtype)
 
 
 @contextmanager
@@ -318,7 +314,18 @@ def envi_writer(
         "header offset": 0, "file type": "ENVI Standard", "data type": data_type, "interleave": interleave,
         "byte order": 0,
     }  # fmt: skip
-    entries |= _georeference(transform, crs)
+    if transform is not None:
+        refuse(transform.b or transform.d or transform.a <= 0 or transform.e >= 0, "write.north_up")
+        place = f"1, 1, {transform.c!r}, {transform.f!r}, {transform.a!r}, {-transform.e!r}"
+        epsg = crs.to_epsg() if crs is not None else None
+        if epsg is not None and (32601 <= epsg <= 32660 or 32701 <= epsg <= 32760):
+            side = "North" if epsg < 32700 else "South"
+            info = f"UTM, {place}, {epsg % 100}, {side}, WGS-84, units=Meters"
+        else:
+            info = f"Arbitrary, {place}" + (", units=Meters" if crs is None or crs.is_projected else ", units=Degrees")
+        entries["map info"] = "{" + info + "}"
+        if crs is not None:
+            entries["coordinate system string"] = "{" + crs.to_wkt(version="WKT1_ESRI") + "}"
     if axis is not None:
         entries["wavelength units"] = "Nanometers"
         entries["wavelength"] = _listed(axis.centre_nm, "{!r}")
@@ -352,20 +359,3 @@ def _listed(values: npt.NDArray[Any], form: str) -> str:
     parts = [form.format(v) for v in values.tolist()]
     rows = [", ".join(parts[i : i + 8]) for i in range(0, len(parts), 8)]
     return "{\n " + ",\n ".join(rows) + "}"
-
-
-def _georeference(transform: Affine | None, crs: CRS | None) -> dict[str, str]:
-    if transform is None:
-        return {}
-    refuse(transform.b or transform.d or transform.a <= 0 or transform.e >= 0, "write.north_up")
-    place = f"1, 1, {transform.c!r}, {transform.f!r}, {transform.a!r}, {-transform.e!r}"
-    epsg = crs.to_epsg() if crs is not None else None
-    if epsg is not None and (32601 <= epsg <= 32660 or 32701 <= epsg <= 32760):
-        side = "North" if epsg < 32700 else "South"
-        info = f"UTM, {place}, {epsg % 100}, {side}, WGS-84, units=Meters"
-    else:
-        info = f"Arbitrary, {place}" + (", units=Meters" if crs is None or crs.is_projected else ", units=Degrees")
-    out = {"map info": "{" + info + "}"}
-    if crs is not None:
-        out["coordinate system string"] = "{" + crs.to_wkt(version="WKT1_ESRI") + "}"
-    return out

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -55,7 +56,7 @@ def layouts() -> ProductLayout:
 
 @dataclass(frozen=True)
 class ProductTree:
-    """What the references of a layout mean in one opened file; ``layout`` is None where it has none that is known."""
+    """What the references of a layout mean in one opened file."""
 
     file: h5py.File
     path: Path
@@ -158,8 +159,28 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         ignore = _ignore(tree, images[0])
         pieces = tuple(_piece(tree, a, image, ignore) for a, image in zip(layout.arrays, images, strict=True))
         transform, crs, notes = (None, None, ()) if layout.lookup_table else _position(tree, pieces[0])
-        summed = any(len(p.terms) > 1 for p in pieces)
-        about = _description(tree, images, pieces, None if summed else ignore, notes)
+        parts = [_columns(tree, a, i, p.size("b")) for a, i, p in zip(layout.arrays, images, pieces, strict=True)]
+        wavelength, width, flags, gain, offset = np.concatenate(parts, axis=1)
+        good = flags != 0
+        for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
+            good &= ~((wavelength >= low) & (wavelength <= high))
+        sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
+        entries = {key: text for key, reference in (layout.entries or {}).items() if (text := tree.text(reference))}
+        unit, unit_notes = _unit(tree)
+        centre = np.where(wavelength > 0, wavelength, np.nan)
+        about = Description(
+            product=layout.product,
+            bands=ListedBands(centre, None if np.isnan(width).all() else width, layout.wavelength_unit, good),
+            scale=Scale(gain, offset, f"scale of the {layout.product}"),
+            quantity=layout.quantity,
+            unit=unit,
+            ignore_value=None if any(len(p.terms) > 1 for p in pieces) else ignore,  # of a sum no stored value means it
+            sensor=sensor,
+            sorts=bool(layout.sorts),
+            entries=entries | ({"sensor": sensor} if sensor else {}),
+            notes=(*unit_notes, *notes, *([layout.remark] if layout.remark else [])),
+            sun_zenith_deg=_sun(tree),
+        )
     return arrays.array_raster(store, pieces, about, (transform, crs))
 
 
@@ -199,38 +220,6 @@ def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore:
     return arrays.Piece(terms, array.dimensions, image.shape, np.dtype(np.float32))
 
 
-def _description(
-    tree: ProductTree,
-    images: list[h5py.Dataset],
-    pieces: tuple[arrays.Piece, ...],
-    ignore: float | None,
-    notes: tuple[str, ...],
-) -> Description:
-    layout = tree.layout
-    parts = [_columns(tree, a, i, p.size("b")) for a, i, p in zip(layout.arrays, images, pieces, strict=True)]
-    wavelength, width, flags, gain, offset = np.concatenate(parts, axis=1)
-    good = flags != 0
-    for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
-        good &= ~((wavelength >= low) & (wavelength <= high))
-    sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
-    entries = {key: text for key, reference in (layout.entries or {}).items() if (text := tree.text(reference))}
-    unit, unit_notes = _unit(layout, images)
-    centre = np.where(wavelength > 0, wavelength, np.nan)
-    return Description(
-        product=layout.product,
-        bands=ListedBands(centre, None if np.isnan(width).all() else width, layout.wavelength_unit, good),
-        scale=Scale(gain, offset, f"scale of the {layout.product}"),
-        quantity=layout.quantity,
-        unit=unit,
-        ignore_value=ignore,
-        sensor=sensor,
-        sorts=bool(layout.sorts),
-        entries=entries | ({"sensor": sensor} if sensor else {}),
-        notes=(*unit_notes, *notes, *([layout.remark] if layout.remark else [])),
-        sun_zenith_deg=_sun(tree),
-    )
-
-
 def _columns(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, bands: int) -> Array:
     """(5, bands) wavelength, width (NaN without), flag (1 without), gain and offset of an array."""
     columns = [tree.numbers(array.wavelength, bands, "wavelengths")]
@@ -253,16 +242,14 @@ def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tupl
     return 1.0 if gain is None else gain, offset or 0.0
 
 
-def _unit(layout: ProductLayout, images: list[h5py.Dataset]) -> tuple[str, tuple[str, ...]]:
+def _unit(tree: ProductTree) -> tuple[str, tuple[str, ...]]:
     """The unit of the layout; a unit that the image itself states takes its place when it is another."""
-    for image in images if layout.quantity == "radiance" else ():
-        for name in ("units", "Units", "unit", "Unit"):
-            stated = image.attrs.get(name)
-            text = stated.decode("utf-8", "replace") if isinstance(stated, bytes) else stated
-            if not isinstance(text, str) or not is_radiance(text):
-                continue  # a spelling that is not known: that of the layout stands
-            if radiance_to_internal(text) != radiance_to_internal(layout.unit):
-                return text, (f"radiance in {text} as the file states, where the layout has {layout.unit}",)
+    layout = tree.layout
+    arrays_of_light = layout.arrays if layout.quantity == "radiance" else ()
+    for array, name in product(arrays_of_light, ("units", "Units", "unit", "Unit")):
+        text = tree.text(f"{array.path}@{name}")  # one whose spelling is not known leaves that of the layout
+        if text and is_radiance(text) and radiance_to_internal(text) != radiance_to_internal(layout.unit):
+            return text, (f"radiance in {text} as the file states, where the layout has {layout.unit}",)
     return layout.unit, ()
 
 
@@ -378,23 +365,21 @@ def described_beside(image: Path, bands: int, nodata: float | None = None) -> tu
     ------
     InputError : metadata that are too large, not understood, or of another number of bands.
     """
-    for made, path, fill in _descriptions(image, bands):
-        stated = (value for value in (made.ignore_value, nodata, fill) if value is not None)
-        return replace(made, ignore_value=next(stated, None)), path
-    return None
-
-
-def _descriptions(image: Path, bands: int) -> Iterator[tuple[Description, Path, float | None]]:
-    """What each file beside an image says of it, and the no-data value that its layout has."""
     for sidecar in layouts().sidecars:
         at = image.name.upper().find(sidecar.image.upper())
         for name in (sidecar.metadata, sidecar.metadata.lower(), sidecar.metadata.upper()) if at >= 0 else ():
             path = image.with_name(image.name[:at] + name)
             if path.is_file() and (made := _from_xml(sidecar, checked_file(path), image, bands)) is not None:
-                yield made, path, sidecar.fill
+                return _filled(made, nodata, sidecar.fill), path
     for path, item, asset in _stac_assets(image):
         if (made := _from_asset(item, asset, bands)) is not None:
-            yield made, path, None
+            return _filled(made, nodata), path
+    return None
+
+
+def _filled(made: Description, *others: float | None) -> Description:
+    """A description with the first no-data value that is stated."""
+    return replace(made, ignore_value=next((v for v in (made.ignore_value, *others) if v is not None), None))
 
 
 def image_of(metadata: Path, detector: str | None = None) -> Path:
@@ -418,12 +403,10 @@ def image_of(metadata: Path, detector: str | None = None) -> Path:
     # The same image may lie there again, cut into tiles for the cloud.
     fits.sort(key=lambda p: not p.stem.upper().endswith("_COG"))
     of_detector = {p.stem[len(start) :].upper().removesuffix("_COG").strip("_"): p for p in fits}
-    if detector is None and len(of_detector) == 1:
-        return next(iter(of_detector.values()))
-    if detector is not None and detector.upper() in of_detector:
-        return of_detector[detector.upper()]
-    names = ", ".join(p.name for p in of_detector.values())
-    raise refusal("sidecar.images", metadata, count=len(of_detector), names=names, detectors=" or ".join(of_detector))
+    chosen = [p for name, p in of_detector.items() if detector is None or name == detector.upper()]
+    told = {"names": ", ".join(p.name for p in of_detector.values()), "detectors": " or ".join(of_detector)}
+    refuse(len(chosen) != 1, "sidecar.images", metadata, count=len(of_detector), **told)
+    return chosen[0]
 
 
 def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> Description | None:
@@ -509,14 +492,10 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     details = [d if isinstance(d, dict) else {} for d in raster] if isinstance(raster, list) else []
     details = details if len(details) == bands else [{}] * bands
 
-    def column(*names: str, default: float | None = None) -> list[float] | None:
-        out = []
-        for band, detail in zip(listed, details, strict=True):
-            value = next((d[n] for n in names for d in (band, detail) if d.get(n) is not None), default)
-            if not isinstance(value, int | float):
-                return None
-            out.append(float(value))
-        return out
+    def column(*names: str, default: float | None = None) -> Array | None:
+        each = zip(listed, details, strict=True)
+        values = [next((d[n] for n in names for d in of_band if d.get(n) is not None), default) for of_band in each]
+        return np.array(values, float) if all(isinstance(value, int | float) for value in values) else None
 
     centre = column("eo:center_wavelength", "center_wavelength")
     if centre is None:
@@ -528,12 +507,12 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     width = column("eo:full_width_half_max", "full_width_half_max")
     said = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
     quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in said else None
-    gain, offset = column("raster:scale", "scale", default=1.0), column("raster:offset", "offset", default=0.0)
+    gain, offset = (column(f"raster:{n}", n, default=v) for n, v in (("scale", 1.0), ("offset", 0.0)))
     nodata = {d.get("nodata") for d in (*listed, *details, asset) if isinstance(d.get("nodata"), int | float)}
     return Description(
         product="STAC item",
-        bands=ListedBands(np.array(centre), None if width is None else np.array(width), "um"),  # as eo defines it
-        scale=Scale(1.0 if gain is None else np.array(gain), np.array(offset or 0.0), "scale of the STAC item"),
+        bands=ListedBands(centre, width, "um"),  # as eo defines it
+        scale=Scale(1.0 if gain is None else gain, 0.0 if offset is None else offset, "scale of the STAC item"),
         quantity=quantity,
         unit=unit if quantity == "radiance" else None,
         sensor=sensor,

@@ -14,7 +14,7 @@ import re
 import struct
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import combinations
 from pathlib import Path
@@ -33,7 +33,7 @@ from scipy import ndimage
 from shapely.geometry import shape as shape_of
 from shapely.geometry.base import BaseGeometry
 
-from hyperval.data import Array, Counts, Mask
+from hyperval.data import Array, Mask
 from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery.cube import MATRICES, kind_of, raster_of_size
@@ -205,76 +205,61 @@ def outside_error(
     return refusal("region.outside", where, what=what, low=xy.min(axis=0), high=xy.max(axis=0), shape=shape, mend=mend)
 
 
-@dataclass(eq=False)
-class RegionDrawing:
-    """The polygons, points and pixels of one region on the grid of an image.
+def _checked_part(part: Part, shape: tuple[int, int], where: str) -> Part:
+    """A part of a region of an image (lines, samples); pixels as their places among all of the image.
 
-    Attributes
-    ----------
-    shape : (lines, samples) of the image
-    polygons, points : in pixel coordinates
-    pixels : those that are named one by one, by their place among all of the image
-    stated_pixels : number of pixels as the file states it, None when it does not
+    Of a geometry that leaves the image only the numbers are looked at.
+
+    Raises
+    ------
+    InputError : coordinates that are none, or pixels that the image does not have.
     """
+    if isinstance(part, BaseGeometry):
+        xy = shapely.get_coordinates(part)
+        if not np.abs(xy).max() <= FARTHEST:
+            raise outside_error(xy, shape, where)
+    elif isinstance(part, np.ndarray) and part.dtype == bool:
+        return np.flatnonzero(part)
+    elif isinstance(part, np.ndarray):
+        lines, samples = part.reshape(-1, 2).T
+        out = np.flatnonzero((lines < 0) | (lines >= shape[0]) | (samples < 0) | (samples >= shape[1]))
+        if out.size:
+            counts = {"outside": out.size, "count": lines.size, "line": lines[out[0]], "sample": samples[out[0]]}
+            raise refusal("region.pixels", where, last=(shape[0] - 1, shape[1] - 1), **counts)
+        return np.asarray(lines * shape[1] + samples)
+    return part
 
-    shape: tuple[int, int]
-    polygons: list[BaseGeometry] = field(default_factory=list)
-    points: list[BaseGeometry] = field(default_factory=list)
-    pixels: list[Counts] = field(default_factory=list)
-    stated_pixels: int | None = None
 
-    def add(self, part: Part, where: str) -> None:
-        """Add a part; of a geometry that leaves the image only the numbers are looked at.
+def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path, *, touched: bool) -> Region:
+    """The region of the pixels whose centres its parts hold, and what is to be said of it.
 
-        Raises
-        ------
-        InputError : coordinates that are none, or pixels that the image does not have.
-        """
-        if isinstance(part, int):
-            self.stated_pixels = part
-        elif isinstance(part, BaseGeometry):
-            xy = shapely.get_coordinates(part)
-            if not np.abs(xy).max() <= FARTHEST:
-                raise outside_error(xy, self.shape, where)
-            (self.points if part.geom_type in _POINTS else self.polygons).append(part)
-        elif part.dtype == bool:
-            self.pixels.append(np.flatnonzero(part))
-        else:
-            lines, samples = part.reshape(-1, 2).T
-            out = np.flatnonzero((lines < 0) | (lines >= self.shape[0]) | (samples < 0) | (samples >= self.shape[1]))
-            if out.size:
-                counts = {"outside": out.size, "count": lines.size, "line": lines[out[0]], "sample": samples[out[0]]}
-                raise refusal("region.pixels", where, last=(self.shape[0] - 1, self.shape[1] - 1), **counts)
-            self.pixels.append(lines * self.shape[1] + samples)
+    ``touched`` : of all pixels that its polygons touch.  What leaves the image (lines, samples) is cut off and counted.
 
-    def drawn(self, where: str, *, touched: bool = False) -> tuple[Mask, tuple[str, ...]]:
-        """(lines, samples) mask of the pixels whose centres the region holds, and what is to be said of it.
-
-        ``touched`` : of all pixels that its polygons touch.  What leaves the image is cut off and counted.
-
-        Raises
-        ------
-        InputError : nothing of it lies in the image.
-        """
-        points = shapely.get_coordinates(self.points)
-        inside = np.array([inside_image(p, self.shape) for p in points], dtype=bool)
-        mask = _burned(self.polygons, self.shape) | point_mask(points[inside], self.shape)
-        mask.flat[np.concatenate([*self.pixels, np.zeros(0, np.int64)])] = True
-        left = [p for p in self.polygons if not inside_image(shapely.get_coordinates(p), self.shape)]
-        if (left or not inside.all()) and not mask.any():
-            raise outside_error(np.vstack([shapely.get_coordinates(left), points]), self.shape, where)
-        notes, pixels = [], int(mask.sum())
-        part = _share_outside(self.polygons, self.shape) if left else 0.0  # to the millionth of a pixel of the border
-        if part > 0.0:
-            percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
-            sign = "" if part < _SMALL else WARNING
-            notes.append(f"{sign}leaves the image: {percent} of its area is outside, {pixels} pixels are left")
-        if not inside.all():
-            gone = f"{np.sum(~inside)} of {inside.size} points are outside"
-            notes.append(f"{WARNING}leaves the image: {gone}, {pixels} pixels are left")
-        if self.stated_pixels not in (None, pixels):
-            notes.append(f"has {self.stated_pixels} pixels as its file says; {pixels} have their centre inside")
-        return mask | _burned(self.polygons, self.shape, touched=True) if touched else mask, tuple(notes)
+    Raises
+    ------
+    InputError : nothing of it lies in the image.
+    """
+    drawings, where = [p for p in parts if isinstance(p, BaseGeometry)], f"{path}: region {name!r}"
+    polygons = [p for p in drawings if p.geom_type in _AREAS]
+    points = shapely.get_coordinates([p for p in drawings if p.geom_type in _POINTS])
+    inside = np.array([inside_image(p, shape) for p in points], dtype=bool)
+    mask = _burned(polygons, shape) | point_mask(points[inside], shape)
+    mask.flat[np.concatenate([*(p for p in parts if isinstance(p, np.ndarray)), np.zeros(0, np.int64)])] = True
+    left = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape)]
+    if (left or not inside.all()) and not mask.any():
+        raise outside_error(np.vstack([shapely.get_coordinates(left), points]), shape, where)
+    notes, pixels = [], int(mask.sum())
+    part = _share_outside(polygons, shape) if left else 0.0  # to the millionth of a pixel of the border
+    if part > 0.0:
+        percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
+        sign = "" if part < _SMALL else WARNING
+        notes.append(f"{sign}leaves the image: {percent} of its area is outside, {pixels} pixels are left")
+    if not inside.all():
+        gone = f"{np.sum(~inside)} of {inside.size} points are outside"
+        notes.append(f"{WARNING}leaves the image: {gone}, {pixels} pixels are left")
+    for stated in (p for p in parts if isinstance(p, int) and p != pixels):
+        notes.append(f"has {stated} pixels as its file says; {pixels} have their centre inside")
+    return Region(name, mask | _burned(polygons, shape, touched=True) if touched else mask, str(path), tuple(notes))
 
 
 def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> float:
@@ -344,13 +329,12 @@ def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
     return {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
 
 
-def _xml_pairs(element: ElementTree.Element, where: str) -> list[list[float]]:
+def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
     text = " ".join(part.text or "" for part in element.iter("Coordinates"))
     values = np.array([number_of(v) for v in text.split()])
     refuse(np.isnan(values).any(), "roi.coordinates", where)
     refuse(values.size == 0 or values.size % 2, "roi.pairs", where, count=values.size)
-    pairs: list[list[float]] = values.reshape(-1, 2).tolist()
-    return pairs
+    return values.reshape(-1, 2)
 
 
 def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
@@ -633,18 +617,6 @@ def _reader_of(path: Path) -> Callable[[Path, ImageGrid], Drawn]:
     return csv_regions
 
 
-def drawings_of(path: Path, grid: ImageGrid) -> dict[str, RegionDrawing]:
-    """What a file of regions draws, by name; features of one name are one region, other regions of one name refused."""
-    drawings: dict[str, RegionDrawing] = {}
-    regions = _reader_of(path)
-    for name, where, parts in regions(path, grid):
-        refuse(name in drawings and regions not in (geojson_regions, vector_regions), "roi.twice", where, name=name)
-        drawing = drawings.setdefault(name, RegionDrawing(grid.shape))
-        for part in parts:
-            drawing.add(part, where)
-    return drawings
-
-
 @dataclass(frozen=True, eq=False)
 class Region:
     """A named set of pixels.
@@ -715,15 +687,15 @@ def read_regions(
     InputError : missing, unreadable, empty, wholly outside the image, or made for an image of another size.
     UsageError : unknown format, or ``coordinates`` not stated.
     """
-    path = checked_file(path, what="region file")
-    drawn = drawings_of(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field))
+    path, drawn = checked_file(path, what="region file"), dict[str, list[Part]]()
+    regions = _reader_of(path)
+    for name, where, parts in regions(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field)):
+        # Features of one name are one region.
+        refuse(name in drawn and regions not in (geojson_regions, vector_regions), "roi.twice", where, name=name)
+        drawn.setdefault(name, []).extend(_checked_part(part, cube_shape, where) for part in parts)
     refuse(not drawn, "region.none", path)
     wanted = {n: made for n, made in drawn.items() if any(n == p or fnmatchcase(n, p) for p in patterns)} or drawn
-    out = {}
-    for name, drawing in wanted.items():
-        mask, notes = drawing.drawn(f"{path}: region {name!r}", touched=touched)
-        out[name] = Region(name, mask, str(path), notes)
-    return out
+    return {name: _drawn(name, parts, cube_shape, path, touched=touched) for name, parts in wanted.items()}
 
 
 def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int], shape: tuple[int, int]) -> Region:

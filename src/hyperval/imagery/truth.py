@@ -129,7 +129,8 @@ def read_targets(
 
     Raises
     ------
-    InputError : missing columns, numbers that are none, targets outside the image.
+    InputError : missing columns, numbers that are none, a shape that is none or that its sizes contradict, targets
+        outside the image.
     """
     path = checked_file(path, what="target list")
     fields, rows = read_table(path, {"name", "material", "shape", *_NUMERIC})
@@ -137,7 +138,11 @@ def read_targets(
     if place is None or "material" not in fields:
         places = "; ".join(",".join(p) for p in _PLACES)
         raise refusal("target.columns", f"{path}:1", columns=", ".join(fields) or "none", places=places)
-    pixel_m = _pixel_size(pixel_size_m, transform, str(path))
+    pixel_m = pixel_size_m or 0.0
+    if pixel_size_m is None and transform is not None:
+        ground = transform.determinant if isinstance(transform, Affine) else transform.pixel_area_m2
+        pixel_m = math.sqrt(abs(ground or 0.0))
+    refuse(not pixel_m > 0, "target.pixel", path)
     out: dict[str, TargetObject] = {}
     for line, row in rows:
         where, material = f"{path}:{line}", row["material"]
@@ -145,7 +150,11 @@ def read_targets(
         refuse(not material or name in out, "target.name", where)
         number = {key: _number(row.get(key), key, where) for key in sorted(_NUMERIC)}
         width, length, doubt = _size(number, where)
-        figure, area = _figure(row, width, length, where), number["area_m2"]
+        word, area = row.get("shape", "").lower(), number["area_m2"]
+        refuse(word not in _FIGURES, "target.shape", where, shape=word[:40])
+        if word in ("square", "circle") and width != length:
+            raise refusal("target.sides", where, shape=word, width=width, length=length)
+        figure = _FIGURES[word]
         if math.isnan(area) and width > 0:
             area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
         centre, corners = _position(number, place, transform, pixel_m, figure * (length, width), where)
@@ -160,15 +169,6 @@ def read_targets(
         out[name] = TargetObject(name, material, side, area, shape, *placed, pixel, dict(row))
     refuse(not out, "target.none", path)
     return list(out.values())
-
-
-def _pixel_size(stated: float | None, transform: Position, where: str) -> float:
-    """Ground size of a pixel [m]: as stated, else that of the transform."""
-    if stated is None and transform is not None:
-        area = transform.determinant if isinstance(transform, Affine) else transform.pixel_area_m2
-        stated = math.sqrt(abs(area or 0.0))
-    refuse(not (stated or 0.0) > 0, "target.pixel", where)
-    return float(stated or 0.0)
 
 
 def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]:
@@ -218,15 +218,6 @@ def _outline(centre: tuple[float, float], sides: Array, scale: float, heading_de
     h = math.radians(heading_deg)
     along, across = np.array([math.sin(h), -math.cos(h)]), np.array([math.cos(h), math.sin(h)])
     return np.asarray(np.array(centre) + (sides[:, :1] / scale) * along + (sides[:, 1:] / scale) * across)
-
-
-def _figure(row: Mapping[str, str], width: float, length: float, where: str) -> Array:
-    """The figure of a target's outline; InputError for a shape that is none or that its sizes contradict."""
-    shape = row.get("shape", "").lower()
-    refuse(shape not in _FIGURES, "target.shape", where, shape=shape[:40])
-    if shape in ("square", "circle") and width != length:
-        raise refusal("target.sides", where, shape=shape, width=width, length=length)
-    return _FIGURES[shape]
 
 
 _NUMERIC = frozenset(

@@ -534,7 +534,7 @@ class Atmosphere(Keeps):
             expected = f"at most {MOST_RUNS} runs of its engine"
             raise UsageError(f"{len(states)} {what} of the atmosphere", expected=expected)
         runs = [self.run(row) for row in track(states, f"atmosphere, {what}", len(states))]
-        self._between = interpolated_terms(grid, runs, star=self.star, bounded=not self.star) if grid else None
+        self._between = interpolated_terms(grid, runs, star=self.star) if grid else None
 
     def __call__(self, moved: Mapping[str, Values], size: int) -> AtmosphericTerms:
         """Terms (U or 1, 1, B) where entries (U or 1,) of the state are moved; None leaves one as it is.

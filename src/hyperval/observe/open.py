@@ -151,7 +151,7 @@ class Place:
     @property
     def source_files(self) -> tuple[Path, ...]:
         """The files of the cube and of its lookup table."""
-        return self.cube.source_files + (self.table.raster.source_files if self.table is not None else ())
+        return self.cube.raster.source_files + (self.table.raster.source_files if self.table is not None else ())
 
     def counted(self, *names: str) -> Mask:
         """(K,) labels of the union of regions that count: without targets, their guard and regions that are left out.

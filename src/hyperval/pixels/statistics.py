@@ -87,14 +87,15 @@ def _segments(lines: int, block_lines: int) -> list[range]:
 def by_segments(cube: Cube, block_lines: int, work: Callable[[range], Result], watch: Watch = iter) -> Iterator[Result]:
     """The result of ``work`` for each segment, in order; ``work`` gets the first lines of the segment's blocks.
 
-    As many threads are used as the cube says, else as there are cores, at most four, and one where NumPy's BLAS
-    cannot be kept to one thread.  ``watch`` wraps the iterator over the segments, for a progress bar.
+    As many threads are used as there are cores, at most four, and one where arrays of a file are read, which goes one
+    by one, or NumPy's BLAS cannot be kept to one thread.  ``watch`` wraps the iterator over the segments, for a
+    progress bar.
     """
-    segments, threads = _segments(cube.lines, block_lines), cube.threads
+    segments = _segments(cube.lines, block_lines)
 
     def results() -> Iterator[tuple[range, Result]]:
-        with cube.kept_open(), single_blas_thread() as alone:
-            count = threads if threads is not None else min(available_cores(), MAX_THREADS) if alone else 1
+        with cube.raster.kept_open(), single_blas_thread() as alone:
+            count = min(available_cores(), MAX_THREADS) if alone and not cube.raster.in_blocks else 1
             if count <= 1:
                 yield from zip(segments, map(work, segments), strict=True)
                 return

@@ -184,11 +184,6 @@ class _File:
         refuse(b"\0" in raw[:4096], "record.binary", self.path, known=_expected())
         return decoded(raw)
 
-    @cached_property
-    def header(self) -> Path | None:
-        """The ENVI header beside it."""
-        return header_beside(self.path)
-
 
 class Format(NamedTuple):
     """A format of spectra: how a file of it is known, and how its records are read."""
@@ -231,8 +226,8 @@ FORMATS = (
         lambda f: [text.sed_record(f.text, f.path, f.quantity)],
     ),
     Format(
-        "ENVI spectral library with its header", lambda f: f.header,
-        lambda f: binary.envi_library(f.path, read_header(f.header or f.path), f.root),
+        "ENVI spectral library with its header", lambda f: header_beside(f.path),
+        lambda f: binary.envi_library(f.path, read_header(header_beside(f.path) or f.path), f.root),
     ),
     Format(
         "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),
