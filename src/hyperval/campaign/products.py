@@ -5,15 +5,12 @@ What header, map and truth of the collection say, held against what the scenario
 The collection of a campaign: its files resolved, simulated where it is, and observed once.
 
 The predictions of a campaign's scenarios as the one side of its comparison.
-
-What the report shows of the imagery: score maps and a picture of the scene; what lies in each pixel of a collection,
-as far as regions and truth say, and the score expected there.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
@@ -30,15 +27,13 @@ from hyperval.config import twice
 from hyperval.data import Mask
 from hyperval.datasets import InputLog
 from hyperval.errors import needed, one_of, refusal, refuse
-from hyperval.imagery import TargetObject, all_pixels, sun_zenith_deg, time_notes
+from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
 from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_part, target_groups
 from hyperval.observe import observe as observe_collection
-from hyperval.pixels import average_roc, compact_parts, false_alarm_ratio, with_shared_pixels
-from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, background_of
-from hyperval.results import Result
-from hyperval.run import ExpectedScores, Quicklook, ScoreMap
+from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
+from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts
 from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
@@ -334,146 +329,8 @@ def without_circles(
     )
     fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
     tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}
-    notes = prediction.notes
-    if taken:
-        notes += (f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}",)
-    return replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails, notes=notes)
-
-
-Expected = Mapping[tuple[str, str, str], float]
-# A region's name, or for each target that is looked for the subject that an object is in.
-Content = dict[str, str]
-ANY = ""
-
-
-def expected_maps(place: Place, detection: Detection, expected: Expected) -> dict[str, ExpectedScores]:
-    """Name of a score map -> expected scores, of the maps of which the model says anything.
-
-    Parameters
-    ----------
-    expected : (what lies there, target, detector) -> score [1]
-    """
-    if not expected:
-        return {}
-    numbers, contents = scene_content(place, detection, {subject for subject, _, _ in expected})
-    out = {}
-    for target in detection.targets:
-        for detector in detection.detectors:
-            scores = np.full(len(contents) + 1, np.nan, np.float32)
-            for i, content in enumerate(contents):
-                names = [content.get(target.name), *content.values()]
-                keys = [(name, target.name, detector) for name in names if name is not None]
-                scores[i] = next((expected[key] for key in keys if key in expected), np.nan)
-            if np.isfinite(scores).any():
-                out[map_name(target.name, detector)] = ExpectedScores(numbers, scores)
-    return out
-
-
-def scene_content(
-    place: Place, detection: Detection, subjects: Container[str]
-) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.int16]], list[Content]]:
-    """(lines, samples) number of what lies in a pixel, -1 where that is not known, and what the numbers mean.
-
-    A region inside another one stands before it.  Pixels near targets that are not scored, and those that two
-    targets share, hold an unknown part of them.
-    """
-    numbers, contents = np.full(place.cube.shape, -1, np.int16), list[Content]()
-    sizes = {name: np.count_nonzero(place.region(name)) for name in place.regions if name in subjects}
-    for name in sorted(sizes, key=lambda name: -sizes[name]):
-        numbers[place.pixels_of(name)] = len(contents)
-        contents.append({ANY: name})
-    kinds: dict[str, Content] = {}
-    for target in detection.targets:
-        for subject, members in target_groups(place.targets, target, detection.group).items():
-            for one in members:
-                kinds.setdefault(one.name, {})[target.name] = subject
-    of_targets = np.zeros(numbers.shape, bool)
-    for one in (target for target in place.targets if target.name in kinds):
-        if kinds[one.name] not in contents:
-            contents.append(kinds[one.name])
-        own = scored_part(one, place)
-        shared = of_targets[own.window][own.part]
-        numbers[own.window][own.part] = np.where(shared, -1, contents.index(kinds[one.name]))
-        own.paint(of_targets)
-    return numbers, contents
-
-
-# Wavelength [nm] of red, green, blue and the solar irradiance there relative to green (ASTM G173, rounded).
-COLOURS = ((650.0, 0.84), (550.0, 1.0), (470.0, 1.07))
-MOST_PIXELS = 1_000_000  # of the picture: of larger images every second, third ... line and sample is shown
-STRETCH_PIXELS = 250_000  # that the stretch is taken from, at least
-LINES_TOGETHER = 64
-GAMMA = 0.6  # lifts the dark part of the scene, where most surfaces are
-
-
-def score_maps(
-    observed: Observed, detection: Detection | None, prediction: PredictedProducts | None, rows: Iterable[Result]
-) -> dict[str, ScoreMap]:
-    """Every score map with its place on the ground, the outlines of its targets and what the model expects there.
-
-    ``rows`` : of the comparison with the prediction, which say what carries a difference of false alarms
-    """
-    if observed.detected is None or observed.place is None or detection is None:
-        return {}
-    cube, size = observed.place.cube, observed.place.pixel_area_m2
-    maps = expected_maps(observed.place, detection, prediction.expected_scores if prediction else {})
-    said = {(r.subject, r.method): r.reason for r in rows if r.metric == "pfa_ratio_without@1e-2"}
-    carried = {}
-    for key, law in prediction.exceedance.items() if prediction else ():
-        if law.influence is not None and (words := said.get((background_of(key[0]), key[1]))):
-            measured = observed.observation.exceedance[key]
-            threshold = float(measured.threshold[false_alarm_ratio(law, measured, 1e-2).at])
-            ratio = np.append(law.influence.at(threshold), np.nan)[law.influence.number]
-            carried[map_name(*key)] = ratio, threshold, words
-    transform = tuple(cube.transform)[:6] if cube.transform else None
-    crs, side_m = cube.crs.to_wkt() if cube.crs else None, float(np.sqrt(size)) if size else None
-    outlines = observed.detected.outlines
-    return {
-        name: ScoreMap(values, transform, crs, outlines.get(name, {}), side_m, maps.get(name), carried.get(name))
-        for name, values in observed.detected.score_maps.items()
-    }
-
-
-def quicklook(observed: Observed) -> Quicklook | None:
-    """Red, green and blue of the scene under one stretch; None without a cube.
-
-    Reflectance (after the empirical line where there is one) keeps its natural balance; radiance is divided by the
-    solar irradiance first, which leaves the blue of the path radiance.  Regions found by a rule, scattered over the
-    whole image, are not outlined.
-    """
-    if observed.place is None:
-        return None
-    cube = observed.place.cube
-    centre = cube.axis.centre_nm
-    bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
-    if cube.axis.numbered:  # from the long end to the short one, as red, green and blue stand
-        bands = [cube.bands * quarter // 4 for quarter in (3, 2, 1)]
-    step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
-    lines = range(0, cube.lines, step)  # every so many, and as many samples
-    picture = np.empty((len(lines), len(range(0, cube.samples, step)), len(bands)), np.float32)
-    # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
-    together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
-    with cube.raster.kept_open():
-        for out, line in zip(picture, lines, strict=True):
-            if line % together == 0:
-                part = cube.read_some_bands(line, min(together, cube.lines - line), bands)
-            out[:] = part[line % together, ::step]
-    offset, gain = np.zeros(3), np.ones(3)
-    if observed.elm is not None and np.all(observed.elm.usable[bands]):
-        offset, gain = observed.elm.offset[bands], observed.elm.gain[bands]
-    elif cube.quantity == "radiance":
-        gain = np.array([irradiance for _, irradiance in COLOURS])
-    thinned = (picture[:: max(1, picture[..., 0].size // STRETCH_PIXELS)] - offset) / gain
-    high = max(float(np.nanpercentile(thinned, 99.0)), np.finfo(float).tiny)
-    colours = np.empty(picture.shape, np.uint8)
-    for row, values in zip(colours, picture, strict=True):  # the whole picture in float64 would be the run's peak
-        row[:] = np.rint(255.0 * np.clip(np.nan_to_num((values - offset) / gain) / high, 0.0, 1.0) ** GAMMA)
-    size = observed.place.pixel_area_m2
-    shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]
-    number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members
-    outlines = {name: members[name][number] for name in shown_regions}
-    if observed.place.targets:
-        outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
-    return Quicklook(
-        colours, outlines, tuple(float(centre[b]) for b in bands), step * float(np.sqrt(size)) if size else None
-    )
+    prediction = replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails)
+    if not taken:
+        return prediction
+    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
+    return replace(prediction, notes=(*prediction.notes, note))

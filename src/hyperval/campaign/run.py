@@ -20,8 +20,9 @@ from typing import Any, Literal, NamedTuple
 
 import hyperval
 from hyperval.attribute import ScenarioModel, Truths, attribute, exchanged_pairs, few_objects, others_in_place
+from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
-from hyperval.campaign.products import Collected, collected, doubts, joined, predicted_side, quicklook, score_maps
+from hyperval.campaign.products import Collected, collected, doubts, joined, predicted_side
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
 from hyperval.campaign.schema import Job, Outline, job_of, jobs_of
 from hyperval.compare import compare_products, judged, product_rows, told_apart, would_decide
