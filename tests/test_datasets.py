@@ -1,12 +1,12 @@
 """Data sets: where a reference leads, what is recorded of it, and what a download leaves behind."""
 
 import gzip
-import hashlib
 import re
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from hashlib import sha256
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -104,7 +104,7 @@ def test_what_was_read_is_recorded_without_a_path_of_this_machine(places, tmp_pa
     assert log.add(inside) == inside
     entries = {e["reference"]: e for e in log.entries()}
     assert list(entries) == ["b.csv", "c.csv", "data:hysu/mine.hdr", "data:mine/a.hdr"]
-    assert entries["b.csv"]["sha256"] == hashlib.sha256(b"1,2").hexdigest()
+    assert entries["b.csv"]["sha256"] == sha256(b"1,2").hexdigest()
     assert (entries["b.csv"]["bytes"], entries["b.csv"]["licence"]) == (3, None)
     assert str(tmp_path) not in repr(log.entries())
     known = datasets.owner_of("data:" + HEADER)
@@ -202,9 +202,7 @@ def server(monkeypatch) -> Iterator[type[Handler]]:
         threading.Thread(target=partial(http.serve_forever, poll_interval=0.01), daemon=True).start()
         root = f"http://127.0.0.1:{http.server_port}"
         paths = zip(("toy/a.txt", "toy/b.chn.gz"), handler.content.items(), strict=True)
-        toy = toy_set(
-            *(DataFile(p, root + at, len(c), f"sha256:{hashlib.sha256(c).hexdigest()}") for p, (at, c) in paths)
-        )
+        toy = toy_set(*(DataFile(p, root + at, len(c), f"sha256:{sha256(c).hexdigest()}") for p, (at, c) in paths))
         monkeypatch.setattr(datasets, "registry", lambda: {"toy": toy})
         monkeypatch.setattr(datasets, "ATTEMPTS", 1)
         monkeypatch.setenv("NO_PROXY", "127.0.0.1")

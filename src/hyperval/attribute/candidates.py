@@ -23,7 +23,7 @@ from hyperval.atmosphere.solar import SPECTRA as SOLAR_SPECTRA
 from hyperval.atmosphere.solar import parse_utc
 from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.config import load_yaml
-from hyperval.data import Array, Mask
+from hyperval.data import Array
 from hyperval.errors import UsageError, refuse
 from hyperval.model import (
     Origins,
@@ -40,7 +40,6 @@ from hyperval.model.inputs import Kind, directions, field_spectrum_of, form_in_w
 from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
-from hyperval.sensor import SensorChanges
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
 Family = Callable[[World], Truth]  # what stands where with an error, for what a scenario says
@@ -81,6 +80,7 @@ _SIZES = {
     "path radiance": (-5.0, 10.0), AEROSOL: (-5.0, 10.0),
 }  # fmt: skip
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
+_NEARLY_ALL = 95.0  # [%] that a change takes off what is given in parts: a twentieth is left
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
 SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
 # Of the state of atmosphere and view: step, and where the model is asked.
@@ -88,7 +88,7 @@ _OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
     ("sensor_altitude_km", "sensor altitude", "10 %", (-5.0, 20.0)),
     ("ground_altitude_km", "ground height", "0.1 km", (-12.0, -4.0, 4.0, 12.0)),
     ("aerosol_share_below", "share of aerosol below the sensor", "10 %", (-5.0, 10.0)),
-    ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 20.0)),
+    ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 5.0, 20.0)),
     ("angstrom_exponent", "Angstrom exponent", "0.1 of the exponent", (-10.0, 10.0)),
 )
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
@@ -189,10 +189,19 @@ class Candidate:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Least and greatest size that it may have."""
+        """Least and greatest size that it may have.
+
+        >>> depth = Candidate("depth", "atmosphere", "10 %", False, sizes=(-5.0, 10.0))
+        >>> [replace(depth, unbounded=of_a_change).ends for of_a_change in (False, True)]
+        [(-8.0, 20.0), (-9.5, 40.0)]
+        """
         if self.budgeted:
             return -self.most, self.most
-        return _BELOW * min(0.0, *self.sizes), (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
+        number, _, unit = self.step.partition(" ")
+        low = _BELOW * min(0.0, *self.sizes)
+        if self.unbounded and unit == "%" and float(number) >= 1.0:
+            low = min(low, -_NEARLY_ALL / float(number))
+        return low, (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
 
     @property
     def asked(self) -> bool:
@@ -294,8 +303,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
             months, day = (-2.0, -1.0, 1.0, 2.0, 4.0, 6.0), partial(_on_day, days)
             out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=months, moved=day))
     if all(world.stated.noise is not None for world in worlds):
-        noise, asked = partial(_fixed_noise, worlds), (1.0, -1.0, -10.0, 10.0, 30.0)
-        out.append(Candidate("noise without signal", "sensor", "5 %", False, sizes=asked, moved=noise))
+        out.append(_noise(worlds, "fixed_noise", "", (1.0, -1.0, -10.0, 10.0, 30.0)))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
         kinds = {h: [{"atmosphere.aerosol": h} if s else {} for s in states] for h in HAZES if h not in hazes}
         out.append(_one_of("aerosol type", "atmosphere", kinds))
@@ -346,10 +354,16 @@ def _on_day(days: Sequence[int], units: float) -> list[Truth]:
     return [{"atmosphere.day_of_year": (round(day + 30.0 * units) - 1) % 365 + 1} for day in days]
 
 
-def _fixed_noise(worlds: Sequence[World], units: float) -> list[Truth]:
-    every = [(w.stated.scenario.sensor_changes or SensorChanges()).model_dump(exclude_none=True) for w in worlds]
-    key, factor = "fixed_noise_factor", 1.0 + 0.05 * units
-    return [{"sensor_changes": {**stated, key: factor * stated[key]}} for stated in every]
+def _noise(
+    worlds: Sequence[World], key: str, where: str, sizes: tuple[float, ...], of: Array | float = 1.0
+) -> Candidate:
+    """Electrons per radiance or fixed noise of another size, in bands ``of`` (B,)."""
+
+    def other(units: float) -> list[Truth]:
+        return [{f"sensor.{key}": 1.0 + 0.05 * units * of}] * len(worlds)
+
+    name = "noise without signal" if key == "fixed_noise" else "electrons per radiance"
+    return Candidate(f"{name}{where}", "sensor", "5 %", False, sizes=sizes, moved=other)
 
 
 def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
@@ -466,10 +480,16 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> arm = both["wavelength shift of 942-2470 nm"]
     >>> [truth["sensor.wavelength_shift_nm"].ravel()[[0, -1]].tolist() for truth in arm.at(0, 5.0)]
     [[0.0, 1.0], [0.0, 1.0]]
+    >>> arm = both["noise without signal of 942-2470 nm"]
+    >>> [truth["sensor.fixed_noise"].round(9).ravel()[[0, -1]].tolist() for truth in arm.at(0, -10.0)]
+    [[1.0, 0.5], [1.0, 0.5]]
     >>> both["bits of a recorded number"].at(0, 2.0)
     [{'sensor_changes.bits': 12}, {'sensor_changes.bits': 12}]
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
+    >>> slanted = _of_state([read(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], *_OF_STATE[3])
+    >>> slanted.sizes, both["view zenith angle"].sizes, both["ground height"].sizes
+    ((-6.0, 5.0, 20.0), (5.0, 20.0), (-1.7, 4.0, 12.0))
     >>> shown("ground height", both["ground height"].sizes[-2])
     {'atmosphere.ground_altitude_km': [0.57, 0.57]}
     {'atmosphere.ground_altitude_km': [0.57, 0.57]}
@@ -567,9 +587,12 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
 def _of_state(worlds: Sequence[World], key: str, name: str, step: str, sizes: tuple[float, ...]) -> Candidate:
     """A number of the state of atmosphere, sun and view, in all scenarios."""
     size, path = float(step.split()[0]), f"atmosphere.{key}"
-    there = [number_input(w, name, "scene", path, size, source="usual", words=step) for w in worlds]
     if step.endswith("%"):
         there = [_part(w, name, "scene", path, size / 100.0) for w in worlds]
+    else:  # down to 0 at most, which is what the smallest ones are mistaken for
+        there = [number_input(w, name, "scene", path, size, source="usual", words=step) for w in worlds]
+        least = -min(float(np.min(np.abs(np.asarray(one.nominal, dtype=float)))) for one in there) / size
+        sizes = tuple(dict.fromkeys(z for z in (max(z, least) for z in sizes) if z))
     return Candidate(name, "scene", step, False, tuple(there), sizes)
 
 
@@ -605,27 +628,28 @@ def _levelled(values: Sequence[Mapping[str, Any]], units: float) -> list[Truth]:
     return [{path: (1.0 + 0.05 * units) * value for path, value in each.items()} for each in values]
 
 
-def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
-    """Wavelengths and electrons per radiance of one arm of a sensor; where its arms are not known, of either side of
-    1000 nm.
-    """
-    axis, sensor, out = worlds[0].stated.axis, worlds[0].stated.sensor, list[Candidate]()
-    arms = [axis.centre_nm < 1000.0, axis.centre_nm >= 1000.0]
+def arms_of(world: World) -> dict[str, Array]:
+    """Arms of a sensor by their wavelengths, 1 in their bands (B,); either side of 1000 nm where none are known."""
+    axis, sensor = world.stated.axis, world.stated.sensor
+    arms = np.array([axis.centre_nm < 1000.0, axis.centre_nm >= 1000.0])
     if sensor is not None and sensor.specification.arms:
-        arms = [row > 0 for row in directions(np.ones(len(axis)), SpectralForm(correlation="arms"), axis, sensor)]
-    for arm in arms if len(arms) > 1 and all(map(np.any, arms)) else ():
-        low, high = axis.centre_nm[arm][[0, -1]]
+        arms = directions(np.ones(len(axis)), SpectralForm(correlation="arms"), axis, sensor) > 0.0
+    several = len(arms) > 1 and bool(np.all(np.any(arms, axis=1)))
+    return {"{:.0f}-{:.0f} nm".format(*axis.centre_nm[arm][[0, -1]]): 1.0 * arm for arm in arms if several}
 
-        def seen(units: float, arm: Mask = arm) -> list[Truth]:
-            return [{"sensor.electrons": 1.0 + 0.05 * units * arm}] * len(worlds)
 
-        def shifted(units: float, arm: Mask = arm) -> list[Truth]:
-            return [_shifted(world, nm=np.where(arm, SHIFT_NM * units, 0.0)) for world in worlds]
+def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
+    """Wavelengths, electrons per radiance and fixed noise of one arm."""
+    out = list[Candidate]()
+    for where, arm in arms_of(worlds[0]).items():
+
+        def shifted(units: float, arm: Array = arm) -> list[Truth]:
+            return [_shifted(world, nm=SHIFT_NM * units * arm) for world in worlds]
 
         if all(world.stated.noise is not None for world in worlds):
-            name, sizes = f"electrons per radiance of {low:.0f}-{high:.0f} nm", _SIZES["electrons per radiance"]
-            out.append(Candidate(name, "sensor", "5 %", False, sizes=sizes, moved=seen))
-        name, step = f"wavelength shift of {low:.0f}-{high:.0f} nm", f"{SHIFT_NM:g} nm"
+            out.append(_noise(worlds, "electrons", f" of {where}", _SIZES["electrons per radiance"], arm))
+            out.append(_noise(worlds, "fixed_noise", f" of {where}", (-10.0, 10.0, 30.0), arm))
+        name, step = f"wavelength shift of {where}", f"{SHIFT_NM:g} nm"
         out.append(Candidate(name, "sensor", step, False, sizes=(-25.0, -5.0, 5.0, 25.0), moved=shifted))
     return out
 

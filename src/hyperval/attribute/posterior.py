@@ -314,11 +314,14 @@ class Posterior:
     parts : of all residuals, what spectra share and what they differ in: each a test of its own
     level : p-value below which the residuals are not explained; shared out among the groups of one attribution
     beside_noise : whether more than is named may hide in the noise of a scene made anew, so that no cause is enough
+    remark : what is said besides where nothing has changed
 
     Examples
     --------
     >>> Posterior("all", 2.1, 2, 0.35, (), (), {NOTHING: 0.9, NONE: 0.1}).conclusion
     'nothing to explain: reduced chi-square 1.05 of 2 residuals (p = 0.35)'
+    >>> Posterior("all", 0.0, 2, 1.0, (), (), {NOTHING: 1.0}).conclusion
+    'nothing to explain: reduced chi-square 0 of 2 residuals (p = 1)'
     """
 
     group: str
@@ -332,6 +335,7 @@ class Posterior:
     parts: tuple[Posterior, ...] = ()
     level: float = ENOUGH
     beside_noise: bool = False
+    remark: str = ""
 
     @property
     def first(self) -> str:
@@ -396,12 +400,12 @@ class Posterior:
     @property
     def times_too_wide(self) -> float:
         """How many times too wide the stated uncertainties are at least: c^2 r^T C^-1 r = chi2_n at the level."""
-        return float(np.sqrt(scipy.stats.chi2.ppf(TOO_WIDE_LEVEL, self.dof) / max(self.chi_square, 1e-300)))
+        return float(np.sqrt(scipy.stats.chi2.ppf(TOO_WIDE_LEVEL, self.dof) / self.chi_square))
 
     @property
     def too_wide(self) -> bool:
-        """Whether the stated uncertainties are far wider than the residuals."""
-        return self.passes and self.times_too_wide > TOO_WIDE
+        """Whether the stated uncertainties are far wider than the residuals; where all are 0 both sides are one."""
+        return self.passes and self.chi_square > 0.0 and self.times_too_wide > TOO_WIDE
 
     @property
     def conclusion(self) -> str:
@@ -474,6 +478,14 @@ class Reasoner:
     >>> [known.posterior("all", change).first for change in (30.0 * one[1], np.full(40, 30.0))]
     ['single bands', 'none of these']
 
+    The cause that makes most of it is named first.
+
+    >>> tilt = Candidate("tilt", "sensor", "1 %", False)
+    >>> two = Reasoner({offset: one[:, :1], tilt: one[:, 1:2]}, one[:, 4:], noisy=False)
+    >>> found = two.posterior("all", 5.0 * one[0] + 99.0 * one[1]).hypotheses
+    >>> {tuple(f.name for f in h.causes) for h in found if len(h.causes) == 2}
+    {('tilt', 'offset')}
+
     Nor is a cause named that makes less than half of a change.
 
     >>> half = {noisy: Reasoner({offset: one[:, :1]}, one[:, 4:], noisy=noisy) for noisy in (True, False)}
@@ -507,7 +519,7 @@ class Reasoner:
             part = [h.first in (NOTHING, NONE) or h.left[-1] <= MOST_LEFT * whole for h in found]
             found = [h if most else replace(h, weight=h.weight - whole) for h, most in zip(found, part, strict=True)]
         found.sort(key=lambda h: -h.weight)
-        found = [self._shared_first(h, e) if h.weight > found[0].weight - CLOSE else h for h in found]
+        found = [self._ordered(h, e) if h.weight > found[0].weight - CLOSE else h for h in found]
         logs = np.array([h.weight for h in found])
         weights = np.exp(logs - np.logaddexp.reduce(logs))
         probability = dict.fromkeys((NOTHING, NONE, *(f.name for f in singles)), 0.0)
@@ -575,10 +587,14 @@ class Reasoner:
                 if all(candidate is not f.candidate for f in h.causes):
                     yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
 
-    def _shared_first(self, h: Hypothesis, e: Array) -> Hypothesis:
-        """The same causes: what befalls all subjects before what befalls one, where it explains a good part."""
-        order = sorted(h.causes, key=lambda f: not f.candidate.is_shared)
-        if not self.noisy or not order or order[0] is h.causes[0]:
+    def _ordered(self, h: Hypothesis, e: Array) -> Hypothesis:
+        """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
+        change, what explains most before the rest.
+        """
+        less = np.diff([float(e @ e), *h.left])
+        rank = [not f.candidate.is_shared for f in h.causes] if self.noisy else less
+        order = [f for _, f in sorted(zip(rank, h.causes, strict=False), key=lambda pair: float(pair[0]))]
+        if not order or order[0] is h.causes[0]:
             return h
         causes, left = tuple[Fit, ...](), [float(e @ e)]
         for cause in order:

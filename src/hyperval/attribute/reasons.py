@@ -17,6 +17,7 @@ import numpy as np
 from hyperval.attribute.candidates import (
     SINGLE_BANDS,
     Candidate,
+    arms_of,
     assumed_inputs,
     candidates,
     exchanged_entries,
@@ -56,6 +57,7 @@ MOST_ROUNDS, MOST_REFINED, MOST_PIXELS = 6, 4, 4
 SMOOTH_PART = 0.03
 KNOTS_NM = np.array([400, 430, 460, 500, 550, 600, 650, 700, 800, 900, 1000, 1200, 1400, 1650, 2000, 2250, 2500], float)
 BAND_PART = 0.01
+_FARTHER = [(k, 0) for k in (3, -3, 4, -4, 5, -5, 6, -6)]  # as far as lost lines take regions and targets
 UNITS = np.array([0.001, 0.01, 0.1, 10.0, 100.0, 1000.0])  # of spectra in another unit than is stated
 FACTOR = 2.0  # a ratio of false alarms within it is good
 AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted one and of another machine agree
@@ -63,9 +65,10 @@ AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted 
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-4, 0.01, 1e-4
 # What befalls an image whose spectra are not compared: it is measured again.
+_OFFSETS = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
 _OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
     ("gain of the data against the spectra", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
-    ("offset of the data", "0.01 of the mean", "offset", 0.01, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
+    ("offset of the data", "0.01 of the mean", "offset", 0.01, _OFFSETS),
     ("wavelength shift", "0.5 nm", "nm", 0.5, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
     ("wavelength scale", "0.1 %", "scale", 0.001, (-8.0, -2.0, 2.0, 8.0)),
 )
@@ -123,7 +126,8 @@ class Causes:
     wide : (n, k) of what no candidate describes
     evaluate : asks the model again
     mistaken : what is measured now, less what is measured with a mistake in the image
-    exchanged : of what is measured, what :attr:`ScenarioModel.exchanges` has in each other's place
+    exchanged : of what is measured, what :attr:`ScenarioModel.exchanges` has in each other's place, and an offset in
+        one arm
     """
 
     stack: Stack
@@ -220,9 +224,21 @@ class Causes:
         ...                asked.append(mistake) or np.zeros(9))
         >>> asked = []
         >>> tried.changed(told, simulated=False).first, len(asked), asked[0]
-        ('none of these', 25, {'exchanged': ['red', 'green']})
-        >>> asked[1]
-        {'lines': -2, 'samples': -2, 'regions': True, 'still': ['lot']}
+        ('none of these', 40, {'exchanged': ['red', 'green']})
+        >>> asked[1], asked[32]["lines"]
+        ({'lines': -2, 'samples': -2, 'regions': True, 'still': ['lot']}, -6)
+
+        Where no place of all targets fits, lines were lost, and those that lie beyond are looked for alone:
+
+        >>> def lost(mistake):
+        ...     there = (mistake.get("lines"), mistake.get("samples")) == (-5, 0)
+        ...     return np.array([0.3 * there, 0.0, 0.2 * there * (mistake.get("beyond", 0.0) < 0.6), 0.0])
+        >>> noise = 1e-6 * np.eye(2)
+        >>> two = [ResidualBlock("scores", n, "cem", np.array([0.4, 0.9]), noise, len) for n in ("red", "lot")]
+        >>> told = {"scores of red cem": ("-1 -2", "0.1 0.9", "0 0"), "scores of lot cem": ("-1 -2", "0.4 0.9", "0 0")}
+        >>> found = causes(*two, mistaken=lost).changed(told, simulated=False)
+        >>> found.first, found.best.causes[0].in_words, found.enough
+        ('position of the target regions beyond some line', '-5 lines, +0 samples from 5/8 of the image on', True)
 
         Scores that moved by some thousandths are no rounding:
 
@@ -344,6 +360,7 @@ class Causes:
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
             reach = (-1, 0, 1) if effects else (-2, -1, 0, 1, 2)
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product(reach, repeat=2)]
+            around += [] if effects else _FARTHER
             for by in around:
                 if by not in effects and any(by):
                     effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions, "still": still})
@@ -354,6 +371,16 @@ class Causes:
             before, nearest = nearest, list(effects)[int(best.amplitudes[0])] if best else nearest
             if found.enough or nearest == before:
                 break
+        if effects and found.first == NONE:  # lines are lost before some of them, by the entries that moved most
+            size = np.where(self.stack.bands[of] < 0, 1.0, np.abs(level[of]) + np.abs(moved) + 1e-12)
+            most = np.abs(moved) > 0.1 * size * np.max(np.abs(moved / size))
+            by = min(effects, key=lambda by: float(np.sum(((moved - effects[by][of]) / size)[most] ** 2)))
+            lost = {f"{by[0]:+d} lines, {by[1]:+d} samples from {n}/8 of the image on": n / 8.0 for n in range(1, 8)}
+            mistake = {"lines": by[0], "samples": by[1], "regions": regions}
+            there = [self.mistaken({**mistake, "beyond": part}) for part in lost.values()]
+            what = f"position of the {'' if regions else 'target '}regions beyond some line"
+            one = Candidate(what, "scene", "", False, labels=tuple(lost))
+            found = self.explained_change(moved, of, level, {**columns, one: np.column_stack(there)})
         return found
 
     def _moved_subjects(self, moved: Array, of: Index, level: Array) -> tuple[list[str], list[str]]:
@@ -509,8 +536,9 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     names = {c.name for s in model.scenarios for c in s.scene.classes}
     spectra = {b.product: getattr(base, b.product) for b in stack.blocks if b.bands is not None}.items()
     classes = {product: {n: s.mean for n, s in each.items() if n in names} for product, each in spectra}
+    arms = arms_of(worlds[0])
     of_spectra = partial(_of_spectra, stack, classes, observed.axis.centre_nm)
-    columns |= of_spectra(predicted)
+    columns |= of_spectra(predicted, {})
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
     of_files = partial(_columns_at, exchanged_entries(worlds, model.looked_for), {}, predicted, evaluate)
     rarer = rarer_candidates(worlds)
@@ -530,12 +558,15 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
             if of:
                 one = Candidate(what, "scene", "", False, labels=tuple(of))
                 out[one] = np.column_stack([mistaken({}, {key: values}) for values in of.values()])
+        for where, arm in arms.items():  # what noise there is stays, so that the SNR of what is dark moves too
+            one = Candidate(f"offset of {where}", "sensor", "0.01 of the mean", False, sizes=_OFFSETS)
+            out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])
         return out
 
     asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in (rare, rarer)]
     return Causes(
-        stack, numbers, predicted, values, of_spectra, of_files, asked, covariance, columns, ends, residual, wide,
-        evaluate, mistaken, exchanged,
+        stack, numbers, predicted, values, partial(of_spectra, arms=arms), of_files, asked, covariance,
+        columns, ends, residual, wide, evaluate, mistaken, exchanged,
     )  # fmt: skip
 
 
@@ -565,6 +596,7 @@ def attribute(
     *,
     budgeted: Products,
     accepted: Mapping[str, Sequence[str]] | None = None,
+    accepted_chi_square: float = 0.0,
     simulated: bool = False,
 ) -> list[Result]:
     """Move every input, run every what-if, say how likely each is the reason.
@@ -583,6 +615,7 @@ def attribute(
     ----------
     worlds, budgeted : as of :func:`causes_of`
     accepted : sides of the accepted run by quantity (:meth:`Causes.sides`): what came since is told by itself
+    accepted_chi_square : the reduced chi-square of all residuals in that run, 0 where it is not known
     simulated : whether what is measured comes of a model too
 
     Raises
@@ -598,6 +631,7 @@ def attribute(
     columns, _ = causes.standing()
     ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
     if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
+        since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted_chi_square)
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     return [
         *(item for group in ranked for item in _posterior_rows(group)),
@@ -636,7 +670,7 @@ def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Arra
 
 
 def _of_spectra(
-    stack: Stack, classes: Mapping[str, Mapping[str, Array]], centre_nm: Array, level: Array
+    stack: Stack, classes: Mapping[str, Mapping[str, Array]], centre_nm: Array, level: Array, arms: Mapping[str, Array]
 ) -> dict[Candidate, Array]:
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
     bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
@@ -653,6 +687,8 @@ def _of_spectra(
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
         *((name, "region", area, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
+    for where, arm in arms.items():
+        parts.append((f"sensor gain of {where}", "sensor", "1 %", (-20.0, 25.0), 0.01 * own * arm[stack.bands]))
     units = tuple(f"x {factor:g}" for factor in UNITS)
     lit = np.where(stack.bands >= 0, level, 0.0)
     out = {Candidate("unit of the measured spectra", "sensor", "", False, labels=units): np.outer(lit, UNITS - 1.0)}
@@ -663,17 +699,28 @@ def _of_spectra(
     return out
 
 
+def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:
+    """A change, with a remark where numbers that are the same have another reduced chi-square than ``then``, if any."""
+    other = then and abs(now / then - 1.0) > OFF
+    words = f"; their stated uncertainty has: reduced chi-square {now:.3g}, {then:.3g} in that run"
+    return replace(since, remark=words if other else "")
+
+
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     """Rows of what explains one group of residuals, or a change.
 
     >>> since = Posterior(SINCE, 0.0, 40, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
     >>> next(_posterior_rows(since)).reason
     'spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty'
+    >>> next(_posterior_rows(with_uncertainty(since, 2.0, 1.8))).reason[-67:]
+    'their stated uncertainty has: reduced chi-square 2, 1.8 in that run'
+    >>> with_uncertainty(since, 2.0, 2.0).remark, with_uncertainty(since, 2.0, 0.0).remark
+    ('', '')
     >>> next(_posterior_rows(replace(since, group=ALL, chi_square=40.0, p_value=0.47))).reason
     'nothing to explain: reduced chi-square 1 of 40 residuals (p = 0.47)'
     """
     # The test of all products together concludes too, and informs.
-    words = UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
+    words = UNCHANGED + r.remark if r.group == SINCE and r.first == NOTHING else r.conclusion
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
     if r.group != SINCE and (r.too_wide or not r.passes):
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)

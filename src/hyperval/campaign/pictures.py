@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hyperval.collection import Detection
-from hyperval.imagery import Cube, all_pixels
+from hyperval.imagery import all_pixels
 from hyperval.observe import Observed, Place, map_name, scored_part, target_groups
 from hyperval.pixels import false_alarm_ratio
 from hyperval.products import PredictedProducts, background_of
@@ -68,9 +66,7 @@ def scene_content(
             for one in members:
                 kinds.setdefault(one.name, {})[target.name] = subject
     of_targets = np.zeros(numbers.shape, bool)
-    for one in place.targets:
-        if one.name not in kinds:
-            continue
+    for one in (target for target in place.targets if target.name in kinds):
         if kinds[one.name] not in contents:
             contents.append(kinds[one.name])
         own = scored_part(one, place)
@@ -97,8 +93,7 @@ def score_maps(
     """
     if observed.detected is None or observed.place is None or detection is None:
         return {}
-    cube = observed.place.cube
-    size = observed.place.pixel_area_m2
+    cube, size = observed.place.cube, observed.place.pixel_area_m2
     maps = expected_maps(observed.place, detection, prediction.expected_scores if prediction else {})
     said = {(r.subject, r.method): r.reason for r in rows if r.metric == "pfa_ratio_without@1e-2"}
     carried = {}
@@ -108,16 +103,11 @@ def score_maps(
             threshold = float(measured.threshold[false_alarm_ratio(law, measured, 1e-2).at])
             ratio = np.append(law.influence.at(threshold), np.nan)[law.influence.number]
             carried[map_name(*key)] = ratio, threshold, words
+    transform = tuple(cube.transform)[:6] if cube.transform else None
+    crs, side_m = cube.crs.to_wkt() if cube.crs else None, float(np.sqrt(size)) if size else None
+    outlines = observed.detected.outlines
     return {
-        name: ScoreMap(
-            values,
-            tuple(cube.transform)[:6] if cube.transform else None,
-            cube.crs.to_wkt() if cube.crs else None,
-            observed.detected.outlines.get(name, {}),
-            float(np.sqrt(size)) if size else None,
-            maps.get(name),
-            carried.get(name),
-        )
+        name: ScoreMap(values, transform, crs, outlines.get(name, {}), side_m, maps.get(name), carried.get(name))
         for name, values in observed.detected.score_maps.items()
     }
 
@@ -137,7 +127,15 @@ def quicklook(observed: Observed) -> Quicklook | None:
     if cube.axis.numbered:  # from the long end to the short one, as red, green and blue stand
         bands = [cube.bands * quarter // 4 for quarter in (3, 2, 1)]
     step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
-    picture = _some_pixels(cube, bands, step)
+    lines = range(0, cube.lines, step)  # every so many, and as many samples
+    picture = np.empty((len(lines), len(range(0, cube.samples, step)), len(bands)), np.float32)
+    # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
+    together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
+    with cube.raster.kept_open():
+        for out, line in zip(picture, lines, strict=True):
+            if line % together == 0:
+                part = cube.read_some_bands(line, min(together, cube.lines - line), bands)
+            out[:] = part[line % together, ::step]
     offset, gain = np.zeros(3), np.ones(3)
     if observed.elm is not None and np.all(observed.elm.usable[bands]):
         offset, gain = observed.elm.offset[bands], observed.elm.gain[bands]
@@ -157,17 +155,3 @@ def quicklook(observed: Observed) -> Quicklook | None:
     return Quicklook(
         colours, outlines, tuple(float(centre[b]) for b in bands), step * float(np.sqrt(size)) if size else None
     )
-
-
-def _some_pixels(cube: Cube, bands: list[int], step: int) -> npt.NDArray[Any]:
-    """(lines, samples, bands) values of every ``step``-th line and sample, as float32."""
-    lines, samples = range(0, cube.lines, step), range(0, cube.samples, step)
-    out = np.empty((len(lines), len(samples), len(bands)), np.float32)
-    # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
-    together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
-    with cube.raster.kept_open():
-        for row, line in enumerate(lines):
-            if line % together == 0:
-                part = cube.read_some_bands(line, min(together, cube.lines - line), bands)
-            out[row] = part[line % together, ::step]
-    return out

@@ -31,7 +31,7 @@ from hyperval.campaign.run import outcomes, scenario_model, worlds_of
 from hyperval.campaign.schema import Job, jobs_of
 from hyperval.errors import MissingDataError
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.metrics import Evidence
+from hyperval.metrics import DIGITS, Evidence
 from hyperval.model import Truth, predict
 from hyperval.products import PredictedProducts
 from hyperval.progress import bars, track
@@ -181,8 +181,10 @@ def _calibrated(causes: Causes) -> Reasons:
         if first != NOTHING:  # that chance explains a small error is no mistake
             stated.append((found.probability[found.first], first == kind))
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
+    standing = causes.standing()[1]
     return Reasons(
-        first=causes.standing()[1].first,
+        first=standing.first,
+        reduced_chi_square=float(f"{standing.chi_square / standing.dof:.{DIGITS}g}"),
         worlds=worlds,
         named={kind: dict(counts) for kind, counts in named.items()},
         grouped=dict(grouped),

@@ -84,6 +84,7 @@ class Reasons(Model):
     calibration: list[tuple[float, float, int]] = Field(
         description="stated probability of a cause, share that was right, worlds"
     )
+    reduced_chi_square: float = Field(0.0, ge=0, description="of all residuals, unperturbed")
     sides: dict[str, tuple[str, str, str]] = Field(description="unperturbed: bands, observed, predicted; by quantity")
 
     @property

@@ -5,6 +5,9 @@ What header, map and truth of the collection say, held against what the scenario
 The collection of a campaign: its files resolved, simulated where it is, and observed once.
 
 The predictions of a campaign's scenarios as the one side of its comparison.
+
+What the report shows of the imagery: score maps and a picture of the scene; what lies in each pixel of a collection,
+as far as regions and truth say, and the score expected there.
 """
 
 from __future__ import annotations
@@ -329,8 +332,7 @@ def without_circles(
     )
     fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
     tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}
-    prediction = replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails)
-    if not taken:
-        return prediction
-    note = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
-    return replace(prediction, notes=(*prediction.notes, note))
+    notes = prediction.notes
+    if taken:
+        notes += (f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}",)
+    return replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails, notes=notes)

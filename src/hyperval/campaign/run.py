@@ -46,6 +46,7 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
 _BANDS = ("windows", "good", "all")  # that detectors may be given
+_LIMITS, _OTHER = ("above", "below"), (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)  # of a normalised difference, and more
 _MOST_TRIED = 18  # spectra in the place of those that detectors look for
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
@@ -106,10 +107,11 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         if campaign.attribution is not None:  # why the two sides differ
+            accepted = power and power.reasons
             rows += attribute(
                 scenario_model(side), observed.observation, worlds_of(side), campaign.attribution,
-                budgeted=prediction,
-                accepted=power.reasons.sides if power and power.reasons else {},
+                budgeted=prediction, accepted=accepted.sides if accepted else {},
+                accepted_chi_square=accepted.reduced_chi_square if accepted else 0.0,
                 simulated=bool(campaign.simulated),
             )  # fmt: skip
         more = {"kind": "Campaign", "deciding": deciding}
@@ -227,8 +229,9 @@ def scenario_model(side: Collected) -> ScenarioModel:
         if "exchanged" in mistake and not side.observed.place:
             sites = entries_of(side.campaign.collection, "spectra")
             changes = {"collection.spectra": exchanged_sites(sites, *mistake["exchanged"])}
-        changed = with_settings(side.campaign, changes)  # no residual is an area
-        detection = changed.detection and changed.detection.model_copy(update={"unmixing": None, "areas": []})
+        changed = with_settings(side.campaign, changes)  # no residual is an area; of displaced regions spectra tell
+        detection = None if mistake.get("regions") else changed.detection
+        detection = detection and detection.model_copy(update={"unmixing": None, "areas": []})
         before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
             bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
@@ -281,7 +284,11 @@ def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
     looked_for = others_in_place({t["name"]: t["spectrum"] for t in targets}, of_model, "of the model")
     of_panels = exchanged_pairs({panel["region"]: panel["spectrum"] for panel in panels})
     of_truth = {name: {**materials, **both} for name, both in exchanged_pairs(materials).items()}
+    drawn = entries_of(collection, "regions")
+    limits = {x for one in drawn for end, x in (one.get("normalized_difference") or {}).items() if end in _LIMITS}
+    of_rules = {f"{x + by:.3g} for {x:g}": _limited(drawn, x, x + by) for x in sorted(limits) for by in _OTHER}
     return {
+        "limit of a normalised difference": ("collection.regions", of_rules),
         "exchanged panels of the empirical line": (
             "collection.empirical_line.panels", _with_spectra(panels, "region", of_panels)
         ),
@@ -292,6 +299,17 @@ def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
         "pixels behind the filters": ("detection.background", {n: [n] for n in others if behind}),
         "bands of the detectors": ("detection.bands", {b: b for b in _BANDS if detection and b != detection.bands}),
     }  # fmt: skip
+
+
+def _limited(regions: Sequence[Mapping[str, Any]], limit: float, other: float) -> list[dict[str, Any]]:
+    """The same regions, with another number wherever a rule has this limit.
+
+    >>> _limited([{"name": "lawn", "normalized_difference": {"low_nm": [650, 680], "above": 0.6}}], 0.6, 0.5)
+    [{'name': 'lawn', 'normalized_difference': {'low_nm': [650, 680], 'above': 0.5}}]
+    """
+    key = "normalized_difference"
+    rules = [{end: other if x == limit else x for end, x in (one.get(key) or {}).items()} for one in regions]
+    return [{**one, key: rule} if rule else dict(one) for one, rule in zip(regions, rules, strict=True)]
 
 
 def _with_spectra(

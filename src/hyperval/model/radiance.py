@@ -555,7 +555,8 @@ def light_of(world: World) -> Light:
         noise = models[0]
         if len(models) > 1:
             noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
-        noise = replace(with_signal(noise, factor("electrons")), gain=g, offset=offset, factor=factor("noise"))
+        noise, fixed = with_signal(noise, factor("electrons")), noise.fixed_noise * factor("fixed_noise")
+        noise = replace(noise, fixed_noise=fixed, gain=g, offset=offset, factor=factor("noise"))
     elm = processing.elm if isinstance(processing.elm, ElmPanels) or (radiant and processing.elm != "none") else None
     light = Light(
         terms, average * factor("surroundings"), noise, world.kappa, stated.scenario.formulation, radiant, elm,

@@ -105,12 +105,13 @@ PATHS: Mapping[str, Path] = {
         "surroundings", shape="vector", low=0.01, name=SURROUNDINGS, stated="adjacency_reflectance_relative"
     ),
     # what is recorded is gain L + offset; where there is no atmosphere, the reflectance of all that was not measured
-    # on the imagery.  Factors on the noise and on the electrons per radiance; added to the true band centres, and a
-    # factor on the true widths
+    # on the imagery.  Factors on the noise, the electrons per radiance and the fixed noise; added to the true band
+    # centres, and a factor on the true widths
     "sensor.gain": Path("gain", shape="vector", name="sensor gain", stated="sensor_gain"),
     "sensor.offset": Path("offset", unit=_RADIANCE, shape="vector", name="sensor offset", stated="sensor_offset"),
     "sensor.noise": Path("noise", shape="vector", low=1e-3, name="noise", stated="noise"),
     "sensor.electrons": Path("electrons", shape="vector", low=1e-3, name="electrons per radiance", stated="electrons"),
+    "sensor.fixed_noise": Path("fixed_noise", shape="vector", low=0.0),
     "sensor.wavelength_shift_nm": Path(
         "", unit="nm", shape="vector", name="wavelength shift", stated="wavelength_shift"
     ),
@@ -153,11 +154,11 @@ SHIFT, WIDTH = "sensor.wavelength_shift_nm", "sensor.band_width"
 # One number for all bands, or one for each, as it is where nothing is moved.
 NEUTRAL = {
     **dict.fromkeys(
-        ("irradiance", "path", "ground", "albedo", "surroundings", "gain", "noise", "electrons", "dark", "bright",
-         "line_gain"), 1.0),
+        ("irradiance", "path", "ground", "albedo", "surroundings", "gain", "noise", "electrons", "fixed_noise",
+         "dark", "bright", "line_gain"), 1.0),
     **dict.fromkeys(("path_error", "offset", "line_offset"), 0.0),
 }  # fmt: skip
-NOT_WITHOUT_LIGHT = ("light.*", "sensor.noise", "sensor.electrons", "atmosphere.*")
+NOT_WITHOUT_LIGHT = ("light.*", "sensor.noise", "sensor.electrons", "sensor.fixed_noise", "atmosphere.*")
 _OF_SENSOR = ("sensor_operation", "sensor_changes")
 # What leaves light, sensor and classes alone, and with them the filters.
 _OF_TARGETS = ("tail", "fill", "fill entry", "blur", "target_gain", "beam", "sky_view", "fine_texture")

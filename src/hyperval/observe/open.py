@@ -109,8 +109,8 @@ class Place:
         """The same with a mistake in it; statistics and line are still to be measured.
 
         ``mistake`` : lines, samples that targets are away; regions (1), that regions are too, but those that lie
-        still: beside such a one no target is; exchanged, two regions in each other's place; gain, a part that is added
-        to each value; offset, a part of the mean of all
+        still: beside such a one no target is; beyond, the part of all lines from which on both are; exchanged, two
+        regions in each other's place; gain, a part that is added to each value; offset, a part of the mean of all
         """
         cube, of = self.cube, mistake
         by, factor = (int(of.get("lines", 0)), int(of.get("samples", 0))), 1.0 + of.get("gain", 0.0)
@@ -119,9 +119,11 @@ class Place:
         labels, targets = replace(self.labels, members=members), self.targets
         if any(by):
             away = [name for name in self.regions if of.get("regions") and name not in of.get("still", ())]
+            first = int(of.get("beyond", 0.0) * cube.shape[0])
             if len(away) in (0, len(self.regions)):
-                targets, away = [target.displaced(*by) for target in targets], [*away, _NEAR]
-            labels = labels.displaced(away, by)
+                targets = [target.displaced(*by) if target.corner[0] >= first else target for target in targets]
+                away = [*away, _NEAR]
+            labels = labels.displaced(away, by, first)
         gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
         if "offset" in of:
             offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))

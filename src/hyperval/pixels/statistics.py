@@ -195,17 +195,24 @@ class Labels(Mapping[str, Mask]):
             members = {key: own[kept // 2] for key, own in members.items()} | {name: kept % 2 == 1}
         return Labels(number, members)
 
-    def displaced(self, names: Sequence[str], by: tuple[int, int]) -> Labels:
-        """Some of the regions so many lines and samples away; what leaves the image comes in on the other side.
+    def displaced(self, names: Sequence[str], by: tuple[int, int], first: int = 0) -> Labels:
+        """Some of the regions so many lines and samples away, from a first line on; what leaves the image comes in on
+        the other side.
 
         >>> left, top = np.array([[True, False], [True, False]]), np.array([[True, True], [False, False]])
         >>> labels = Labels.of((2, 2), {"left": left, "top": top})
         >>> [labels.displaced(names, (1, 0))["top"].tolist() for names in (["top"], ["left", "top"], ["left"])]
         [[[False, False], [True, True]], [[False, False], [True, True]], [[True, True], [False, False]]]
+        >>> labels.displaced(["top"], (1, 0), 1)["top"].tolist()
+        [[True, True], [True, True]]
         """
+
+        def away(x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            return np.concatenate([x[:first], np.roll(x, by, (0, 1))[first:]])
+
         if len(names) == len(self):
-            return Labels(np.roll(self.number, by, (0, 1)), self.members)
-        return Labels.of(self.number.shape, {n: np.roll(m, by, (0, 1)) if n in names else m for n, m in self.items()})
+            return Labels(away(self.number), self.members)
+        return Labels.of(self.number.shape, {name: away(m) if name in names else m for name, m in self.items()})
 
     def mask(self, chosen: Mask) -> Mask:
         """(lines, samples) pixels of some of the labels (K,)."""
