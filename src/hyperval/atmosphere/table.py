@@ -238,7 +238,9 @@ def read_table(path: Path) -> AtmosphericTable:
     path = Path(path)
     if path.is_dir() or path.suffix == ".json":
         folder = path if path.is_dir() else path.parent
-        files = _channel_files(folder)
+        refuse(not folder.is_dir(), "table.no_folder", folder)
+        files = sorted(p for p in folder.iterdir() if p.name != _stem(p) and _PART.search(_stem(p)))
+        refuse(len(files) < 2, "table.files", folder, count=len(files))
         template = _template_file(folder, files[0]) if path.is_dir() else path
         return _from_folder(tuple(_stamp(f) for f in files), str(folder), _stamp(template))
     return _from_netcdf(*_stamp(path))
@@ -316,13 +318,6 @@ def _record(attributes: dict[Any, Any], name: str) -> dict[str, Any]:
     record: dict[str, Any] = json.loads(str(attributes.get(name, "{}")))
     refuse(not isinstance(record, dict), "table.record", name=name)
     return record
-
-
-def _channel_files(folder: Path) -> list[Path]:
-    refuse(not folder.is_dir(), "table.no_folder", folder)
-    files = sorted(p for p in folder.iterdir() if p.name != _stem(p) and _PART.search(_stem(p)))
-    refuse(len(files) < 2, "table.files", folder, count=len(files))
-    return files
 
 
 def _stem(path: Path) -> str:

@@ -209,7 +209,18 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     InputError : a header that is not understood, or a data file of another size than it says.
     """
     parsed = read_header(checked_file(header, what="ENVI header"))
-    _check_size(data, parsed)
+    size, expected = data.stat().st_size, parsed.expected_bytes
+    if size != expected:
+        with open(data, "rb") as stream:
+            head = stream.read(6)
+        packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
+        sides = (
+            f"{parsed.samples} samples x {parsed.lines} lines x {parsed.bands} bands x {parsed.dtype.itemsize} bytes"
+        )
+        described = f"{parsed.header_offset} + {sides} = {expected} bytes ({parsed.path})"
+        told: dict[str, object] = {"size": size, "more": size - expected, "missing": 100.0 * (1.0 - size / expected)}
+        told |= {"packed": packed, "described": described}
+        raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **told)
     scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
     # The .gain file that the image's name begins with, as f130612t01p00r10rdn_e.gain.
     files = [] if scaled or parsed.dtype.kind == "f" else sorted(data.parent.glob("*.[gG][aA][iI][nN]"))
@@ -217,23 +228,8 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     gains = max(named, key=lambda p: len(p.stem), default=None)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains)
-    size = parsed.lines, parsed.samples, parsed.bands
-    return EnviRaster(data, *size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
-
-
-def _check_size(data: Path, header: EnviHeader) -> None:
-    """Raise InputError unless the data file has exactly the size that its header describes."""
-    size, expected = data.stat().st_size, header.expected_bytes
-    if size == expected:
-        return
-    with open(data, "rb") as stream:
-        head = stream.read(6)
-    packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
-    sides = f"{header.samples} samples x {header.lines} lines x {header.bands} bands x {header.dtype.itemsize} bytes"
-    described = f"{header.header_offset} + {sides} = {expected} bytes ({header.path})"
-    told: dict[str, object] = {"size": size, "more": size - expected, "missing": 100.0 * (1.0 - size / expected)}
-    told |= {"packed": packed, "described": described}
-    raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **told)
+    image_size = parsed.lines, parsed.samples, parsed.bands
+    return EnviRaster(data, *image_size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
 
 
 @dataclass(eq=False)

@@ -62,7 +62,9 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         table, titles = table[:, picked], [titles[i] for i in picked]
         spread = {1: 2} if len(picked) == 3 else {}
     else:
-        if _is_index(table, titles):
+        # The first column counts the rows where the second has the title of wavelengths.
+        counts = len(titles) > 2 and _WAVE.search(titles[1]) and not _WAVE.search(titles[0])
+        if counts and table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0):
             table, titles = table[:, 1:], titles[1:]
         for i in range(2, len(titles)):
             if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
@@ -258,13 +260,6 @@ def _titles(header: list[str], count: int) -> list[str]:
         if _WAVE.match(further[0]):
             return further
     return titles
-
-
-def _is_index(table: Array, titles: list[str]) -> bool:
-    """Whether the first column counts the rows, and the second has the title of wavelengths."""
-    if table.shape[1] < 3 or _WAVE.search(titles[0]) or not _WAVE.search(titles[1]):
-        return False
-    return bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
 
 
 def _split_titles(line: str, count: int) -> list[str]:
