@@ -92,7 +92,7 @@ def polygon_mask(exterior: npt.ArrayLike, shape: tuple[int, int], *, where: str,
     InputError : fewer than three vertices, not finite, or a vertex outside the image.
     """
     polygon = geometry_of({"type": "Polygon", "coordinates": [np.asarray(exterior, float).tolist()]}, where)
-    if not inside_image(vertices := shapely.get_coordinates(polygon), shape):
+    if not inside_image(vertices := shapely.get_coordinates(polygon), shape).all():
         raise outside_error(vertices, shape, where)
     return _burned([polygon], shape, touched=touched)
 
@@ -193,9 +193,9 @@ def named_crs(name: str, where: str) -> CRS:
         raise refusal("region.system", where, name=name) from None
 
 
-def inside_image(xy: Array, shape: tuple[int, int]) -> bool:
-    """Whether all of (n, 2) points (sample, line) lie in the image, to a millionth of a pixel."""
-    return bool(np.all((xy >= -_EDGE) & (xy <= np.array(shape[::-1]) + _EDGE)))
+def inside_image(xy: Array, shape: tuple[int, int]) -> Mask:
+    """(n,) which of (n, 2) points (sample, line) lie in the image, to a millionth of a pixel."""
+    return np.asarray(np.all((xy >= -_EDGE) & (xy <= np.array(shape[::-1]) + _EDGE), axis=-1))
 
 
 def outside_error(
@@ -242,10 +242,10 @@ def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path,
     drawings, where = [p for p in parts if isinstance(p, BaseGeometry)], f"{path}: region {name!r}"
     polygons = [p for p in drawings if p.geom_type in _AREAS]
     points = shapely.get_coordinates([p for p in drawings if p.geom_type in _POINTS])
-    inside = np.array([inside_image(p, shape) for p in points], dtype=bool)
+    inside = inside_image(points, shape)
     mask = _burned(polygons, shape) | point_mask(points[inside], shape)
     mask.flat[np.concatenate([*(p for p in parts if isinstance(p, np.ndarray)), np.zeros(0, np.int64)])] = True
-    left = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape)]
+    left = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape).all()]
     if (left or not inside.all()) and not mask.any():
         raise outside_error(np.vstack([shapely.get_coordinates(left), points]), shape, where)
     notes, pixels = [], int(mask.sum())

@@ -158,7 +158,7 @@ def read_targets(
         if math.isnan(area) and width > 0:
             area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
         centre, corners = _position(number, place, transform, pixel_m, figure * (length, width), where)
-        if not roi.inside_image(corners, shape):
+        if not roi.inside_image(corners, shape).all():
             mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
             raise roi.outside_error(corners, shape, where, f"the target {name!r}", mend)
         drawn = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else None
