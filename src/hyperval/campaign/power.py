@@ -91,26 +91,25 @@ def campaign_power(
 
 @bars(False)
 def _power(job: Job, own: Path | None) -> Power:
-    errors = attribute.errors_of_file(own) if own is not None else None
+    errors = attribute.errors_of_file(own) if own is not None else attribute.injected_errors()
     name = job.outline.name
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table = power_table(job, errors=errors)
+        table = power_table(job, errors)
         return Power(name, table, accepted=power_file.accepted_table(name, job.folder))
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 
 
-def power_table(job: Job, *, errors: Mapping[str, attribute.Family] | None = None) -> PowerTable:
-    """Observe once, predict with each of ``errors`` (default: the standard ones), and compare each time.
+def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
+    """Observe once, predict with each of ``errors``, and compare each time.
 
     Raises
     ------
     MissingDataError : files of a registered data set that are not on this machine.
     HypervalError : anything else that the user can mend.
     """
-    errors = attribute.injected_errors() if errors is None else errors
     with collected(job) as here:
         scenarios = here.scenarios
         origins = [here.origins(scenario) for scenario in scenarios]
