@@ -102,7 +102,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     """From the command to the page: the first screen names what goes unseen; an old table says so."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("hyperval.campaign.power.WORLDS", 1)
-    monkeypatch.setattr("hyperval.campaign.power.injected_errors", lambda: some_errors(BRIGHT, QUIET, TAILS))
+    monkeypatch.setattr("hyperval.attribute.injected_errors", lambda: some_errors(BRIGHT, QUIET, TAILS))
     small.data["attribution"] = {}
     path = on_radiance_alone(small, at_most=0.02)
     assert cli.run(["power", str(path), "-o", "out", "--accept"]) == 0

@@ -13,17 +13,7 @@ from typing import Any
 import numpy as np
 
 import hyperval
-from hyperval.attribute import (
-    NOTHING,
-    Causes,
-    Family,
-    NotInjectable,
-    causes_of,
-    errors_of_file,
-    injected_errors,
-    injected_prediction,
-    kind_of,
-)
+from hyperval import attribute
 from hyperval.campaign import power_file
 from hyperval.campaign.power_file import Injected, PowerTable, Reasons
 from hyperval.campaign.products import collected, predicted_side
@@ -101,32 +91,31 @@ def campaign_power(
 
 @bars(False)
 def _power(job: Job, own: Path | None) -> Power:
-    errors = errors_of_file(own) if own is not None else None
+    errors = attribute.errors_of_file(own) if own is not None else attribute.injected_errors()
     name = job.outline.name
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table = power_table(job, errors=errors)
+        table = power_table(job, errors)
         return Power(name, table, accepted=power_file.accepted_table(name, job.folder))
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 
 
-def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> PowerTable:
-    """Observe once, predict with each of ``errors`` (default: the standard ones), and compare each time.
+def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
+    """Observe once, predict with each of ``errors``, and compare each time.
 
     Raises
     ------
     MissingDataError : files of a registered data set that are not on this machine.
     HypervalError : anything else that the user can mend.
     """
-    errors = injected_errors() if errors is None else errors
     with collected(job) as here:
         scenarios = here.scenarios
         origins = [here.origins(scenario) for scenario in scenarios]
         stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
 
-        def injected(error: Family) -> Injected:
+        def injected(error: attribute.Family) -> Injected:
             """What it turns, and what the attribution says of it when it came to what is measured.
 
             Of a scenario that has nothing of the kind the prediction stays.
@@ -135,8 +124,8 @@ def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> Powe
             refused = []
             for scenario, plain, own in zip(scenarios, stated, origins, strict=True):
                 try:
-                    sides.append(injected_prediction(scenario, error, own, objects=True))
-                except NotInjectable as why:
+                    sides.append(attribute.injected_prediction(scenario, error, own, objects=True))
+                except attribute.NotInjectable as why:
                     sides.append((plain, {}))
                     refused.append(why.what)
             if len(refused) == len(scenarios):
@@ -150,7 +139,7 @@ def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> Powe
 
         prediction = predicted_side(here, stated)
         before = outcomes(here, prediction)
-        causes = causes_of(scenario_model(here), here.observed.observation, worlds_of(here), prediction)
+        causes = attribute.causes_of(scenario_model(here), here.observed.observation, worlds_of(here), prediction)
         rows = {name: injected(error) for name, error in track(errors.items(), "injected errors", len(errors))}
         gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
         disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
@@ -167,18 +156,18 @@ def power_table(job: Job, *, errors: Mapping[str, Family] | None = None) -> Powe
         )
 
 
-def _calibrated(causes: Causes) -> Reasons:
+def _calibrated(causes: attribute.Causes) -> Reasons:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
     named: dict[str, Counter[str]] = {}
     grouped: Counter[str] = Counter()
     stated, wrong, worlds = list[tuple[float, bool]](), 0, 0
     for kind, found in causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS):
-        first, group = kind_of(found.first), {kind_of(name) for name in (found.first, *found.alike)}
+        first, group = attribute.kind_of(found.first), {attribute.kind_of(name) for name in (found.first, *found.alike)}
         named.setdefault(kind, Counter())[first] += 1
         grouped[kind] += kind in group
         worlds += 1
         wrong += found.enough and kind not in group
-        if first != NOTHING:  # that chance explains a small error is no mistake
+        if first != attribute.NOTHING:  # that chance explains a small error is no mistake
             stated.append((found.probability[found.first], first == kind))
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
     standing = causes.standing()[1]

@@ -33,21 +33,21 @@ def record_of(
     It holds nothing that differs between two runs of the same inputs on the same machine: no times, no absolute
     paths, and the command without its output folder.
     """
-    formulations = sorted({s.formulation for s in scenarios})
     models = {k: v.model_dump(mode="json", by_alias=True) for k, v in configuration.items() if isinstance(v, BaseModel)}
+    blas = np.show_config(mode="dicts").get("Build Dependencies", {}).get("blas", {})  # that NumPy was built with
     named = sides.items() if isinstance(sides, Mapping) else enumerate(sides)
     return {
         "hyperval": hyperval.__version__,
         "source_revision": source_revision(),
         "command": command_without_output(),
         "configuration": {**configuration, **models},
-        "formulation": ", ".join(formulations) or "none",
+        "formulation": ", ".join(sorted({s.formulation for s in scenarios})) or "none",
         "seed": seed,
         "inputs": log.entries(),
         "engines": {str(name): dict(side.provenance) for name, side in named},
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
-        "linear_algebra": linear_algebra(),
+        "linear_algebra": {k: str(blas.get(k, "unknown")) for k in ("name", "version")},
         "packages": package_versions(),
     }
 
@@ -82,12 +82,6 @@ def package_versions() -> Mapping[str, str]:
         if "Name" in head:
             packages[head["Name"].lower()] = head.get("Version", "")
     return dict(sorted(packages.items()))
-
-
-def linear_algebra() -> dict[str, str]:
-    """Name and version of the BLAS that NumPy was built with."""
-    blas = np.show_config(mode="dicts").get("Build Dependencies", {}).get("blas", {})
-    return {k: str(blas.get(k, "unknown")) for k in ("name", "version")}
 
 
 def source_revision() -> dict[str, Any] | None:
