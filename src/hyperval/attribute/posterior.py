@@ -314,7 +314,7 @@ class Posterior:
     parts : of all residuals, what spectra share and what they differ in: each a test of its own
     level : p-value below which the residuals are not explained; shared out among the groups of one attribution
     beside_noise : whether more than is named may hide in the noise of a scene made anew, so that no cause is enough
-    remark : what is said besides where nothing has changed
+    remark : what is said before all where no number has changed
 
     Examples
     --------

@@ -702,7 +702,7 @@ def _of_spectra(
 def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:
     """A change, with a remark where numbers that are the same have another reduced chi-square than ``then``, if any."""
     other = then and abs(now / then - 1.0) > OFF
-    words = f"; their stated uncertainty has: reduced chi-square {now:.3g}, {then:.3g} in that run"
+    words = f"check the stated uncertainty (reduced chi-square {now:.3g}, {then:.3g} in that run): "
     return replace(since, remark=words if other else "")
 
 
@@ -712,15 +712,15 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     >>> since = Posterior(SINCE, 0.0, 40, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
     >>> next(_posterior_rows(since)).reason
     'spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty'
-    >>> next(_posterior_rows(with_uncertainty(since, 2.0, 1.8))).reason[-67:]
-    'their stated uncertainty has: reduced chi-square 2, 1.8 in that run'
+    >>> next(_posterior_rows(with_uncertainty(since, 2.0, 1.8))).reason[:77]
+    'check the stated uncertainty (reduced chi-square 2, 1.8 in that run): spectra'
     >>> with_uncertainty(since, 2.0, 2.0).remark, with_uncertainty(since, 2.0, 0.0).remark
     ('', '')
     >>> next(_posterior_rows(replace(since, group=ALL, chi_square=40.0, p_value=0.47))).reason
     'nothing to explain: reduced chi-square 1 of 40 residuals (p = 0.47)'
     """
     # The test of all products together concludes too, and informs.
-    words = UNCHANGED + r.remark if r.group == SINCE and r.first == NOTHING else r.conclusion
+    words = r.remark + UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
     if r.group != SINCE and (r.too_wide or not r.passes):
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
