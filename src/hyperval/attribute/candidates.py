@@ -75,12 +75,12 @@ _PARTS: tuple[tuple[str, Kind, str, float], ...] = (
 # Where the model is asked besides one unit up and down, in units; between and a little beyond it is interpolated.
 _SIZES = {
     "sunlight": (-20.0, 25.0), "sensor gain": (-20.0, 25.0), "sensor noise": (-10.0, 10.0, 25.0),
-    "electrons per radiance": (-12.0, -6.0, 10.0, 25.0),
+    "electrons per radiance": (-12.0, -6.0, 10.0, 25.0), "noise without signal": (-10.0, 10.0, 30.0),
     "fill fraction of the targets": (-12.0, -6.0, 6.0, 20.0), "tails": (5.0, 20.0), "PSF width": (-5.0, 5.0, 10.0),
     "path radiance": (-5.0, 10.0), AEROSOL: (-5.0, 10.0),
 }  # fmt: skip
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
-_NEARLY_ALL = 95.0  # [%] that a change takes off what is given in parts: a twentieth is left
+_LEAST, _MOST = 0.05, 10.0  # factors that a change may have on what is given in parts
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
 SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
 # Of the state of atmosphere and view: step, and where the model is asked.
@@ -193,15 +193,18 @@ class Candidate:
 
         >>> depth = Candidate("depth", "atmosphere", "10 %", False, sizes=(-5.0, 10.0))
         >>> [replace(depth, unbounded=of_a_change).ends for of_a_change in (False, True)]
-        [(-8.0, 20.0), (-9.5, 40.0)]
+        [(-8.0, 20.0), (-9.5, 90.0)]
         """
         if self.budgeted:
             return -self.most, self.most
         number, _, unit = self.step.partition(" ")
-        low = _BELOW * min(0.0, *self.sizes)
+        low, high = _BELOW * min(0.0, *self.sizes), (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
         if self.unbounded and unit == "%" and float(number) >= 1.0:
-            low = min(low, -_NEARLY_ALL / float(number))
-        return low, (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
+            low, high = (
+                min(low, (_LEAST - 1.0) * 100.0 / float(number)),
+                max(high, (_MOST - 1.0) * 100.0 / float(number)),
+            )
+        return low, high
 
     @property
     def asked(self) -> bool:
@@ -303,7 +306,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
             months, day = (-2.0, -1.0, 1.0, 2.0, 4.0, 6.0), partial(_on_day, days)
             out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=months, moved=day))
     if all(world.stated.noise is not None for world in worlds):
-        out.append(_noise(worlds, "fixed_noise", "", (1.0, -1.0, -10.0, 10.0, 30.0)))
+        out.append(_noise(worlds, "fixed_noise", "noise without signal", (1.0, -1.0, -10.0, 10.0, 30.0)))
     if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
         kinds = {h: [{"atmosphere.aerosol": h} if s else {} for s in states] for h in HAZES if h not in hazes}
         out.append(_one_of("aerosol type", "atmosphere", kinds))
@@ -355,15 +358,14 @@ def _on_day(days: Sequence[int], units: float) -> list[Truth]:
 
 
 def _noise(
-    worlds: Sequence[World], key: str, where: str, sizes: tuple[float, ...], of: Array | float = 1.0
+    worlds: Sequence[World], key: str, name: str, sizes: tuple[float, ...], of: Array | float = 1.0
 ) -> Candidate:
     """Electrons per radiance or fixed noise of another size, in bands ``of`` (B,)."""
 
     def other(units: float) -> list[Truth]:
         return [{f"sensor.{key}": 1.0 + 0.05 * units * of}] * len(worlds)
 
-    name = "noise without signal" if key == "fixed_noise" else "electrons per radiance"
-    return Candidate(f"{name}{where}", "sensor", "5 %", False, sizes=sizes, moved=other)
+    return Candidate(name, "sensor", "5 %", False, sizes=sizes, moved=other)
 
 
 def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
@@ -646,9 +648,9 @@ def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
         def shifted(units: float, arm: Array = arm) -> list[Truth]:
             return [_shifted(world, nm=SHIFT_NM * units * arm) for world in worlds]
 
-        if all(world.stated.noise is not None for world in worlds):
-            out.append(_noise(worlds, "electrons", f" of {where}", _SIZES["electrons per radiance"], arm))
-            out.append(_noise(worlds, "fixed_noise", f" of {where}", (-10.0, 10.0, 30.0), arm))
+        noises = {"electrons": "electrons per radiance", "fixed_noise": "noise without signal"}
+        for key, name in noises.items() if all(world.stated.noise is not None for world in worlds) else ():
+            out.append(_noise(worlds, key, f"{name} of {where}", _SIZES[name], arm))
         name, step = f"wavelength shift of {where}", f"{SHIFT_NM:g} nm"
         out.append(Candidate(name, "sensor", step, False, sizes=(-25.0, -5.0, 5.0, 25.0), moved=shifted))
     return out

@@ -35,7 +35,7 @@ NOTHING_PRIOR, NONE_PRIOR = 0.5, 0.05
 TYPICAL = 2.0  # units that an error has: half of all have less (Cauchy; a half-Cauchy spread of directions)
 LIKELY = 0.8  # probability from which a cause can be called enough
 ALIKE, CORRELATED = 10.0, 0.95  # odds within which causes are not told apart; correlation of their effects
-MOST_FIRST, MOST_CAUSES = 4, 3
+MOST_FIRST, MOST_CAUSES, MOST_PEAKS = 4, 3, 4
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
 REMAINDER = 0.05  # of a chi-square without noise that causes may leave
@@ -198,6 +198,13 @@ class Family:
     """Sizes at which the model was asked, and what lies between (cubic; straight beyond the last).
 
     ``columns`` : (n, m) change of the whitened prediction at each of the candidate's sizes
+
+    >>> sizes = (-60.0, -30.0, 30.0, 60.0)
+    >>> day = Candidate("date", "scene", "1 d", False, sizes=sizes)
+    >>> def sun(z):  # nearly the same on both sides of a solstice
+    ...     return 1e4 * (np.outer([1.0, 0.4], (np.asarray(z) - 11.0) ** 2 / 900.0 - 0.134) + np.outer([0, 1e-3], z))
+    >>> round(effect_of(day, sun(sizes)).fit(sun([-32.0])[:, 0]).units, 2)
+    -32.0
     """
 
     def __init__(self, candidate: Candidate, columns: Array):
@@ -223,11 +230,15 @@ class Family:
         a = np.concatenate([self.low * _REACH[::-1], [0.0], self.high * _REACH])
         values = log_likelihood(a)
         for _ in range(12):
-            best = int(np.argmax(values))
-            low, high = max(best - 1, 0), min(best + 1, a.size - 1)
-            if values[best] - min(values[low], values[high]) < 1.0:
+            # The likelihood may have several peaks, such as on both sides of a solstice.
+            beside = np.pad(values, 1, constant_values=-np.inf)
+            peaks = np.flatnonzero((values >= beside[:-2]) & (values >= beside[2:]))
+            peaks = peaks[np.argsort(-values[peaks], kind="stable")][:MOST_PEAKS]
+            low, high = np.maximum(peaks - 1, 0), np.minimum(peaks + 1, a.size - 1)
+            rough = values[peaks] - np.minimum(values[low], values[high]) >= 1.0
+            if not rough.any():
                 break
-            more = np.linspace(a[low], a[high], 21)[1:-1]
+            more = np.linspace(a[low[rough]], a[high[rough]], 21)[1:-1].ravel()
             values, a = np.append(values, log_likelihood(more)), np.append(a, more)
             a, first = np.unique(a, return_index=True)
             values = values[first]
@@ -591,8 +602,7 @@ class Reasoner:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
         change, what explains most before the rest.
         """
-        less = np.diff([float(e @ e), *h.left])
-        rank = [not f.candidate.is_shared for f in h.causes] if self.noisy else less
+        rank = [not f.candidate.is_shared for f in h.causes] if self.noisy else np.diff([float(e @ e), *h.left])
         order = [f for _, f in sorted(zip(rank, h.causes, strict=False), key=lambda pair: float(pair[0]))]
         if not order or order[0] is h.causes[0]:
             return h

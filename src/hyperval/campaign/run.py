@@ -19,7 +19,15 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import hyperval
-from hyperval.attribute import ScenarioModel, Truths, attribute, exchanged_pairs, few_objects, others_in_place
+from hyperval.attribute import (
+    LIMIT_STEP,
+    ScenarioModel,
+    Truths,
+    attribute,
+    exchanged_pairs,
+    few_objects,
+    others_in_place,
+)
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
 from hyperval.campaign.products import Collected, collected, doubts, joined, predicted_side
@@ -46,7 +54,7 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
 _BANDS = ("windows", "good", "all")  # that detectors may be given
-_LIMITS, _OTHER = ("above", "below"), (-0.2, -0.1, -0.05, 0.05, 0.1, 0.2)  # of a normalised difference, and more
+_LIMITS, _STEPS = ("above", "below"), (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)  # of a normalised difference
 _MOST_TRIED = 18  # spectra in the place of those that detectors look for
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
@@ -260,8 +268,10 @@ def entries_of(owner: Any, key: str) -> list[dict[str, Any]]:
     return [one.model_dump(exclude_none=True, exclude_defaults=True) for one in getattr(owner, key, ())]
 
 
-def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
+def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[Any, Any]]]:
     """What may stand in each other's place in a collection: the setting of it, and its value for each pair.
+
+    Of a limit of a rule, values by so many steps more.
 
     >>> from types import SimpleNamespace as Of
     >>> truth = Of(rasters=Of(materials={"red": "red.hdr", "green": "green.hdr", "blue": "blue.hdr"}))
@@ -286,9 +296,14 @@ def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[str, Any]]]:
     of_truth = {name: {**materials, **both} for name, both in exchanged_pairs(materials).items()}
     drawn = entries_of(collection, "regions")
     limits = {x for one in drawn for end, x in (one.get("normalized_difference") or {}).items() if end in _LIMITS}
-    of_rules = {f"{x + by:.3g} for {x:g}": _limited(drawn, x, x + by) for x in sorted(limits) for by in _OTHER}
+    of_rules = {
+        f"limit {x:g} of the normalised difference": (
+            "collection.regions", {z: _limited(drawn, x, x + LIMIT_STEP * z) for z in _STEPS}
+        )
+        for x in sorted(limits)
+    }  # fmt: skip
     return {
-        "limit of a normalised difference": ("collection.regions", of_rules),
+        **of_rules,
         "exchanged panels of the empirical line": (
             "collection.empirical_line.panels", _with_spectra(panels, "region", of_panels)
         ),
