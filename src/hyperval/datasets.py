@@ -226,8 +226,10 @@ def owner_of(reference: str) -> DataSet | None:
     if not reference.startswith(PREFIX):
         return None
     path = _data_path(reference)
+    if path in _by_path():
+        return _by_path()[path][0]
     beside = registry().get(path.split("/")[0])
-    return _by_path()[path][0] if path in _by_path() else None if beside is None or beside.public else beside
+    return None if beside is None or beside.public else beside
 
 
 def set_on_request(reference: str) -> DataSet | None:

@@ -148,11 +148,12 @@ def content_of(path: Path, names: tuple[str, str], *, most: int) -> bytes:
     """What a file holds, at most so many bytes; of what it is said of none and of a larger one, the names."""
     try:
         with open(path, "rb") as stream:
-            content = stream.read(most + 1)
+            is_large = os.fstat(stream.fileno()).st_size > most  # of what is no plain file the size is 0
+            content = b"" if is_large else stream.read(most + 1)
     except OSError as error:
         name = names[0] if isinstance(error, FileNotFoundError) else "file.unreadable"
         raise refusal(name, path, why=error.strerror) from error
-    refuse(len(content) > most, names[1], path, most=most)
+    refuse(is_large or len(content) > most, names[1], path, most=most)
     return content
 
 

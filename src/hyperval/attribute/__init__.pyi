@@ -29,7 +29,6 @@ from .posterior import (
     posteriors,
 )
 from .reasons import (
-    LIMIT_STEP,
     Causes,
     ScenarioModel,
     Truths,
@@ -44,8 +43,7 @@ from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quan
 from .schema import AttributionOptions, WhatIf
 
 __all__ = [
-    "COMMON", "DIFFERENT", "LIMIT_STEP", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes",
-    "ComparedQuantity",
+    "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
     "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf",
     "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "budget_covariance", "candidates", "causes_of",
     "changed_scenarios", "common_and_own", "errors_of_file", "exchanged_pairs", "few_objects", "further_candidates",

@@ -64,7 +64,6 @@ AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted 
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-4, 0.01, 1e-4
-LIMIT_STEP = 0.05  # of a limit of a normalised difference
 # What befalls an image whose spectra are not compared: it is measured again.
 _OFFSETS = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
 _OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
@@ -93,15 +92,15 @@ class ScenarioModel:
         what a budget is made of as exactly as what is predicted
     observe : measures the collection again with changed settings, or with a mistake in its image
         (:meth:`hyperval.observe.open.Place.mistaken`)
-    exchanges : what may stand in each other's place: a setting of :attr:`observe`, and its value for each pair; of a
-        limit, for so many steps of :data:`LIMIT_STEP`
+    exchanges : what may stand in each other's place: a setting of :attr:`observe`, its value for each pair, and ""; of
+        a number, its value by so many steps, and a step in words
     looked_for : entries of the spectra that detectors look for, by their targets
     """
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
     observe: Callable[[Mapping[str, Any], Mapping[str, Any]], Products]
-    exchanges: Mapping[str, tuple[str, Mapping[Any, Any]]] = field(default_factory=dict)
+    exchanges: Mapping[str, tuple[str, Mapping[Any, Any], str]] = field(default_factory=dict)
     looked_for: Mapping[str, Any] = field(default_factory=dict)
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
@@ -556,13 +555,13 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
 
     def exchanged() -> dict[Candidate, Array]:
         out = dict[Candidate, Array]()
-        for what, (key, of) in model.exchanges.items():
+        for what, (key, of, step) in model.exchanges.items():
             effects = {z: effect for z, values in of.items() if np.any(effect := mistaken({}, {key: values}))}
             if effects:
-                one = Candidate(what, "scene", f"{LIMIT_STEP:g} of the index", False, sizes=tuple(effects))
-                if not what.startswith("limit"):
-                    one = Candidate(what, "scene", "", False, labels=tuple(effects))
-                out[one] = np.column_stack([*effects.values()])
+                sizes, labels = (tuple(effects), ()) if step else ((), tuple(effects))
+                out[Candidate(what, "scene", step, False, sizes=sizes, labels=labels)] = np.column_stack(
+                    [*effects.values()]
+                )
         for where, arm in arms.items():  # what noise there is stays, so that the SNR of what is dark moves too
             one = Candidate(f"offset of {where}", "sensor", "0.01 of the mean", False, sizes=_OFFSETS)
             out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])

@@ -5,9 +5,6 @@ What header, map and truth of the collection say, held against what the scenario
 The collection of a campaign: its files resolved, simulated where it is, and observed once.
 
 The predictions of a campaign's scenarios as the one side of its comparison.
-
-What the report shows of the imagery: score maps and a picture of the scene; what lies in each pixel of a collection,
-as far as regions and truth say, and the score expected there.
 """
 
 from __future__ import annotations

@@ -19,15 +19,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import hyperval
-from hyperval.attribute import (
-    LIMIT_STEP,
-    ScenarioModel,
-    Truths,
-    attribute,
-    exchanged_pairs,
-    few_objects,
-    others_in_place,
-)
+from hyperval.attribute import ScenarioModel, Truths, attribute, exchanged_pairs, few_objects, others_in_place
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power_file import accepted_table
 from hyperval.campaign.products import Collected, collected, doubts, joined, predicted_side
@@ -54,7 +46,8 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 # Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
 OBJECT_DRAWS = 1600
 _BANDS = ("windows", "good", "all")  # that detectors may be given
-_LIMITS, _STEPS = ("above", "below"), (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)  # of a normalised difference
+# Of a normalised difference the limits, and how far they may be off.
+_LIMITS, _STEP, _STEPS = ("above", "below"), 0.05, (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
 _MOST_TRIED = 18  # spectra in the place of those that detectors look for
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
@@ -268,22 +261,28 @@ def entries_of(owner: Any, key: str) -> list[dict[str, Any]]:
     return [one.model_dump(exclude_none=True, exclude_defaults=True) for one in getattr(owner, key, ())]
 
 
-def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[Any, Any]]]:
-    """What may stand in each other's place in a collection: the setting of it, and its value for each pair.
+def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[Any, Any], str]]:
+    """What may stand in each other's place in a collection: the setting of it, its value for each pair, and "".
 
-    Of a limit of a rule, values by so many steps more.
+    Of a limit of a rule, its value by so many steps more, and the step.
 
     >>> from types import SimpleNamespace as Of
     >>> truth = Of(rasters=Of(materials={"red": "red.hdr", "green": "green.hdr", "blue": "blue.hdr"}))
     >>> detection = Of(background=["lawn"], bands="good")
-    >>> campaign = Of(collection=Of(empirical_line=None, targets=truth), detection=detection)
+    >>> from hyperval.collection import RegionSource
+    >>> lawn = {"name": "lawn", "normalized_difference": {"high_nm": (790, 880), "low_nm": (650, 680), "above": 0.6}}
+    >>> drawn = [RegionSource.model_validate(lawn)]
+    >>> campaign = Of(collection=Of(empirical_line=None, targets=truth, regions=drawn), detection=detection)
     >>> side = Of(campaign=campaign, scenarios=[], observed=Of(place=Of(regions=["lawn", "lot"])))
     >>> found = exchanges_of(side)
-    >>> setting, pairs = found["exchanged materials of the truth"]
+    >>> setting, pairs, _ = found["exchanged materials of the truth"]
     >>> setting, len(pairs), pairs["red and blue"]
     ('collection.targets.rasters.materials', 3, {'red': 'blue.hdr', 'green': 'green.hdr', 'blue': 'red.hdr'})
     >>> found["pixels behind the filters"], found["bands of the detectors"][1].keys()
-    (('detection.background', {'lot': ['lot'], 'scene': ['scene']}), dict_keys(['windows', 'all']))
+    (('detection.background', {'lot': ['lot'], 'scene': ['scene']}, ''), dict_keys(['windows', 'all']))
+    >>> setting, limits, step = found["limit 0.6 of the normalised difference"]
+    >>> setting, step, limits[-2.0][0]["normalized_difference"]["above"]
+    ('collection.regions', '0.05 of the index', 0.5)
     """
     collection, detection, truth = side.campaign.collection, side.campaign.detection, side.campaign.collection.targets
     panels, targets = entries_of(collection.empirical_line, "panels"), entries_of(detection, "targets")
@@ -296,14 +295,7 @@ def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[Any, Any]]]:
     of_truth = {name: {**materials, **both} for name, both in exchanged_pairs(materials).items()}
     drawn = entries_of(collection, "regions")
     limits = {x for one in drawn for end, x in (one.get("normalized_difference") or {}).items() if end in _LIMITS}
-    of_rules = {
-        f"limit {x:g} of the normalised difference": (
-            "collection.regions", {z: _limited(drawn, x, x + LIMIT_STEP * z) for z in _STEPS}
-        )
-        for x in sorted(limits)
-    }  # fmt: skip
-    return {
-        **of_rules,
+    found: dict[str, tuple[str, Mapping[Any, Any]]] = {
         "exchanged panels of the empirical line": (
             "collection.empirical_line.panels", _with_spectra(panels, "region", of_panels)
         ),
@@ -314,6 +306,12 @@ def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[Any, Any]]]:
         "pixels behind the filters": ("detection.background", {n: [n] for n in others if behind}),
         "bands of the detectors": ("detection.bands", {b: b for b in _BANDS if detection and b != detection.bands}),
     }  # fmt: skip
+    rules = {x: {z: _limited(drawn, x, x + _STEP * z) for z in _STEPS} for x in sorted(limits)}
+    words = f"{_STEP:g} of the index"
+    by_steps = {
+        f"limit {x:g} of the normalised difference": ("collection.regions", of, words) for x, of in rules.items()
+    }
+    return by_steps | {name: (*setting, "") for name, setting in found.items()}
 
 
 def _limited(regions: Sequence[Mapping[str, Any]], limit: float, other: float) -> list[dict[str, Any]]:

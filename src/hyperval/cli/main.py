@@ -250,10 +250,8 @@ def data_list() -> int:
     rows = []
     for name, entry in hyperval.datasets.registry().items():
         if entry.public:
-            lacking, size = (
-                len(hyperval.datasets.missing(name)),
-                f"{sum(file.size for file in entry.files) / 1e6:.1f} MB",
-            )
+            lacking = len(hyperval.datasets.missing(name))
+            size = f"{sum(file.size for file in entry.files) / 1e6:.1f} MB"
             state = f"{lacking} of {len(entry.files)} files missing" if lacking else "here"
         else:
             count, size = hyperval.datasets.files_at_hand(name), "-"

@@ -283,8 +283,8 @@ class Cube:
     def _usable(self, stored: npt.NDArray[Any], needed: Mask | None) -> Mask:
         """Which pixels (...) of stored numbers (B, ...) hold data.
 
-        None where a ``needed`` band (B,), by default any, holds the ignore value or is not finite, or where every band
-        is stored as 0, which but for "other" is fill.
+        Those do not of which a ``needed`` band (B,), by default any, holds the ignore value or is not finite, or of
+        which every band is stored as 0, which is fill of any quantity but "other".
         """
         usable, ignore = np.ones(stored.shape[1:], bool), self.ignore_value
         some = slice(None) if needed is None or needed.all() else needed
