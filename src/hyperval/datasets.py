@@ -222,7 +222,11 @@ def resolve(reference: str, base: Path | None = None) -> Path:
 
 
 def owner_of(reference: str) -> DataSet | None:
-    """The set that a reference belongs to: by its file, or by its folder where the set is not public; else None."""
+    """The set that a reference belongs to: by its file, or by its folder where the set is not public; else None.
+
+    >>> owner_of("data:share2012/0920-1631/mine.dat").name, owner_of("data:hysu/mine.dat"), owner_of("hysu/mine.dat")
+    ('share2012', None, None)
+    """
     if not reference.startswith(PREFIX):
         return None
     path = _data_path(reference)

@@ -145,7 +145,13 @@ def number_of(text: str | None) -> float:
 
 
 def content_of(path: Path, names: tuple[str, str], *, most: int) -> bytes:
-    """What a file holds, at most so many bytes; of what it is said of none and of a larger one, the names."""
+    """What a file holds, at most so many bytes; of what it is said of none and of a larger one, the names.
+
+    >>> content_of(Path("/dev/zero"), ("header.none", "header.large"), most=4)  # a device tells no size
+    Traceback (most recent call last):
+        ...
+    hyperval.errors.InputError: /dev/zero: the header is larger than 4 bytes
+    """
     try:
         with open(path, "rb") as stream:
             is_large = os.fstat(stream.fileno()).st_size > most  # of what is no plain file the size is 0

@@ -109,17 +109,14 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert sorted(p.name for p in Path("out").glob("*.*") if not p.name.startswith(".")) == ["power.csv", "small.yaml"]
     lines = Path("out/power.csv").read_text().splitlines()
     assert lines[1].startswith("small,sunlight x 1.05,criteria,2,")
-    assert lines[2:] == [
-        "small,noise x 1.5,undetected,0,0,",
-        "small,tails left out,not applicable,0,0,no class has tails",
-    ]
+    unseen, without = "small,noise x 1.5,undetected,0,0,", "small,tails left out,not applicable,0,0,no class has tails"
+    assert lines[2:] == [unseen, without]
     run = campaign.run_campaign(campaign.jobs_of(path)[0])
     assert run.power is not None
     page = report_page(run, [])
     assert "Undetected: noise x 1.5." in page[: page.index("<nav")]
     assert "The table is" not in page
     assert "Which errors this campaign would detect is not known" in report_page(replace(run, power=None), [])
-    place = tmp_path / "validation/power/small.yaml"
     known, inputs = campaign.accepted_table("small", tmp_path), run.provenance["inputs"]
     changed = [{**i, "sha256": "0"} if i["reference"] == "campaign.yaml" else i for i in inputs]
     younger = report_page(replace(run, power=(known, known.stale(changed, run.table))), [])
@@ -127,7 +124,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     old = known.model_copy(update={"stated": dict.fromkeys(known.stated, 0.5)})
     assert old.stale(inputs, run.table).startswith("The table is outdated: 2 of its criteria had different values")
     errors = {BRIGHT: campaign.Injected(), "another": campaign.Injected(), TAILS: known.errors[TAILS]}
-    campaign.write_power_table(place, known.model_copy(update={"errors": errors}))
+    campaign.write_power_table(tmp_path / "validation/power/small.yaml", known.model_copy(update={"errors": errors}))
     capsys.readouterr()
     assert cli.run(["power", str(path)]) == 1
     said = capsys.readouterr().err
@@ -139,6 +136,9 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
         rows = campaign.run_campaign(campaign.jobs_of(small.write())[0]).table
         return next(iter(rows.where(subject="since the accepted run", metric="reduced_chi_square"))).reason
 
+    small.scenario["uncertainty"] = {"sensor_gain": {"relative": 0.05}}
+    assert since().startswith("check the stated uncertainty (reduced chi-square ")
+    del small.scenario["uncertainty"]
     small.scenario["atmosphere"]["aot550"] *= 1.5
     assert since().startswith("check the aerosol optical depth (x 0.66")
     small.scenario["atmosphere"]["aot550"] /= 1.5

@@ -194,6 +194,8 @@ class Candidate:
         >>> depth = Candidate("depth", "atmosphere", "10 %", False, sizes=(-5.0, 10.0))
         >>> [replace(depth, unbounded=of_a_change).ends for of_a_change in (False, True)]
         [(-8.0, 20.0), (-9.5, 90.0)]
+        >>> Candidate("scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), unbounded=True).ends
+        (-12.8, 32.0)
         """
         if self.budgeted:
             return -self.most, self.most

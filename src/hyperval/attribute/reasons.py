@@ -477,6 +477,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     What befalls two scenarios is looked for in each of them too; of four not, as each takes runs of its own.
 
     >>> from hyperval.api import load_scenario
+    >>> from hyperval.errors import InputError
     >>> from hyperval.model import read
     >>> from hyperval.products import PredictedProducts, SpectralEstimate
     >>> stated = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
@@ -492,6 +493,28 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
     >>> [one.labels for one in causes(1).of_files()]
     [('green plank: that looked for',)]
+
+    What is measured again with another setting is a number by its steps or one of several, as it is stated; what
+    cannot be measured, such as an empty region, is none of them.  An offset of one arm moves that arm.
+
+    >>> def observe(settings, mistake):
+    ...     if (limit := settings.get("limit", 0.0)) > 0.8:
+    ...         raise InputError("the region 'lawn' holds no pixel")
+    ...     light = replace(lawn, mean=lawn.mean + limit + mistake.get("offset", 0.0))
+    ...     return PredictedProducts(world.stated.axis, radiance={"lawn": light})
+    >>> tried = {"limit": ("limit", {-1.0: 0.5, 2.0: 0.9}, "0.05"), "entry": ("limit", {"a for b": 0.7, "c": 0.9}, "")}
+    >>> seen = PredictedProducts(world.stated.axis, radiance={"lawn": lawn})
+    >>> predict = lambda scenarios, truths, budgeted: iter([seen] * len(truths))
+    >>> found = causes_of(ScenarioModel([stated], predict, observe, tried), seen, [world], seen)
+    >>> for one, made in found.exchanged().items():
+    ...     print(one.name, one.sizes or one.labels, made[[0, -1], 0].round(9).tolist())
+    limit (-1.0,) [-0.5, -0.5]
+    entry ('a for b',) [-0.7, -0.7]
+    offset of 942-2470 nm (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0) [0.0, 0.2]
+    offset of 395-936 nm (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0) [0.2, 0.0]
+    >>> gain = {c.name: g for c, g in found.of_spectra(found.predicted).items()}["sensor gain of 942-2470 nm"]
+    >>> (100.0 * gain[[0, -1], -1]).round(9).tolist()  # by 25 %
+    [0.0, 5.0]
     """
     base = model.assuming(model.scenarios)
     stack = stacked(base, observed)

@@ -111,6 +111,17 @@ class Place:
         ``mistake`` : lines, samples that targets are away; regions (1), that regions are too, but those that lie
         still: beside such a one no target is; beyond, the part of all lines from which on both are; exchanged, two
         regions in each other's place; gain, a part that is added to each value; offset, a part of the mean of all
+
+        Where lines were lost in the middle of an image, what lies above stays:
+
+        >>> from dataclasses import make_dataclass
+        >>> from hyperval.imagery.description import Scale
+        >>> image, one = make_dataclass("Image", ["shape", "scaling"])((6, 1), Scale()), np.ones((1, 1), bool)
+        >>> around = Labels.of((6, 1), {_NEAR: np.array([[True], [False], [False], [True], [False], [False]])})
+        >>> two = [TargetObject(f"plank {at}", "wood", 1.0, 1.0, (6, 1), (at, 0), one) for at in (0, 3)]
+        >>> after = Place(image, around, two).mistaken({"lines": 2, "beyond": 0.5})
+        >>> [target.corner[0] for target in after.targets], after.near_targets[:, 0].nonzero()[0].tolist()
+        ([0, 5], [0, 5])
         """
         cube, of = self.cube, mistake
         by, factor = (int(of.get("lines", 0)), int(of.get("samples", 0))), 1.0 + of.get("gain", 0.0)
