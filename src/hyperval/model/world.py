@@ -199,6 +199,15 @@ def find(stated: Stated, path: str) -> Path:
     Raises
     ------
     UsageError : to something that the scenario does not have.
+
+    Examples
+    --------
+    >>> from hyperval.scenario import load_scenario
+    >>> from hyperval.settings import with_settings
+    >>> unlit = with_settings(load_scenario("yellow-planks-asphalt"), {"atmosphere": None, "processing.elm": "none"})
+    >>> find(read(unlit).stated, "sensor.fixed_noise")
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: sensor.fixed_noise: the scenario has no atmosphere
     """
     return stated.once(("path", path), lambda: _found(stated, path))
 
@@ -208,7 +217,7 @@ def _found(stated: Stated, path: str) -> Path:
     entry, parts, scenario = PATHS[pattern], path_parts(path), stated.scenario
     again = PATHS["**"]
     if scenario.atmosphere is None:
-        refuse(any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:3]), "path.light", path=path)
+        refuse(any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:-1]), "path.light", path=path)
         if entry.field in ("atmosphere", "sensor"):
             return again
     if entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels):
