@@ -48,6 +48,7 @@ from hyperval.study.schema import Input, Moving, Output, Random, Required, Study
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
+_MOST_AT_ONCE = 4096  # evaluations in one batch
 MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
 GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 LEAST_GAS = 0.1  # and the two-way gas transmittance above which
@@ -80,13 +81,11 @@ def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> M
             columns[name][own] = values[number[own] - first]
             first += len(values)
         return columns
+    draw, *places = np.unravel_index(number, (study.design.count if random else 1, *map(len, listed.values())))
+    columns = {name: values[at] for (name, values), at in zip(listed.items(), places, strict=True)}
     if random:
-        draw, number = np.divmod(number, study.count // study.design.count)
         u = _sobol(len(random), study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
-        columns = {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
-    for name, values in reversed(listed.items()):
-        number, at = np.divmod(number, len(values))
-        columns[name] = values[at]
+        columns |= {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
     return {i.name: columns[i.name] for i in study.inputs}
 
 
@@ -109,29 +108,6 @@ def moved(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, 
             own = (v[k] if isinstance(v, list) and len(moves) > 1 else v for v in column)
             out[move.path] = move.of(column) if column.dtype != object else column_of([move.of(v) for v in own])
     return out
-
-
-class Field(NamedTuple):
-    """One column of the table: its name, what it holds, its unit; whether its values are words."""
-
-    name: str
-    words: str
-    unit: str
-    text: bool = False
-
-
-def fields_of(study: StudyFile) -> list[Field]:
-    """The columns of a study's table: inputs, outputs, answers, and outputs told at the answers."""
-    outputs, fields = {o.name: o for o in study.outputs}, list[Field]()
-    for i in study.inputs:
-        fields.append(Field(i.name, i.label or i.name, i.unit, i.listed is not None and i.listed.dtype == object))
-    fields += [Field(o.name, o.label or o.name, o.unit) for o in study.outputs]
-    for q in study.required:
-        fields.append(Field(q.name, q.label or q.name, q.unit))
-        for name in q.report:
-            o = outputs[name]
-            fields.append(Field(f"{q.name}.{name}", f"{o.label or name} at {q.label or q.name}", o.unit))
-    return fields
 
 
 def plain_value(value: Any) -> Any:
@@ -207,7 +183,8 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
     together, those that can not at all are found.
     """
     n = len(next(iter(columns.values())))
-    values, problems, pieces = np.full((n, len(outputs)), np.nan), dict[int, str](), [np.arange(n)]
+    values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
+    pieces = [np.arange(start, min(start + _MOST_AT_ONCE, n)) for start in range(0, n, _MOST_AT_ONCE)]
     while pieces:
         rows = pieces.pop()
         moved = {p: c[rows] for p, c in columns.items()}
@@ -253,14 +230,13 @@ def plan_study(study: StudyFile) -> Plan:
     UsageError : inputs or outputs that the scenario does not have, or values that it does not take.
     InputError, EngineError : as ``predict``.
     """
-    file = None if study.folder is None else study.folder / study.scenario
-    file = None if study.scenario in builtin_scenarios() else file
+    file = study.folder / study.scenario if study.folder and study.scenario not in builtin_scenarios() else None
     scenario = load_scenario(file or study.scenario)
     scenario = with_settings(scenario, study.settings) if study.settings else scenario
     log = InputLog(scenario.folder or study.folder)
     if file is not None:
         log.add(file.resolve(), study.scenario)
-    states, nodes = _states(study, scenario)
+    states, nodes = states_of(study, scenario)
     # What has one value beside others that are interpolated is set.
     alone = {key: nodes.pop(key)[0] for key in [key for key, values in nodes.items() if len(values) == 1]}
     if alone and scenario.atmosphere is not None:
@@ -282,8 +258,7 @@ def try_values(study: StudyFile, world: World) -> None:
     """
     for item in study.moving:
         for value in values_to_try(item):
-            point = moved([item], {item.name: column_of([value])})
-            changes = {path: plain(column[0]) for path, column in point.items()}
+            changes = point_of(item, value)
             try:
                 refuse((at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0, "study.pfa", at=at)
                 for path in [path for path in changes if not in_file(path)]:
@@ -297,6 +272,11 @@ def try_values(study: StudyFile, world: World) -> None:
                 raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
 
 
+def point_of(item: Moving, value: Any) -> dict[str, Any]:
+    """Dotted path -> what stands there where an input has a value; None where an entry is left as it is."""
+    return {path: plain(column[0]) for path, column in moved([item], {item.name: column_of([value])}).items()}
+
+
 def values_to_try(item: Input | Required) -> list[Any]:
     """Values of an input that speak for all: every one that is listed, or the ends where these are many numbers."""
     if isinstance(item, Required):
@@ -307,7 +287,7 @@ def values_to_try(item: Input | Required) -> list[Any]:
     return tries if len(tries) <= MOST_TRIED or item.listed.dtype == object else [min(tries), max(tries)]
 
 
-def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
+def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
     """States of the atmosphere that the study needs, entries that differ in each; or nodes of entries to go between."""
     if scenario.atmosphere is None:
         return [], {}
@@ -321,10 +301,9 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
     few = study.design.kind == "one-at-a-time" or alone.count <= study.atmosphere.above
     if len(listed) == len(items) and few:
         columns = moved(items, input_values(alone))
-        keys, each = [key for _, _, key in moving], [columns[move.path].tolist() for _, move, _ in moving]
-        rows = [dict(zip(keys, row, strict=True)) for row in zip(*each, strict=True)] or [{}]
-        rows = [{key: plain(v) for key, v in row.items() if v is not None} for row in rows]
-        return list({repr(sorted(row.items())): row for row in rows}.values()), {}
+        each = zip(*(columns[move.path].tolist() for _, move, _ in moving), strict=True)
+        rows = [{key: plain(v) for (*_, key), v in zip(moving, row, strict=True) if v is not None} for row in each]
+        return list({repr(sorted(row.items())): row for row in rows or [{}]}.values()), {}
     nodes = {}
     for item, move, key in moving:
         own = item.listed if isinstance(item, Input) else None
@@ -392,9 +371,6 @@ def _between(nodes: Array, u: Array) -> Array:
     return np.asarray(nodes[k] + part * np.diff(nodes)[k])
 
 
-_MOST_AT_ONCE = 4096  # evaluations in one batch
-
-
 class Answers(NamedTuple):
     """Answers at n points.
 
@@ -428,13 +404,9 @@ def answers(
 
     def at(x: Array, rows: npt.NDArray[Any], *names: str) -> Array:
         """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,)."""
-        wanted, index, parts = [named[name] for name in names], np.asarray(rows, int), []
-        for start in range(0, x.size, _MOST_AT_ONCE):
-            some = slice(start, start + _MOST_AT_ONCE)
-            own = {path: column[index[some]] for path, column in columns.items()}
-            own |= {m.path: m.of(x[some]) for m in question.targets}
-            parts.append(values_of(own, wanted)[0])
-        return np.concatenate(parts)
+        own = {path: column[rows.astype(int)] for path, column in columns.items()}
+        own |= {m.path: m.of(x) for m in question.targets}
+        return values_of(own, [named[name] for name in names])[0]
 
     def miss(x: Array, row: Array) -> Array:
         return at(x.ravel(), row.ravel(), question.output).reshape(x.shape) - question.equals

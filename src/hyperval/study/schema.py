@@ -302,6 +302,16 @@ class StudyFile(FileModel):
         return self
 
     @property
+    def columns(self) -> dict[Any, Any]:
+        """The columns of its table by name: inputs, outputs, answers, and outputs told at the answers."""
+        columns: list[Input | Output | Required] = [*self.inputs, *self.outputs]
+        for q in self.required:
+            told = (next(o for o in self.outputs if o.name == name) for name in q.report)
+            named = ((o, f"{q.name}.{o.name}", f"{o.label or o.name} at {q.label or q.name}") for o in told)
+            columns += [q, *(o.model_copy(update={"name": name, "label": label}) for o, name, label in named)]
+        return {column.name: column for column in columns}
+
+    @property
     def paths(self) -> list[str]:
         """What its inputs move."""
         return [m.path for i in self.inputs for m in i.targets]
