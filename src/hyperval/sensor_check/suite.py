@@ -309,11 +309,13 @@ class SensorCheck:
         done: dict[str, PredictedProducts | HypervalError] = {}
         for name in builtin_scenarios() if self.usable else ():
             try:
-                origins = Origins(engine=self.engine, sensor=self.sensor)
-                done[name] = predict(standard_scenario(name), origins)
+                done[name] = self._predicted(name, self.sensor)
             except HypervalError as error:
                 done[name] = error
         return done
+
+    def _predicted(self, scenario: str, sensor: Sensor) -> PredictedProducts:
+        return predict(standard_scenario(scenario), Origins(sensor=sensor, engine=self.engine))
 
     @property
     def predictions(self) -> dict[str, PredictedProducts]:
@@ -337,13 +339,11 @@ class SensorCheck:
     @cached_property
     def swings(self) -> list[Swing]:
         """Each assumed number lowered and raised by the part ``vary``, largest change of the SNR first."""
-        assumed = [
-            (name, said) for name, said in movable(self.sensor.specification).items() if "assumed" in said.lower()
-        ]
-        swings = []
+        named, swings = movable(self.sensor.specification), []
+        assumed = [(name, said) for name, said in named.items() if "assumed" in said.lower()]
         for name, source in track(assumed, "assumed numbers"):
-            factors = 1.0 - self.vary, 1.0 + self.vary
-            swings.append(Swing(name, source, *zip(*(self._changes({name: f}) for f in factors), strict=True)))
+            changes = (self._changes({name: factor}) for factor in (1.0 - self.vary, 1.0 + self.vary))
+            swings.append(Swing(name, source, *zip(*changes, strict=True)))
         return sorted(swings, key=lambda s: -max(abs(v) for v in s.snr))
 
     def _changes(self, factors: Mapping[str, float]) -> tuple[float, float]:
@@ -353,8 +353,7 @@ class SensorCheck:
         other, level, detected = Sensor(self.sensor.specification, factors), sunlit_radiance(self.axis, MIDDLE), 0.0
         change = (other.noise().snr(level) / self.noise.snr(level) - 1.0)[self.good]
         if self.probe is not None:
-            origins = Origins(sensor=other, engine=self.engine)
-            curve = predict(standard_scenario(self.probe.scenario), origins).roc[self.probe.key]
+            curve = self._predicted(self.probe.scenario, other).roc[self.probe.key]
             detected = float(detection_at(curve, FALSE_ALARM)) - self.probe.value
         return float(change[np.argmax(np.abs(change))]), detected
 
@@ -482,10 +481,10 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
     return check
 
 
-def _worst(check: SensorCheck, values: Array, subject: str = "", *, least: bool = False) -> Found:
+def _worst(axis: SpectralAxis, values: Array, subject: str = "", *, least: bool = False) -> Found:
     """The greatest or least of values (B,), which names its band."""
     at = int(np.argmin(values) if least else np.argmax(values))
-    return Found(float(values[at]), subject, f"{check.axis.centre_nm[at]:g} nm")
+    return Found(float(values[at]), subject, f"{axis.centre_nm[at]:g} nm")
 
 
 def order(check: SensorCheck) -> Values:
@@ -550,7 +549,7 @@ def response(check: SensorCheck, of: str) -> Values:
     area, centroid, width = applied_moments(check.axis)
     fwhm = check.axis.fwhm_nm
     errors = {"integral": area - 1.0, "centroid": centroid / fwhm, "width": width / fwhm - 1.0}
-    yield _worst(check, np.abs(errors[of]))
+    yield _worst(check.axis, np.abs(errors[of]))
 
 
 def outside_arms(check: SensorCheck) -> Values:
@@ -572,9 +571,7 @@ def bands_of_arm(check: SensorCheck) -> Values:
 def least(check: SensorCheck, of: str) -> Values:
     """Least value of a quantity of each arm over its bands."""
     for arm, axis in check.arms:
-        values = getattr(arm, of).at(axis.centre_nm)
-        at = int(np.argmin(values))
-        yield Found(float(values[at]), arm.name, f"{axis.centre_nm[at]:g} nm")
+        yield _worst(axis, getattr(arm, of).at(axis.centre_nm), arm.name, least=True)
 
 
 def greatest(check: SensorCheck, of: str) -> Values:
@@ -603,7 +600,7 @@ def energy_gain(check: SensorCheck) -> Values:
     if check.arms:
         expected = np.concatenate([electrons_from_energy(arm, axis) for arm, axis in check.arms])
         in_rising_order = np.argsort(np.concatenate([axis.centre_nm for _, axis in check.arms]))
-        yield _worst(check, np.abs(check.noise.electrons_per_radiance / expected[in_rising_order] - 1.0))
+        yield _worst(check.axis, np.abs(check.noise.electrons_per_radiance / expected[in_rising_order] - 1.0))
 
 
 def photon_transfer(check: SensorCheck) -> Values:
@@ -630,7 +627,7 @@ def median_snr(check: SensorCheck) -> Values:
 def lowest_snr(check: SensorCheck) -> Values:
     """Least SNR over bands."""
     snr = check.noise.snr(sunlit_radiance(check.axis, MIDDLE))
-    yield _worst(check, np.where(check.good, snr, np.inf), f"reflectance {MIDDLE:g}", least=True)
+    yield _worst(check.axis, np.where(check.good, snr, np.inf), f"reflectance {MIDDLE:g}", least=True)
 
 
 def quantisation(check: SensorCheck) -> Values:
@@ -638,7 +635,7 @@ def quantisation(check: SensorCheck) -> Values:
     if check.noise.constant is None:
         parts = check.noise.breakdown(sunlit_radiance(check.axis, DARK))
         ratio = np.where(check.axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
-        yield _worst(check, ratio, f"reflectance {DARK:g}")
+        yield _worst(check.axis, ratio, f"reflectance {DARK:g}")
 
 
 def saturation(check: SensorCheck) -> Values:
@@ -646,7 +643,7 @@ def saturation(check: SensorCheck) -> Values:
     for level, outcome in ((BRIGHT, None), (1.0, Outcome.NONE)) if check.noise.full_scale is not None else ():
         part = check.noise.full_scale_fraction(sunlit_radiance(check.axis, level))
         part = np.where(check.axis.good, part, 0.0)
-        worst = _worst(check, part, f"reflectance {level:g}")
+        worst = _worst(check.axis, part, f"reflectance {level:g}")
         words = f"{int(np.count_nonzero(part >= 1))} bands saturate, most at {worst.words}"
         yield worst._replace(words=words, outcome=outcome)
 
@@ -672,7 +669,7 @@ def growth(check: SensorCheck) -> Values:
     worse = max(STEP * float(noise.calibration_percent.max()), 0.1)
     rises["less C_R"] = base / changed(calibration_error_percent=worse) - 1.0
     for name, values in rises.items():
-        worst = _worst(check, np.where(check.axis.good, values, np.inf), name, least=True)
+        worst = _worst(check.axis, np.where(check.axis.good, values, np.inf), name, least=True)
         yield worst._replace(words=f"{name} at {worst.words}")
 
 
@@ -680,9 +677,7 @@ def published(check: SensorCheck, of: str) -> Values:
     """Computed over published ratios, of values or of lower bounds; a file without any says so once."""
     if not check.points and of == "value":
         yield Found(words="the file holds no published ratio to compare with", outcome=Outcome.NONE)
-    for point in check.points:
-        if point.item.says != of:
-            continue
+    for point in (point for point in check.points if point.item.says == of):
         subject, bound = f"{point.wavelength_nm:g} nm", "at least " if of == "at least" else ""
         words = (
             f"computed {point.computed:.0f} at {point.radiance:.3g} uW cm-2 sr-1 nm-1, "
