@@ -51,12 +51,9 @@ def pixel_weights(psf_fwhm_pixels: float) -> Array:
 def _fine_response(count: int, psf_fwhm_pixels: float) -> Array:
     """(count, count * cells) response of each pixel of a run to the fine cells of the same run."""
     response, _ = _line_spread(psf_fwhm_pixels)
-    matrix = np.zeros((count, count * _CELLS))
-    for pixel in range(count):
-        start = pixel * _CELLS + _CELLS // 2 - response.size // 2
-        low, high = max(start, 0), min(start + response.size, count * _CELLS)
-        matrix[pixel, low:high] = response[low - start : high - start]
-    return matrix
+    start = _CELLS * np.arange(count) + _CELLS // 2 - response.size // 2
+    at = np.arange(count * _CELLS) - start[:, None]
+    return np.where((at >= 0) & (at < response.size), response[at.clip(0, response.size - 1)], 0.0)
 
 
 def _coverage(u: Array, half: float, cell: float) -> Array:
@@ -322,9 +319,7 @@ class Sampler:
         if self.dof is not None:
             # A t vector is a normal one over sqrt(chi2/nu); its covariance is nu/(nu - 2) times larger.
             z *= np.sqrt((self.dof - 2.0) / rng.chisquare(self.dof, count))[:, None].astype(np.float32)
-        spectra: Field = z @ self.factor
-        spectra += self.mean
-        return spectra
+        return np.asarray(z @ self.factor + self.mean)
 
 
 class SurfaceRenderer:
@@ -339,12 +334,10 @@ class SurfaceRenderer:
     def __init__(self, scene: SceneFile, ground: GroundLayout, classes: Mapping[str, ClassStatistics]):
         self.scene, self.ground = scene, ground
         tails = scene.broken.heavy_tails
-        covering = list(ground.surfaces)
-        covering += [a.surface for a in scene.broken.admixtures if a.surface not in covering]
-        self._names = covering
+        self._names = list(dict.fromkeys((*ground.surfaces, *(a.surface for a in scene.broken.admixtures))))
         open_ground = {a.surface for a in scene.layout}
         self._samplers = [
-            Sampler(classes[name], tails.dof if tails and name in open_ground else None) for name in covering
+            Sampler(classes[name], tails.dof if tails and name in open_ground else None) for name in self._names
         ]
         self.bands = int(self._samplers[0].mean.size)
         self._texture = texture_factor(scene, ground.on_panel)
