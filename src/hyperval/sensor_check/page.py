@@ -23,7 +23,6 @@ from hyperval.figures.spec import (
     SOURCES,
     WAVELENGTH,
     Axis,
-    Dash,
     Figure,
     Mark,
     Panels,
@@ -97,7 +96,7 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
         radiance = sunlit_radiance(axis, level)
         free = noise.snr(radiance, calibration=False)
         marks.append(_curve(axis, free, f"reflectance {level:g}", colour))
-        marks.append(_curve(axis, noise.snr(radiance), "", colour, "dashed"))
+        marks.append(_curve(axis, noise.snr(radiance), "", colour, dash="dashed"))
         highest.append(free[check.good if len(axis) >= 30 else axis.good])
     middle = noise.snr(sunlit_radiance(axis, MIDDLE), calibration=False)[check.good]
     title = "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)"
@@ -146,14 +145,14 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     yield Figure("saturation", "saturation", title, alt, (view,))
 
 
-def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, dash: Dash = "solid") -> Mark:
+def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, **look: Any) -> Mark:
     """A line over the good bands; gaps where bands are bad or left out."""
     y = np.where(axis.good, values, np.nan)
     w = axis.centre_nm
     if len(axis) >= 30:
         wide = np.flatnonzero(np.diff(w) > 40.0) + 1
         w, y = np.insert(w, wide, w[wide] - 1.0), np.insert(y, wide, np.nan)
-    return Mark("line", {"x": w, "y": y}, label, colour, dash, "circle" if len(axis) < 30 else "")
+    return Mark("line", {"x": w, "y": y}, label, colour, marker="circle" if len(axis) < 30 else "", **look)
 
 
 def _wavelengths(axis: SpectralAxis) -> Axis:

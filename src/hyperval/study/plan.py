@@ -24,22 +24,11 @@ from hyperval.atmosphere.between import spaced
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, refuse
-from hyperval.model import (
-    Evaluation,
-    Origins,
-    World,
-    column_of,
-    evaluations,
-    find,
-    in_file,
-    plain,
-    read,
-    reads_again,
-    with_values,
-)  # fmt: skip
+from hyperval.model import Evaluation, Origins, World, evaluations, read, with_values
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
-from hyperval.model.stated import state_entries
+from hyperval.model.stated import plain, state_entries
+from hyperval.model.world import column_of, find, in_file, reads_again
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -351,17 +340,12 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     columns = moved(study.inputs, input_values(study, 0, min(count, study.count)))
     short = len(next(iter(columns.values())))
     columns = {p: c[np.arange(count) % short] for p, c in columns.items()}
+    columns |= {m.path: np.full(count, m.of(0.5 * sum(q.between))) for q in study.required for m in q.targets}
     columns |= states
-    for question in study.required:
-        middle = 0.5 * sum(question.between)
-        for m in question.targets:
-            if m.path not in states:
-                columns[m.path] = np.full(count, m.of(middle))
     a, _ = output_values(world, columns, study.outputs)
     b, _ = output_values(World(replace(stated, atmosphere=exact, kept={})), columns, study.outputs)
-    for k, output in enumerate(study.outputs):
-        errors[f"output {output.name}"] = float(np.max(np.abs(a[:, k] - b[:, k])))
-    return errors
+    worst = np.abs(a - b).max(axis=0).tolist()
+    return errors | {f"output {output.name}": one for output, one in zip(study.outputs, worst, strict=True)}
 
 
 def _between(nodes: Array, u: Array) -> Array:
