@@ -37,18 +37,7 @@ from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part,
 from hyperval.imagery import TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
-from hyperval.pixels import (
-    LEAST_EXPECTED_ALARMS,
-    LOCAL_DETECTORS,
-    AddedDetectorError,
-    AlarmBlocks,
-    PixelDetector,
-    detect,
-    detector_names,
-    interval_of_mean,
-    object_scores,
-    register_detector,
-)
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, detect, interval_of_mean, object_scores
 from hyperval.products import Products
 from hyperval.progress import step, track
 from hyperval.report.html import page
@@ -377,18 +366,16 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Map
     undesired, left_out = list(detection.undesired or regions), dict[str, str]()
     if detection.local_window is not None:
         why = "the campaign takes background means from a local window, which this detector does not have"
-        left_out = {name: why for name in detector_names() if name not in LOCAL_DETECTORS}
+        left_out = {name: why for name in detect.detector_names() if name not in detect.LOCAL_DETECTORS}
     if not undesired:
         left_out.setdefault("osp", "no region of the collection is a class of the scenario: nothing to project away")
     left_out |= refused
-    run = [name for name in detector_names() if name not in left_out]
+    run = [name for name in detect.detector_names() if name not in left_out]
     is_chosen = "osp" in run and not detection.undesired
     notes = (f"osp projects away the mean spectra of {', '.join(undesired)}",) if is_chosen else ()
-    changed: Detection = with_settings(
-        detection,
-        {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None},
-    )
-    return Question(bare.model_copy(update={"detection": changed}), left_out, notes)
+    changes = {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None}
+    asked = bare.model_copy(update={"detection": with_settings(detection, changes)})
+    return Question(asked, left_out, notes)
 
 
 def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[str, list[TargetObject]]]]:
@@ -660,11 +647,11 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
             while True:  # a detector that this collection cannot take does not take the others with it
                 try:
                     return _with(job, seed, refused)
-                except AddedDetectorError as error:
+                except detect.AddedDetectorError as error:
                     refused[error.detector] = str(error)
                 except UsageError as error:
                     # A target among the undesired, a singular background: its own detectors are known to run.
-                    others = set(detector_names()) - set(own.detectors if own else ()) - {*refused}
+                    others = set(detect.detector_names()) - set(own.detectors if own else ()) - {*refused}
                     if own is None or isinstance(error, MissingDataError) or not others:
                         raise
                     refused |= dict.fromkeys(others, f"not run, as one of the detectors was refused: {error}")
@@ -678,19 +665,19 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
 def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
     """Score maps that were made elsewhere are detectors of this campaign."""
 
-    def made(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> PixelDetector:
+    def made(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> detect.PixelDetector:
         path = Path(file.replace("{campaign}", campaign))
 
         def image(values: Any, scene: Any) -> Any:
             raster = raster_of_size(path, values.shape[:2])
             return raster.read_some_bands(0, raster.lines, [0])[0].astype(float)
 
-        return PixelDetector(np.zeros((1, mean.size)), np.zeros(1), image=image)
+        return detect.PixelDetector(np.zeros((1, mean.size)), np.zeros(1), image=image)
 
     before = dict(detect.ADDED_DETECTORS)
     try:
         for name, file in scores.items():
-            register_detector(name, partial(made, file))
+            detect.register_detector(name, partial(made, file))
         yield
     finally:
         detect.ADDED_DETECTORS.clear()

@@ -187,13 +187,15 @@ class SpectralShift(OneOf):
     def at(self, column: float | None) -> float:
         """Shift [nm] at a sample, counted from 0; None is the middle of the track.
 
-        Raises ValueError when the column lies outside the track.
+        Raises
+        ------
+        UsageError : the column lies outside the track.
         """
         if column is None or self.columns is None:
             return self.shift_nm
         x = 2.0 * column / (self.columns - 1) - 1.0
         if not -1.0 <= x <= 1.0:
-            raise ValueError(f"column {column:g} lies outside 0-{self.columns - 1}")
+            raise UsageError(f"sensor_operation.column: column {column:g} lies outside 0-{self.columns - 1}")
         return self.shift_nm + sum(c * x ** (k + 1) for k, c in enumerate(self.smile_nm))
 
 
@@ -444,10 +446,7 @@ class Sensor:
         shift = np.zeros(len(nominal))
         for item in self.specification.spectral_calibration:
             low, high = item.range_nm or (0.0, np.inf)
-            try:
-                shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(op.column)
-            except ValueError as error:
-                raise UsageError(f"sensor_operation.column: {error}") from error
+            shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(op.column)
         stated = op.wavelength_shift_nm
         if isinstance(stated, dict):
             names = [arm.name for arm in self.specification.arms]

@@ -15,10 +15,11 @@ from scipy.interpolate import CubicSpline
 
 from hyperval.data import Array, Index
 from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, row_names, tones
+from hyperval.model import reads_again
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
-from hyperval.study.plan import Plan, plain_value
+from hyperval.study.plan import GROUND, LEAST_GAS, PFA, Plan, plain_value
 from hyperval.study.schema import Input, Knee, Plot, StudyFile
 
 LEAST_POINTS = 5
@@ -351,11 +352,12 @@ def study_page(
     reasons = Counter(re.sub(r"; the nearest is [^;]*", "", text) for text in said)
     parts = {q.name: [text.partition(f"{q.name}: ")[2] for text in said] for q in study.required}
     why = {name: Counter(part.split("; ")[0] for part in own if part) for name, own in parts.items()}
+    moved = [move.path for item in study.moving for move in item.targets if move.path != PFA]
     return page(
         "study.html.j2", figures, plan=plan, study=study, figures=figures, record=record, names=names, count=len(table),
         extremes={name: extremes(table[name]) for name in list(study.columns)[len(study.inputs) :]},
         knees=knees[:_MOST_KNEES], knees_left_out=max(0, len(knees) - _MOST_KNEES), why=why,
         listed={i.name: np.asarray(i.listed).tolist() for i in study.inputs if i.listed is not None},
         most_values=_MOST_VALUES, reasons=reasons.most_common(_MOST_REASONS), words_of=words_of, number=number_text,
-        text=_text,
+        text=_text, anew=[path for path in moved if reads_again(plan.world.stated, path)], ground=GROUND, gas=LEAST_GAS,
     )  # fmt: skip

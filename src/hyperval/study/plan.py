@@ -28,7 +28,7 @@ from hyperval.model import Evaluation, Origins, World, evaluations, read, with_v
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
 from hyperval.model.stated import plain, state_entries
-from hyperval.model.world import column_of, find, in_file, reads_again
+from hyperval.model.world import column_of, find, in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -198,7 +198,6 @@ class Plan:
 
     Attributes
     ----------
-    notes : what is to be said of how it is evaluated
     sky_error : what the interpolation of the atmosphere costs, name -> value; empty where it is not interpolated
     log : files that were read
     """
@@ -206,7 +205,6 @@ class Plan:
     study: StudyFile
     scenario: Scenario
     world: World
-    notes: tuple[str, ...]
     sky_error: Mapping[str, float]
     log: InputLog
 
@@ -236,7 +234,7 @@ def plan_study(study: StudyFile) -> Plan:
     world.stated.atmosphere.prepare(states)
     check_outputs(study.outputs, scenario, world.stated.axis)
     sky_error = _sky_error(study, world) if nodes else {}
-    return Plan(study, scenario, world, tuple(_notes(study, world, sky_error)), sky_error, log)
+    return Plan(study, scenario, world, sky_error, log)
 
 
 def try_values(study: StudyFile, world: World) -> None:
@@ -302,23 +300,6 @@ def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, A
             between = ends if few else spaced(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
             nodes[key] = tuple(between.tolist())
     return [], nodes
-
-
-def _notes(study: StudyFile, world: World, sky_error: Mapping[str, float]) -> list[str]:
-    notes, paths, stated = [], [m.path for i in study.moving for m in i.targets], world.stated
-    anew = [p for p in paths if p != PFA and reads_again(stated, p)]
-    if anew:
-        notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
-    for key, nodes in stated.atmosphere.nodes.items():
-        notes.append(f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes))
-    notes += [
-        f"interpolated atmosphere at {study.atmosphere.checked} held-out states: {name} relative error "
-        f"{error:.1e} (ground of {GROUND:g}, two-way gas transmittance above {LEAST_GAS:g})"
-        for name, error in sky_error.items() if name.startswith("radiance")
-    ]  # fmt: skip
-    if any(i.random for i in study.inputs):
-        notes.append(f"random inputs: Sobol sequence, scrambled, seed {study.design.seed}")
-    return notes
 
 
 def _sky_error(study: StudyFile, world: World) -> dict[str, float]:

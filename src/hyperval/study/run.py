@@ -113,15 +113,13 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
     for low in range(start, stop, _BATCH):
         columns = moved(study.inputs, input_values(study, low, min(low + _BATCH, stop)))
         values, problems = values_of(columns, study.outputs)
-        said = {i: [text] for i, text in problems.items()}
-        row = [values]
+        row, said = [values], [problems]
         for question in study.required:
             answer = answers(values_of, columns, question, study.outputs)
             row += [answer.solutions[:, None], answer.reports]
-            for i, text in answer.reasons.items():
-                said.setdefault(i, []).append(f"{question.name}: {text}")
+            said.append({i: f"{question.name}: {text}" for i, text in answer.reasons.items()})
         parts.append(np.concatenate(row, axis=1))
-        reasons |= {low + i: "; ".join(texts) for i, texts in said.items()}
+        reasons |= {low + i: "; ".join(own[i] for own in said if i in own) for i in set().union(*said)}
     return np.concatenate(parts), reasons
 
 
