@@ -300,10 +300,8 @@ def ranked(
     )  # fmt: skip
 
 
-def _drawn(
-    part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """(D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
+def _drawn(part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator) -> Array:
+    """(2, D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
     blocks, looks = part.pixels.size, part.item.size
     step = max(1, _CHUNK_VALUES // (looks * len(part.detectors)))
     drawn: list[tuple[Array, Array]] = []
@@ -313,12 +311,11 @@ def _drawn(
         taken = rng.multinomial(objects, np.full(objects, 1.0 / objects), size=size).T[part.item].astype(float)
         shares = part.shares(weights)
         drawn.append((measured(measure, *shares, taken), measured(measure, *shares, np.ones_like(taken))))
-    both, still = (np.concatenate(each, axis=1) for each in zip(*drawn, strict=True))
-    return both, still
+    return np.concatenate(drawn, axis=2)
 
 
-def _limits(item: Index, parts: Array, still: Array, n: int) -> tuple[Array, Array]:
-    """95 % interval of each detector's mean of parts (P, D) between 0 and 1, of objects ``item`` (P,).
+def _limits(item: Index, parts: Array, still: Array, n: int) -> Array:
+    """(2, D) 95 % interval of each detector's mean of parts (P, D) between 0 and 1, of objects ``item`` (P,).
 
     The logit interval with both variances, no narrower than what is known of a bounded mean.
     """
@@ -327,8 +324,7 @@ def _limits(item: Index, parts: Array, still: Array, n: int) -> tuple[Array, Arr
         of_object = np.bincount(item, own) / np.bincount(item)
         spread = float(of_object.var(ddof=1)) / of_object.size if of_object.size > 1 else 0.25
         limits.append(interval_of_mean(of_object, spread, float(moved.var(ddof=1)), n))
-    lower, upper = np.array(limits).T
-    return lower, upper
+    return np.array(limits).T
 
 
 PRODUCT = "benchmark"

@@ -472,7 +472,8 @@ class Sensor:
         spec, on = self.specification, axis or self.axis
         w = on.centre_nm
         calibration = self._at("calibration_error_percent", w)
-        model = self._measured_noise(w, calibration) if spec.measured_noise else self._noise(on, calibration)
+        measured = spec.measured_noise
+        model = self._measured_noise(measured, w, calibration) if measured else self._noise(on, calibration)
         return model if operation is None else averaged_noise(model, operation)
 
     def operated_noise(
@@ -507,9 +508,7 @@ class Sensor:
         values = np.asarray(quantity.value_cm2_sr if isinstance(quantity, Throughput) else quantity.at(w))
         return values * self.factors.get(f"{arm.name}.{name}" if arm else name, 1.0)
 
-    def _measured_noise(self, w: Array, calibration: Array) -> NoiseModel:
-        given = self.specification.measured_noise
-        assert given is not None  # noqa: S101 - the caller has asked
+    def _measured_noise(self, given: MeasuredNoise, w: Array, calibration: Array) -> NoiseModel:
         at, a, b, c = np.array(given.table, dtype=float).T
         # a^2 and b vary like the inverse of efficiency, by orders of magnitude: interpolate logarithms.
         a, c = np.exp(np.interp(w, at, np.log(a))), np.interp(w, at, c)

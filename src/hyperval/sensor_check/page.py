@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.campaign.provenance import record_of
+from hyperval.config import shipped
 from hyperval.data import Array
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
@@ -35,7 +36,7 @@ from hyperval.report import verdict as v
 from hyperval.report.html import page
 from hyperval.results import Outcome
 from hyperval.run import Run
-from hyperval.sensor.specification import Sensor, library_names, load_sensor
+from hyperval.sensor.specification import Sensor, load_sensor
 from hyperval.sensor_check.suite import (
     LEVELS,
     MIDDLE,
@@ -48,7 +49,7 @@ from hyperval.sensor_check.suite import (
     sunlit_radiance,
 )
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
-from hyperval.storage import installed_file, whole_folder
+from hyperval.storage import whole_folder
 
 _MOST_RESPONSES = 12
 # Of the terms of a breakdown of the noise, in their order.
@@ -286,8 +287,7 @@ def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
 
 
 def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:
-    log, is_known = InputLog(), name_or_file in library_names()
-    path = installed_file("hyperval.sensor", "library", f"{name_or_file}.yaml") if is_known else Path(name_or_file)
-    log.add(path, f"library: {name_or_file}" if is_known else path.name)
+    log, known = InputLog(), shipped("hyperval.sensor", "library").get(name_or_file)
+    log.add(known or Path(name_or_file), f"library: {name_or_file}" if known else Path(name_or_file).name)
     told = {"sensor": check.sensor.specification, "vary": check.vary}
     return record_of(log, [*map(standard_scenario, check.predictions)], None, told, check.predictions)

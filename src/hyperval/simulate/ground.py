@@ -26,14 +26,13 @@ _CELLS = 32  # fine cells per pixel side
 _CUT_SIGMA = 5.0  # the Gaussian beyond holds 6e-7 of its area
 
 
-def _line_spread(psf_fwhm_pixels: float) -> tuple[Array, int]:
-    """One-dimensional system response on fine cells, unit sum, and the reach in cells from its centre."""
+def _line_spread(psf_fwhm_pixels: float) -> Array:
+    """One-dimensional system response on fine cells, of unit sum."""
     sigma = psf_fwhm_pixels * _CELLS / (2.0 * math.sqrt(2.0 * math.log(2.0)))  # in fine cells
     reach = math.ceil(_CUT_SIGMA * sigma)
     offsets = np.arange(-reach, reach + 1)
     gaussian = np.exp(-0.5 * (offsets / sigma) ** 2) if sigma > 0 else np.ones(1)
-    response = np.convolve(gaussian / gaussian.sum(), np.full(_CELLS, 1.0 / _CELLS))
-    return response, (response.size - 1) // 2
+    return np.convolve(gaussian / gaussian.sum(), np.full(_CELLS, 1.0 / _CELLS))
 
 
 def pixel_weights(psf_fwhm_pixels: float) -> Array:
@@ -41,7 +40,7 @@ def pixel_weights(psf_fwhm_pixels: float) -> Array:
 
     Returns (2 k + 1,) weights of unit sum, symmetric, the pixel itself in the middle.
     """
-    size = _line_spread(psf_fwhm_pixels)[0].size
+    size = _line_spread(psf_fwhm_pixels).size
     k = math.ceil((size / _CELLS - 1.0) / 2.0)
     middle = _fine_response(2 * k + 1, psf_fwhm_pixels)[k]
     weights = middle.reshape(-1, _CELLS).sum(axis=1)
@@ -50,7 +49,7 @@ def pixel_weights(psf_fwhm_pixels: float) -> Array:
 
 def _fine_response(count: int, psf_fwhm_pixels: float) -> Array:
     """(count, count * cells) response of each pixel of a run to the fine cells of the same run."""
-    response, _ = _line_spread(psf_fwhm_pixels)
+    response = _line_spread(psf_fwhm_pixels)
     start = _CELLS * np.arange(count) + _CELLS // 2 - response.size // 2
     at = np.arange(count * _CELLS) - start[:, None]
     return np.where((at >= 0) & (at < response.size), response[at.clip(0, response.size - 1)], 0.0)
@@ -75,7 +74,7 @@ def square_footprint(
     heading_deg : turn of the square about its centre [deg]
     psf_fwhm_pixels : full width at half maximum of the Gaussian point spread function [pixels]
     """
-    _, reach = _line_spread(psf_fwhm_pixels)
+    reach = (_line_spread(psf_fwhm_pixels).size - 1) // 2  # from its centre, in cells
     margin = side_pixels / math.sqrt(2.0) + (reach + 1) / _CELLS
     first_line, first_sample = math.floor(centre_line - margin), math.floor(centre_sample - margin)
     lines = math.ceil(centre_line + margin) - first_line

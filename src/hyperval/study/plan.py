@@ -116,14 +116,14 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
     populations = [p.name for t in scene.targets for p in t.populations]
     for o in outputs:
         where = f"output {o.name!r}"
-        spectral, among = o.is_spectral, pure if o.is_spectral else populations
-        if spectral and scenario.atmosphere is None:
+        among = pure if o.is_spectral else populations
+        if o.is_spectral and scenario.atmosphere is None:
             raise UsageError(f"{where}: the scenario has no atmosphere, so no {o.kind}")
-        refuse(not spectral and not detectors, "study.detectors", at=where)
+        refuse(not o.is_spectral and not detectors, "study.detectors", at=where)
         refuse(o.subject not in among, "study.subject", at=where, subject=o.subject, names=", ".join(among))
         unknown = o.detector not in (None, *detectors)
         refuse(unknown, "study.detector", at=where, detector=o.detector, names=", ".join(detectors))
-        if spectral:
+        if o.is_spectral:
             bands_of(o, axis)
 
 
@@ -140,8 +140,7 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
         if abs(w[at] - output.band_nm) > 2.0 * axis.fwhm_nm[at]:
             raise UsageError(f"output {output.name!r}: no band at {output.band_nm:g} nm")
         return np.array([at])
-    assert output.range_nm is not None  # noqa: S101 - the model's own check
-    low, high = output.range_nm
+    low, high = output.range_nm or (0.0, np.inf)
     bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
     refuse(not bands.size, "study.range", name=output.name, low=low, high=high)
     return bands
@@ -233,8 +232,7 @@ def plan_study(study: StudyFile) -> Plan:
     try_values(study, world)
     world.stated.atmosphere.prepare(states)
     check_outputs(study.outputs, scenario, world.stated.axis)
-    sky_error = _sky_error(study, world) if nodes else {}
-    return Plan(study, scenario, world, sky_error, log)
+    return Plan(study, scenario, world, _sky_error(study, world) if nodes else {}, log)
 
 
 def try_values(study: StudyFile, world: World) -> None:
