@@ -70,10 +70,11 @@ def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> M
             columns[name][own] = values[number[own] - first]
             first += len(values)
         return columns
-    draw, *places = np.unravel_index(number, (study.design.count if random else 1, *map(len, listed.values())))
-    columns = {name: values[at] for (name, values), at in zip(listed.items(), places, strict=True)}
-    if random:
-        u = _sobol(len(random), study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
+    for name, values in reversed(listed.items()):
+        number, at = np.divmod(number, len(values))
+        columns[name] = values[at]
+    if random:  # what is left is the number of the draw
+        u = _sobol(len(random), study.design.seed, int(number[0]), int(number[-1]) + 1)[number - number[0]]
         columns |= {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
     return {i.name: columns[i.name] for i in study.inputs}
 
@@ -316,9 +317,8 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     radiance, expected = (mean_radiance(terms, GROUND, GROUND)[seen] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
-    columns = moved(study.inputs, input_values(study, 0, min(count, study.count)))
-    short = len(next(iter(columns.values())))
-    columns = {p: c[np.arange(count) % short] for p, c in columns.items()}
+    first = moved(study.inputs, input_values(study, 0, min(count, study.count)))
+    columns = {path: np.resize(column, count) for path, column in first.items()}
     columns |= {m.path: np.full(count, m.of(0.5 * sum(q.between))) for q in study.required for m in q.targets}
     columns |= states
     a, _ = output_values(world, columns, study.outputs)
