@@ -36,18 +36,9 @@ from hyperval.report import verdict as v
 from hyperval.report.html import page
 from hyperval.results import Outcome
 from hyperval.run import Run
+from hyperval.scenario import load_scenario
 from hyperval.sensor.specification import Sensor, load_sensor
-from hyperval.sensor_check.suite import (
-    LEVELS,
-    MIDDLE,
-    TOLERANCE,
-    SensorCheck,
-    check_sensor,
-    neighbour_ratio,
-    numbers,
-    standard_scenario,
-    sunlit_radiance,
-)
+from hyperval.sensor_check.suite import LEVELS, MIDDLE, TOLERANCE, SensorCheck, check_sensor, neighbour_ratio, numbers
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 from hyperval.storage import whole_folder
 
@@ -94,12 +85,12 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
     axis, noise = check.axis, check.noise
     marks, highest = [], []
     for level, colour in zip(LEVELS, SOURCES, strict=False):
-        radiance = sunlit_radiance(axis, level)
+        radiance = check.sunlit(level)
         free = noise.snr(radiance, calibration=False)
         marks.append(_curve(axis, free, f"reflectance {level:g}", colour))
         marks.append(_curve(axis, noise.snr(radiance), "", colour, dash="dashed"))
         highest.append(free[check.good if len(axis) >= 30 else axis.good])
-    middle = noise.snr(sunlit_radiance(axis, MIDDLE), calibration=False)[check.good]
+    middle = noise.snr(check.sunlit(MIDDLE), calibration=False)[check.good]
     title = "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)"
     alt = (
         "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the calibration "
@@ -116,7 +107,7 @@ def _noise(check: SensorCheck) -> Iterator[Figure]:
     views: list[Panels] = []
     shown: dict[str, str] = {}
     for level in (LEVELS[0], LEVELS[-1]):
-        parts, base, marks = check.noise.breakdown(sunlit_radiance(axis, level)), np.zeros(len(axis)), []
+        parts, base, marks = check.noise.breakdown(check.sunlit(level)), np.zeros(len(axis)), []
         shares = np.abs([*vars(parts).values()])
         for words, share, colour in zip(_SOURCES, 100.0 * shares / shares.sum(axis=0), SOURCES, strict=False):
             if np.max(share) > 0.01:
@@ -136,7 +127,7 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     if check.noise.full_scale is None:
         return
     levels = (*LEVELS[1:], 1.0)
-    parts = [check.noise.full_scale_fraction(sunlit_radiance(check.axis, level)) for level in levels]
+    parts = [check.noise.full_scale_fraction(check.sunlit(level)) for level in levels]
     named = zip(levels, parts, SOURCES, strict=False)
     marks = [_curve(check.axis, part, f"reflectance {level:g}", colour) for level, part, colour in named]
     highest = max(1.0, float(np.max(parts)))
@@ -290,4 +281,4 @@ def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:
     log, known = InputLog(), shipped("hyperval.sensor", "library").get(name_or_file)
     log.add(known or Path(name_or_file), f"library: {name_or_file}" if known else Path(name_or_file).name)
     told = {"sensor": check.sensor.specification, "vary": check.vary}
-    return record_of(log, [*map(standard_scenario, check.predictions)], None, told, check.predictions)
+    return record_of(log, [*map(load_scenario, check.predictions)], None, told, check.predictions)

@@ -269,6 +269,10 @@ class SensorCheck:
         index = self.sensor.arm_index(self.axis.centre_nm) if arms else np.array([])
         return [(arm, self.axis.select(index == k)) for k, arm in enumerate(arms) if np.any(index == k)]
 
+    def sunlit(self, reflectance: float) -> Array:
+        """(B,) radiance of ground in the sun, without an atmosphere."""
+        return sunlit_radiance(self.axis, reflectance)
+
     @cached_property
     def noise(self) -> NoiseModel:
         """The noise on these bands."""
@@ -350,7 +354,7 @@ class SensorCheck:
         """Relative change of the SNR with C_R at ground of 0.25, in the good band of the windows it moves most; change
         of P_D.
         """
-        other, level, detected = Sensor(self.sensor.specification, factors), sunlit_radiance(self.axis, MIDDLE), 0.0
+        other, level, detected = Sensor(self.sensor.specification, factors), self.sunlit(MIDDLE), 0.0
         change = (other.noise().snr(level) / self.noise.snr(level) - 1.0)[self.good]
         if self.probe is not None:
             curve = self._predicted(self.probe.scenario, other).roc[self.probe.key]
@@ -606,7 +610,7 @@ def energy_gain(check: SensorCheck) -> Values:
 def photon_transfer(check: SensorCheck) -> Values:
     """The gain that the noise at two radiances implies against the one that is applied."""
     noise, axis = check.noise, check.axis
-    level, other = sunlit_radiance(axis, DARK), sunlit_radiance(axis, BRIGHT)
+    level, other = check.sunlit(DARK), check.sunlit(BRIGHT)
     rise = noise.variance(other, calibration=False) - noise.variance(level, calibration=False)
     with np.errstate(all="ignore"):  # the inverse slope of the variance
         off = (other - level) / rise * noise.readings / noise.electrons_per_radiance - 1.0
@@ -619,21 +623,21 @@ def photon_transfer(check: SensorCheck) -> Values:
 def median_snr(check: SensorCheck) -> Values:
     """Median SNR without C_R at the reference radiances, by region."""
     for level in LEVELS:
-        snr = check.noise.snr(sunlit_radiance(check.axis, level), calibration=False)
+        snr = check.noise.snr(check.sunlit(level), calibration=False)
         for name, mask in summary_regions(check.axis).items():
             yield Found(float(np.median(snr[mask])), f"reflectance {level:g}, {name}")
 
 
 def lowest_snr(check: SensorCheck) -> Values:
     """Least SNR over bands."""
-    snr = check.noise.snr(sunlit_radiance(check.axis, MIDDLE))
+    snr = check.noise.snr(check.sunlit(MIDDLE))
     yield _worst(check.axis, np.where(check.good, snr, np.inf), f"reflectance {MIDDLE:g}", least=True)
 
 
 def quantisation(check: SensorCheck) -> Values:
     """Noise of the digital word over all other."""
     if check.noise.constant is None:
-        parts = check.noise.breakdown(sunlit_radiance(check.axis, DARK))
+        parts = check.noise.breakdown(check.sunlit(DARK))
         ratio = np.where(check.axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
         yield _worst(check.axis, ratio, f"reflectance {DARK:g}")
 
@@ -641,7 +645,7 @@ def quantisation(check: SensorCheck) -> Values:
 def saturation(check: SensorCheck) -> Values:
     """Greatest part of full scale: of bright ground judged, of white ground shown."""
     for level, outcome in ((BRIGHT, None), (1.0, Outcome.NONE)) if check.noise.full_scale is not None else ():
-        part = check.noise.full_scale_fraction(sunlit_radiance(check.axis, level))
+        part = check.noise.full_scale_fraction(check.sunlit(level))
         part = np.where(check.axis.good, part, 0.0)
         worst = _worst(check.axis, part, f"reflectance {level:g}")
         words = f"{int(np.count_nonzero(part >= 1))} bands saturate, most at {worst.words}"
@@ -650,7 +654,7 @@ def saturation(check: SensorCheck) -> Values:
 
 def growth(check: SensorCheck) -> Values:
     """Least relative growth of the SNR with radiance, with time, with aperture, and with a smaller C_R."""
-    noise, spec, level = check.noise, check.sensor.specification, sunlit_radiance(check.axis, MIDDLE)
+    noise, spec, level = check.noise, check.sensor.specification, check.sunlit(MIDDLE)
 
     def changed(**changes: float) -> Array:
         return changed_noise(noise, SensorChanges.model_validate(changes)).snr(level)
