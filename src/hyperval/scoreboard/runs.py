@@ -37,18 +37,7 @@ from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part,
 from hyperval.imagery import TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
-from hyperval.pixels import (
-    LEAST_EXPECTED_ALARMS,
-    LOCAL_DETECTORS,
-    AddedDetectorError,
-    AlarmBlocks,
-    PixelDetector,
-    detect,
-    detector_names,
-    interval_of_mean,
-    object_scores,
-    register_detector,
-)
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, detect, interval_of_mean, object_scores
 from hyperval.products import Products
 from hyperval.progress import step, track
 from hyperval.report.html import page
@@ -261,19 +250,14 @@ def rank_sets(values: Array, draws: Array, objects: int) -> tuple[Counts, Counts
         return low, high
     tail = 0.5 + LEVEL / 2.0
     wider = float(stats.t.ppf(tail, objects - 1) / special.ndtri(tail) * np.sqrt(objects / (objects - 1)))
-    for j in range(count):
-        rivals = np.delete(np.arange(count), j)
-        gap = values[rivals] - values[j]
-        drawn = draws[rivals] - draws[j]
-        sd = drawn.std(axis=1, ddof=1)
-        moving = sd > 1e-12
-        ratio = np.abs(drawn[moving] - drawn[moving].mean(axis=1, keepdims=True)) / sd[moving, None]
-        c = float(np.quantile(ratio.max(axis=0), LEVEL)) * wider if moving.any() else 0.0
-        # Alike in all draws and yet apart: decided by the number of objects alone, which the caller has asked.
-        limit = np.where(moving, c * sd, 1e-9)
-        low[j] += int(np.sum(gap > limit))
-        high[j] -= int(np.sum(-gap > limit))
-    return low, high
+    gap, drawn = values - values[:, None], draws - draws[:, None]  # of each rival (second) from each detector
+    sd = drawn.std(axis=2, ddof=1)
+    moving = sd > 1e-12
+    ratio = np.abs(drawn - drawn.mean(axis=2, keepdims=True)) / np.where(moving, sd, np.inf)[..., None]
+    c = np.quantile(ratio.max(axis=1), LEVEL, axis=1) * wider
+    # Alike in all draws and yet apart: decided by the number of objects alone, which the caller has asked.
+    limit = np.where(moving, c[:, None] * sd, 1e-9)
+    return low + np.sum(gap > limit, axis=1), high - np.sum(-gap > limit, axis=1)
 
 
 def ranked(
@@ -295,9 +279,8 @@ def ranked(
     one_of = np.unique(order, return_index=True)[1]
     item = np.unique(counts.item[looks], return_inverse=True)[1]
     m, n = int(item.max()) + 1, counts.n
-    cells = np.ix_(np.array(looks), one_of)
-    names = tuple(counts.detectors[d] for d in one_of)
-    part = BlockCounts(names, counts.over[cells], counts.tie[cells], counts.pixels, item, {}, counts.density_km2)
+    cells, names = np.ix_(np.array(looks), one_of), tuple(counts.detectors[d] for d in one_of)
+    part = replace(counts, detectors=names, over=counts.over[cells], tie=counts.tie[cells], item=item)
     shares = part.shares(np.ones((part.pixels.size, 1)))
     value = measured(measure, *shares, np.ones((len(looks), 1)))[:, 0]
     both, still = _drawn(part, measure, m, draws, rng)
@@ -317,10 +300,8 @@ def ranked(
     )  # fmt: skip
 
 
-def _drawn(
-    part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """(D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
+def _drawn(part: BlockCounts, measure: Measure, objects: int, draws: int, rng: np.random.Generator) -> Array:
+    """(2, D, R) the metric with objects and blocks drawn anew, and with blocks alone."""
     blocks, looks = part.pixels.size, part.item.size
     step = max(1, _CHUNK_VALUES // (looks * len(part.detectors)))
     drawn: list[tuple[Array, Array]] = []
@@ -330,12 +311,11 @@ def _drawn(
         taken = rng.multinomial(objects, np.full(objects, 1.0 / objects), size=size).T[part.item].astype(float)
         shares = part.shares(weights)
         drawn.append((measured(measure, *shares, taken), measured(measure, *shares, np.ones_like(taken))))
-    both, still = (np.concatenate(each, axis=1) for each in zip(*drawn, strict=True))
-    return both, still
+    return np.concatenate(drawn, axis=2)
 
 
-def _limits(item: Index, parts: Array, still: Array, n: int) -> tuple[Array, Array]:
-    """95 % interval of each detector's mean of parts (P, D) between 0 and 1, of objects ``item`` (P,).
+def _limits(item: Index, parts: Array, still: Array, n: int) -> Array:
+    """(2, D) 95 % interval of each detector's mean of parts (P, D) between 0 and 1, of objects ``item`` (P,).
 
     The logit interval with both variances, no narrower than what is known of a bounded mean.
     """
@@ -344,8 +324,7 @@ def _limits(item: Index, parts: Array, still: Array, n: int) -> tuple[Array, Arr
         of_object = np.bincount(item, own) / np.bincount(item)
         spread = float(of_object.var(ddof=1)) / of_object.size if of_object.size > 1 else 0.25
         limits.append(interval_of_mean(of_object, spread, float(moved.var(ddof=1)), n))
-    lower, upper = np.array(limits).T
-    return lower, upper
+    return np.array(limits).T
 
 
 PRODUCT = "benchmark"
@@ -383,18 +362,16 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Map
     undesired, left_out = list(detection.undesired or regions), dict[str, str]()
     if detection.local_window is not None:
         why = "the campaign takes background means from a local window, which this detector does not have"
-        left_out = {name: why for name in detector_names() if name not in LOCAL_DETECTORS}
+        left_out = {name: why for name in detect.detector_names() if name not in detect.LOCAL_DETECTORS}
     if not undesired:
         left_out.setdefault("osp", "no region of the collection is a class of the scenario: nothing to project away")
     left_out |= refused
-    run = [name for name in detector_names() if name not in left_out]
+    run = [name for name in detect.detector_names() if name not in left_out]
     is_chosen = "osp" in run and not detection.undesired
     notes = (f"osp projects away the mean spectra of {', '.join(undesired)}",) if is_chosen else ()
-    changed: Detection = with_settings(
-        detection,
-        {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None},
-    )
-    return Question(bare.model_copy(update={"detection": changed}), left_out, notes)
+    changes = {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None}
+    asked = bare.model_copy(update={"detection": with_settings(detection, changes)})
+    return Question(asked, left_out, notes)
 
 
 def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[str, list[TargetObject]]]]:
@@ -582,7 +559,6 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
 
 
 _LOADED: set[Path] = set()
-_TITLES = {m.name: m.title for m in MEASURES.values()}
 
 
 def load_extensions(paths: Iterable[Path]) -> None:
@@ -635,13 +611,13 @@ class Benchmarked:
 
     @cached_property
     def measures(self) -> list[str]:  # noqa: D102 - above
-        return [m for m in _TITLES if any((s, metric) == (EVERY_OBJECT, m) for s, _, metric in self.here)]
+        return [m for m in MEASURES if any((s, metric) == (EVERY_OBJECT, m) for s, _, metric in self.here)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:  # noqa: D102 - above
         values: dict[str, dict[str, float]] = {}
         for (subject, method, metric), found in self.here.items():
-            if subject == EVERY_OBJECT and metric in _TITLES:
+            if subject == EVERY_OBJECT and metric in MEASURES:
                 values.setdefault(method.removesuffix("/object"), {})[metric] = found.value
         each = list(values.values())
         return [tuple(n for n in values if values[n] == own) for i, own in enumerate(each) if own not in each[:i]]
@@ -649,6 +625,11 @@ class Benchmarked:
     def standing(self, group: tuple[str, ...], metric: str, subject: str = EVERY_OBJECT) -> list[Result | None]:
         """Value, rank and share of first places of a group by a metric."""
         return [self.here.get((subject, f"{group[0]}/object", f"{part}{metric}")) for part in ("", "rank_", "first_")]
+
+    def ranks(self, metric: str) -> list[tuple[str, Result]]:
+        """The names of each group and its rank by a metric on all objects, of those that have one."""
+        standings = ((" = ".join(group), self.standing(group, metric)[1]) for group in self.groups)
+        return [(names, rank) for names, rank in standings if rank is not None]
 
 
 def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], scores: Mapping[str, str]) -> Benchmarked:
@@ -662,11 +643,11 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
             while True:  # a detector that this collection cannot take does not take the others with it
                 try:
                     return _with(job, seed, refused)
-                except AddedDetectorError as error:
+                except detect.AddedDetectorError as error:
                     refused[error.detector] = str(error)
                 except UsageError as error:
                     # A target among the undesired, a singular background: its own detectors are known to run.
-                    others = set(detector_names()) - set(own.detectors if own else ()) - {*refused}
+                    others = set(detect.detector_names()) - set(own.detectors if own else ()) - {*refused}
                     if own is None or isinstance(error, MissingDataError) or not others:
                         raise
                     refused |= dict.fromkeys(others, f"not run, as one of the detectors was refused: {error}")
@@ -680,19 +661,19 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
 def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
     """Score maps that were made elsewhere are detectors of this campaign."""
 
-    def made(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> PixelDetector:
+    def made(file: str, target: Any, mean: Any, covariance: Any, undesired: Any) -> detect.PixelDetector:
         path = Path(file.replace("{campaign}", campaign))
 
         def image(values: Any, scene: Any) -> Any:
             raster = raster_of_size(path, values.shape[:2])
             return raster.read_some_bands(0, raster.lines, [0])[0].astype(float)
 
-        return PixelDetector(np.zeros((1, mean.size)), np.zeros(1), image=image)
+        return detect.PixelDetector(np.zeros((1, mean.size)), np.zeros(1), image=image)
 
     before = dict(detect.ADDED_DETECTORS)
     try:
         for name, file in scores.items():
-            register_detector(name, partial(made, file))
+            detect.register_detector(name, partial(made, file))
         yield
     finally:
         detect.ADDED_DETECTORS.clear()
@@ -715,17 +696,15 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         return chosen.campaign
 
     with step(name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
-        rows = detector_rows(collection.observed, chosen, seed=seed)
-        rows += peer_rows(collection.observed, chosen.campaign.detection)
-        if chosen.campaign.detection is not None:
-            origins = ((scenario, collection.origins(scenario)) for scenario in collection.scenarios)
-            rows += (row for one in origins for row in side_rows(predict(*one), "predicted"))
-        observation, detection = collection.observed.observation, chosen.campaign.detection
+        observed, detection = collection.observed, chosen.campaign.detection
+        rows, notes = [*detector_rows(observed, chosen, seed=seed), *peer_rows(observed, detection)], [*chosen.notes]
+        for scenario in collection.scenarios if detection is not None else ():
+            rows += side_rows(predict(scenario, collection.origins(scenario)), "predicted")
         about = {"campaign": chosen.campaign}
-        record = record_of(collection.inputs, collection.scenarios, collection.seed, about, [observation])
-        halo = "ranks count the pixels of an object alone; the values by subject count the campaign's halo too"
-        has_halo = detection is not None and bool(detection.halo_pixels)
-        notes = list(dict.fromkeys([*chosen.notes, *[halo] * has_halo, *observation.notes]))
+        record = record_of(collection.inputs, collection.scenarios, collection.seed, about, [observed.observation])
+        if detection is not None and detection.halo_pixels:
+            notes += ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
+        notes = list(dict.fromkeys([*notes, *observed.observation.notes]))
     return Benchmarked(name, job.campaign.title, bool(job.campaign.simulated), of_campaign(rows, name), notes, record)
 
 
@@ -811,10 +790,11 @@ def detector_figure(one: Benchmarked) -> Figure | None:
             columns = dict(zip(("x", "low", "high"), np.maximum(values[:3], floor), strict=True)) | {"y": values[3]}
             label = "may be first" if first else "is not first"
             marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
-        none = " (none: at the left end)" if far and any(row.value == 0.0 for row, _ in known.values()) else ""
+        none = far and any(row.value == 0.0 for row, _ in known.values())
+        name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         said = [f"{'/'.join(one.groups[i])} {metric} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
         part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
-        return Panels(Axis("value", "log" if far else "linear"), (part,), _TITLES[metric] + none), "; ".join(said)
+        return Panels(Axis("value", "log" if far else "linear"), (part,), name), "; ".join(said)
 
     title = f"{one.name}: detectors on all objects with 95 % intervals; rank [95 % set]"
     alt = f"Metrics of each detector on all objects of {one.name}."
@@ -831,9 +811,9 @@ def rank_figure(one: Benchmarked) -> Figure | None:
     if not metric or len({*subjects, EVERY_OBJECT}) < 3 or not one.groups:
         return None
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
-    title = f"{one.name}: rank [95 % set] by {_TITLES[metric]}, subjects of two objects and more{more}"
-    ranks = {(s, g): one.standing(g, metric, s)[1] for s in subjects for g in one.groups}
-    return _rank_map(f"{one.name}-ranks", one.name, title, subjects, one.groups, ranks)
+    title = f"{one.name}: rank [95 % set] by {MEASURES[metric].title}, subjects of two objects and more{more}"
+    rows = {subject: (one, subject) for subject in subjects}
+    return _rank_map(f"{one.name}-ranks", one.name, title, rows, one.groups, metric)
 
 
 def _rank_text(rank: Result) -> str:
@@ -841,23 +821,22 @@ def _rank_text(rank: Result) -> str:
 
 
 def _rank_map(
-    name: str, section: str, title: str, rows: Sequence[str], groups: Sequence[tuple[str, ...]],
-    ranks: Mapping[tuple[str, tuple[str, ...]], Result | None],
+    name: str, section: str, title: str, rows: Mapping[str, tuple[Benchmarked, str]],
+    groups: Sequence[tuple[str, ...]], metric: str,
 ) -> Figure:  # fmt: skip
-    """A cell for each row and group of detectors that order alike: dark where it leads."""
+    """A cell for each row, of a subject of a campaign, and group of detectors that order alike: dark where it leads."""
     cells, words, captions = [], [], []
-    for i, subject in enumerate(rows):
-        for j, names in enumerate(groups):
-            if (row := ranks[subject, names]) is not None:
-                cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
-                words.append(_rank_text(row))
-                captions.append(f"{subject}, {'/'.join(names)}: {words[-1]}")
+    for (i, (label, (one, subject))), (j, group) in product(enumerate(rows.items()), enumerate(groups)):
+        if (row := one.standing(group, metric, subject)[1]) is not None:
+            cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
+            words.append(_rank_text(row))
+            captions.append(f"{label}, {'/'.join(group)}: {words[-1]}")
     columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     return Figure(
         name, section, title, f"{title}. {'; '.join(captions)}.",
-        (Panels(row_names([" = ".join(g) for g in groups]), (Part(row_names(rows), (mark,)),)),),
+        (Panels(row_names([" = ".join(g) for g in groups]), (Part(row_names(list(rows)), (mark,)),)),),
         head=title.partition(",")[0], width_in=2.6 + 1.35 * len(groups),
     )  # fmt: skip
 
@@ -865,19 +844,17 @@ def _rank_map(
 def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
     """Rank of every detector on all objects of every collection, as a map; one collection needs none."""
     metric = _RANK_METRICS[1]
-    known = [one for one in done if metric in one.measures]
-    every = dict.fromkeys(name for one in known for group in one.groups for name in group)
-    names: list[tuple[str, ...]] = [(name,) for name in every]
+    known = {one.name: (one, EVERY_OBJECT) for one in done if metric in one.measures}
+    every = dict.fromkeys(name for one, _ in known.values() for group in one.groups for name in group)
     if len(known) < 2:
         return None
-    title = f"Rank [95 % set] by {_TITLES[metric]} on all objects of each collection"
-    ranks = {(one.name, own): one.standing(own, metric)[1] for one in known for own in names}
-    return _rank_map("overview", "benchmark", title, [one.name for one in known], names, ranks)
+    title = f"Rank [95 % set] by {MEASURES[metric].title} on all objects of each collection"
+    return _rank_map("overview", "benchmark", title, known, [(name,) for name in every], metric)
 
 
 def predicted_figure(one: Benchmarked) -> Figure | None:
     """Measured over predicted area and P_D, a point for each subject and detector, a view for each metric."""
-    names = [name for name in _TITLES if not name.startswith("far")]
+    names = [name for name in MEASURES if not name.startswith("far")]
     pairs = {name: [(key, one.here[*key[:2], name], row) for key, row in one.here.items()
                     if key[2] == f"predicted_{name}" and (*key[:2], name) in one.here] for name in names}  # fmt: skip
 
@@ -889,7 +866,7 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
         dots = measured_mark("dots", {"x": x, "y": y, "low": low, "high": high}, marker="circle", words=said)
         part = Part(Axis("measured", ends=(-0.02, 1.02)), (diagonal, dots))
-        return Panels(Axis("predicted", ends=(-0.02, 1.02)), (part,), _TITLES[metric]), "; ".join(said)
+        return Panels(Axis("predicted", ends=(-0.02, 1.02)), (part,), MEASURES[metric].title), "; ".join(said)
 
     title = f"{one.name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
     known = [name for name in names if pairs[name]]
@@ -904,41 +881,9 @@ def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
 
 def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> str:
     """The page."""
-    skipped = [r for d in done for r in d.rows if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)]
-    entries = [
-        {
-            "words": one, "leads": leads(one), "measures": [_TITLES[m] for m in one.measures],
-            "detectors": [{"name": " = ".join(g), "cells": [_cell(*one.standing(g, m)) for m in one.measures]}
-                          for g in one.groups],
-            "figures": [figure for figure in figures if figure.section == one.name],
-        }
-        for one in done if one.here  # the others are named under what was not run
-    ]  # fmt: skip
-    count = sum(len(d.rows) for d in done)
-    over = [one for one in figures if one.section == "benchmark"]
-    return page("benchmark.html.j2", figures, over=over, entries=entries, skipped=skipped, count=count, all=len(done))
-
-
-def leads(one: Benchmarked) -> list[str]:
-    """Who is first by each metric on all objects, and who cannot be told from the first."""
-    out = []
-    for metric, title in _TITLES.items():
-        ranks = {" = ".join(g): rank for g in one.groups if (rank := one.standing(g, metric)[1]) is not None}
-        first = [name for name, rank in ranks.items() if rank.value == 1]
-        near = [name for name, rank in ranks.items() if rank.value > 1 and rank.lower <= 1]
-        words = f"; not distinguished from it: {', '.join(near)}" if near else "; all others differ significantly"
-        if ranks:
-            out.append(f"{title}: {' and '.join(first)}{words if len(one.groups) > len(first) else ''}")
-    return out
-
-
-def _cell(value: Result | None, rank: Result | None, first: Result | None) -> dict[str, str]:
-    """A metric of a detector on all objects, in words."""
-    numbers = ["–", "", ""]
-    if value is not None and math.isfinite(value.value):
-        spread = (value.upper - value.lower) / 2  # two digits of it are all that value and ends are worth
-        numbers = [number_text(number, spread) for number in (value.value, value.lower, value.upper)]
-    return {
-        "value": numbers[0], "interval": " to ".join(filter(None, numbers[1:])),
-        "rank": _rank_text(rank) if rank else "–", "first": f"{100 * first.value:.0f} %" if first else "–",
-    }  # fmt: skip
+    return page(
+        "benchmark.html.j2", figures, figures=figures, all=len(done), count=sum(len(d.rows) for d in done),
+        entries=[one for one in done if one.here],  # the others are named under what was not run
+        skipped=[r for d in done for r in d.rows if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)],
+        measures=MEASURES, rank_text=_rank_text, number=number_text, isfinite=math.isfinite,
+    )  # fmt: skip

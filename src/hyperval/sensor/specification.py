@@ -10,9 +10,9 @@ How a sensor is run (frames, bins, where its bands truly stand), and numbers tha
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -187,13 +187,15 @@ class SpectralShift(OneOf):
     def at(self, column: float | None) -> float:
         """Shift [nm] at a sample, counted from 0; None is the middle of the track.
 
-        Raises ValueError when the column lies outside the track.
+        Raises
+        ------
+        UsageError : the column lies outside the track.
         """
         if column is None or self.columns is None:
             return self.shift_nm
         x = 2.0 * column / (self.columns - 1) - 1.0
         if not -1.0 <= x <= 1.0:
-            raise ValueError(f"column {column:g} lies outside 0-{self.columns - 1}")
+            raise UsageError(f"sensor_operation.column: column {column:g} lies outside 0-{self.columns - 1}")
         return self.shift_nm + sum(c * x ** (k + 1) for k, c in enumerate(self.smile_nm))
 
 
@@ -251,16 +253,13 @@ def changed_noise(noise: NoiseModel, changes: SensorChanges) -> NoiseModel:
     The light acts by :func:`with_signal`.
     A changed word length moves the step of quantisation at the same full scale.
     """
-    changed = with_signal(noise, changes.signal_factor)
-    f = changes.fixed_noise_factor
-    changed = replace(changed, fixed_noise=changed.fixed_noise * f)
+    other: dict[str, Any] = {"fixed_noise": noise.fixed_noise * changes.fixed_noise_factor}
     if changes.calibration_error_percent is not None:
-        c_r = np.full_like(noise.calibration_percent, changes.calibration_error_percent)
-        changed = replace(changed, calibration_percent=c_r)
+        other["calibration_percent"] = np.full_like(noise.calibration_percent, changes.calibration_error_percent)
     if changes.bits is not None:
-        step = noise.lsb_electrons * 2.0 ** (np.asarray(noise.bits, dtype=float) - changes.bits)
-        changed = replace(changed, lsb_electrons=step, bits=changes.bits)
-    return changed
+        step = 2.0 ** (np.asarray(noise.bits, dtype=float) - changes.bits)
+        other |= {"lsb_electrons": noise.lsb_electrons * step, "bits": changes.bits}
+    return replace(with_signal(noise, changes.signal_factor), **other)
 
 
 Count = Annotated[int, Field(ge=1, le=10_000)]
@@ -327,33 +326,29 @@ def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
     if count == 1:
         return noise
 
-    def root_sum(x: Array) -> Array:
-        return np.asarray(np.sqrt((_groups(x, count) ** 2).sum(axis=1)))
+    parts = _groups(noise.electrons_per_radiance, count)
+    g = parts.sum(axis=1)  # (3.13)
 
-    g_parts = _groups(noise.electrons_per_radiance, count)
-    g = g_parts.sum(axis=1)  # (3.13)
-    fixed = root_sum(noise.fixed_noise)
-    weights = g_parts / g[:, None]
-    calibration = np.sqrt(((weights * _groups(noise.calibration_percent, count)) ** 2).sum(axis=1))  # (3.17)
-    constant = None
-    if noise.constant is not None:
-        sign = np.sign(_groups(noise.constant, count).sum(axis=1))
-        constant = sign * root_sum(noise.constant * noise.electrons_per_radiance) / g
-    full = None if noise.full_scale is None else _groups(noise.full_scale, count).min(axis=1)
+    def root_sum(x: Array, weights: Array | float = 1.0) -> Array:
+        return np.asarray(np.sqrt(((weights * _groups(x, count)) ** 2).sum(axis=1)))
 
     def first(x: Any) -> Any:
         return _groups(x, count)[:, 0] if np.ndim(x) else x
 
+    constant = None
+    if noise.constant is not None:
+        sign = np.sign(_groups(noise.constant, count).sum(axis=1))
+        constant = sign * root_sum(noise.constant * noise.electrons_per_radiance) / g
     return replace(
         noise,
         electrons_per_radiance=g,
-        fixed_noise=fixed,
+        fixed_noise=root_sum(noise.fixed_noise),
         lsb_electrons=root_sum(noise.lsb_electrons),
         bits=first(noise.bits),
         bit_error_rate=first(noise.bit_error_rate),
-        calibration_percent=calibration,
+        calibration_percent=root_sum(noise.calibration_percent, parts / g[:, None]),  # (3.17)
         constant=constant,
-        full_scale=full,
+        full_scale=None if noise.full_scale is None else _groups(noise.full_scale, count).min(axis=1),
     )
 
 
@@ -451,10 +446,7 @@ class Sensor:
         shift = np.zeros(len(nominal))
         for item in self.specification.spectral_calibration:
             low, high = item.range_nm or (0.0, np.inf)
-            try:
-                shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(op.column)
-            except ValueError as error:
-                raise UsageError(f"sensor_operation.column: {error}") from error
+            shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(op.column)
         stated = op.wavelength_shift_nm
         if isinstance(stated, dict):
             names = [arm.name for arm in self.specification.arms]
@@ -480,7 +472,8 @@ class Sensor:
         spec, on = self.specification, axis or self.axis
         w = on.centre_nm
         calibration = self._at("calibration_error_percent", w)
-        model = self._measured_noise(w, calibration) if spec.measured_noise else self._noise(on, calibration)
+        measured = spec.measured_noise
+        model = self._measured_noise(measured, w, calibration) if measured else self._noise(on, calibration)
         return model if operation is None else averaged_noise(model, operation)
 
     def operated_noise(
@@ -515,9 +508,7 @@ class Sensor:
         values = np.asarray(quantity.value_cm2_sr if isinstance(quantity, Throughput) else quantity.at(w))
         return values * self.factors.get(f"{arm.name}.{name}" if arm else name, 1.0)
 
-    def _measured_noise(self, w: Array, calibration: Array) -> NoiseModel:
-        given = self.specification.measured_noise
-        assert given is not None  # noqa: S101 - the caller has asked
+    def _measured_noise(self, given: MeasuredNoise, w: Array, calibration: Array) -> NoiseModel:
         at, a, b, c = np.array(given.table, dtype=float).T
         # a^2 and b vary like the inverse of efficiency, by orders of magnitude: interpolate logarithms.
         a, c = np.exp(np.interp(w, at, np.log(a))), np.interp(w, at, c)
@@ -529,30 +520,27 @@ class Sensor:
         )  # fmt: skip
 
     def _noise(self, on: SpectralAxis, calibration: Array) -> NoiseModel:
-        spec, w = self.specification, on.centre_nm
-        g, fixed, lsb, rate = np.full((4, w.size), np.nan)
-        bits = np.zeros(w.size, dtype=int)
-        arms = self.arm_index(w)
+        spec, w, arms = self.specification, on.centre_nm, self.arm_index(on.centre_nm)
+
+        def by_arm(values: Callable[[Arm], Any]) -> npt.NDArray[Any]:
+            """(B,) values of each band's own arm."""
+            return np.stack([np.broadcast_to(values(arm), w.shape) for arm in spec.arms])[arms, np.arange(w.size)]
+
+        def gain(arm: Arm) -> Array:
+            optics = {key: self._at(key, w, arm) for key in _FACTORS_OF_GAIN}
+            return electrons_per_radiance(w, on.fwhm_nm, throughput_cm2_sr=self._at("throughput", w, arm), **optics)
+
         # Arms that count errors by word are brought to errors by bit when others count by bit.
         same = len({arm.bit_error_per for arm in spec.arms}) == 1
-        for k, arm in enumerate(spec.arms):
-            here = arms == k
-            at = w[here]
-            of_arm = partial(self._at, w=at, arm=arm)
-            optics = {key: of_arm(key) for key in _FACTORS_OF_GAIN}
-            g[here] = electrons_per_radiance(at, on.fwhm_nm[here], throughput_cm2_sr=of_arm("throughput"), **optics)
-            fixed[here] = of_arm("fixed_noise_electrons")
-            if arm.lsb_electrons is not None:
-                lsb[here] = of_arm("lsb_electrons")
-            elif arm.full_well_electrons is not None:
-                lsb[here] = of_arm("full_well_electrons") / 2.0**arm.bits
-            elif arm.saturation_radiance is not None:
-                lsb[here] = of_arm("saturation_radiance") * g[here] / 2.0**arm.bits
-            bits[here] = arm.bits
-            spread = 1 if same or arm.bit_error_per == "bit" else arm.bits
-            rate[here] = of_arm("bit_error_rate") / spread
+        words = [1 if same or arm.bit_error_per == "bit" else arm.bits for arm in spec.arms]
+        g, bits = by_arm(gain), by_arm(lambda arm: arm.bits)
+        rate = by_arm(lambda arm: self._at("bit_error_rate", w, arm)) / np.array(words)[arms]
+        step: Any = 0.5**bits  # as a part of full scale
+        ways = {"lsb_electrons": 1.0, "full_well_electrons": step, "saturation_radiance": g * step}
+        stated = {arm.name: next(way for way in ways if getattr(arm, way) is not None) for arm in spec.arms}
+        lsb = by_arm(lambda arm: self._at(stated[arm.name], w, arm) * ways[stated[arm.name]])
         return NoiseModel(
-            g, fixed, spec.detector_gain, lsb,
+            g, by_arm(lambda arm: self._at("fixed_noise_electrons", w, arm)), spec.detector_gain, lsb,
             int(bits[0]) if np.all(bits == bits[0]) else bits,
             float(rate[0]) if np.all(rate == rate[0]) else rate,
             spec.arms[0].bit_error_per if same else "bit",

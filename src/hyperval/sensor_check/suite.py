@@ -269,6 +269,10 @@ class SensorCheck:
         index = self.sensor.arm_index(self.axis.centre_nm) if arms else np.array([])
         return [(arm, self.axis.select(index == k)) for k, arm in enumerate(arms) if np.any(index == k)]
 
+    def sunlit(self, reflectance: float) -> Array:
+        """(B,) radiance of ground in the sun, without an atmosphere."""
+        return sunlit_radiance(self.axis, reflectance)
+
     @cached_property
     def noise(self) -> NoiseModel:
         """The noise on these bands."""
@@ -309,11 +313,13 @@ class SensorCheck:
         done: dict[str, PredictedProducts | HypervalError] = {}
         for name in builtin_scenarios() if self.usable else ():
             try:
-                origins = Origins(engine=self.engine, sensor=self.sensor)
-                done[name] = predict(standard_scenario(name), origins)
+                done[name] = self._predicted(name, self.sensor)
             except HypervalError as error:
                 done[name] = error
         return done
+
+    def _predicted(self, scenario: str, sensor: Sensor) -> PredictedProducts:
+        return predict(standard_scenario(scenario), Origins(sensor=sensor, engine=self.engine))
 
     @property
     def predictions(self) -> dict[str, PredictedProducts]:
@@ -337,24 +343,21 @@ class SensorCheck:
     @cached_property
     def swings(self) -> list[Swing]:
         """Each assumed number lowered and raised by the part ``vary``, largest change of the SNR first."""
-        assumed = [
-            (name, said) for name, said in movable(self.sensor.specification).items() if "assumed" in said.lower()
-        ]
-        swings = []
+        named, swings = movable(self.sensor.specification), []
+        assumed = [(name, said) for name, said in named.items() if "assumed" in said.lower()]
         for name, source in track(assumed, "assumed numbers"):
-            factors = 1.0 - self.vary, 1.0 + self.vary
-            swings.append(Swing(name, source, *zip(*(self._changes({name: f}) for f in factors), strict=True)))
+            changes = (self._changes({name: factor}) for factor in (1.0 - self.vary, 1.0 + self.vary))
+            swings.append(Swing(name, source, *zip(*changes, strict=True)))
         return sorted(swings, key=lambda s: -max(abs(v) for v in s.snr))
 
     def _changes(self, factors: Mapping[str, float]) -> tuple[float, float]:
         """Relative change of the SNR with C_R at ground of 0.25, in the good band of the windows it moves most; change
         of P_D.
         """
-        other, level, detected = Sensor(self.sensor.specification, factors), sunlit_radiance(self.axis, MIDDLE), 0.0
+        other, level, detected = Sensor(self.sensor.specification, factors), self.sunlit(MIDDLE), 0.0
         change = (other.noise().snr(level) / self.noise.snr(level) - 1.0)[self.good]
         if self.probe is not None:
-            origins = Origins(sensor=other, engine=self.engine)
-            curve = predict(standard_scenario(self.probe.scenario), origins).roc[self.probe.key]
+            curve = self._predicted(self.probe.scenario, other).roc[self.probe.key]
             detected = float(detection_at(curve, FALSE_ALARM)) - self.probe.value
         return float(change[np.argmax(np.abs(change))]), detected
 
@@ -482,10 +485,10 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
     return check
 
 
-def _worst(check: SensorCheck, values: Array, subject: str = "", *, least: bool = False) -> Found:
+def _worst(axis: SpectralAxis, values: Array, subject: str = "", *, least: bool = False) -> Found:
     """The greatest or least of values (B,), which names its band."""
     at = int(np.argmin(values) if least else np.argmax(values))
-    return Found(float(values[at]), subject, f"{check.axis.centre_nm[at]:g} nm")
+    return Found(float(values[at]), subject, f"{axis.centre_nm[at]:g} nm")
 
 
 def order(check: SensorCheck) -> Values:
@@ -550,7 +553,7 @@ def response(check: SensorCheck, of: str) -> Values:
     area, centroid, width = applied_moments(check.axis)
     fwhm = check.axis.fwhm_nm
     errors = {"integral": area - 1.0, "centroid": centroid / fwhm, "width": width / fwhm - 1.0}
-    yield _worst(check, np.abs(errors[of]))
+    yield _worst(check.axis, np.abs(errors[of]))
 
 
 def outside_arms(check: SensorCheck) -> Values:
@@ -572,9 +575,7 @@ def bands_of_arm(check: SensorCheck) -> Values:
 def least(check: SensorCheck, of: str) -> Values:
     """Least value of a quantity of each arm over its bands."""
     for arm, axis in check.arms:
-        values = getattr(arm, of).at(axis.centre_nm)
-        at = int(np.argmin(values))
-        yield Found(float(values[at]), arm.name, f"{axis.centre_nm[at]:g} nm")
+        yield _worst(axis, getattr(arm, of).at(axis.centre_nm), arm.name, least=True)
 
 
 def greatest(check: SensorCheck, of: str) -> Values:
@@ -603,13 +604,13 @@ def energy_gain(check: SensorCheck) -> Values:
     if check.arms:
         expected = np.concatenate([electrons_from_energy(arm, axis) for arm, axis in check.arms])
         in_rising_order = np.argsort(np.concatenate([axis.centre_nm for _, axis in check.arms]))
-        yield _worst(check, np.abs(check.noise.electrons_per_radiance / expected[in_rising_order] - 1.0))
+        yield _worst(check.axis, np.abs(check.noise.electrons_per_radiance / expected[in_rising_order] - 1.0))
 
 
 def photon_transfer(check: SensorCheck) -> Values:
     """The gain that the noise at two radiances implies against the one that is applied."""
     noise, axis = check.noise, check.axis
-    level, other = sunlit_radiance(axis, DARK), sunlit_radiance(axis, BRIGHT)
+    level, other = check.sunlit(DARK), check.sunlit(BRIGHT)
     rise = noise.variance(other, calibration=False) - noise.variance(level, calibration=False)
     with np.errstate(all="ignore"):  # the inverse slope of the variance
         off = (other - level) / rise * noise.readings / noise.electrons_per_radiance - 1.0
@@ -622,38 +623,38 @@ def photon_transfer(check: SensorCheck) -> Values:
 def median_snr(check: SensorCheck) -> Values:
     """Median SNR without C_R at the reference radiances, by region."""
     for level in LEVELS:
-        snr = check.noise.snr(sunlit_radiance(check.axis, level), calibration=False)
+        snr = check.noise.snr(check.sunlit(level), calibration=False)
         for name, mask in summary_regions(check.axis).items():
             yield Found(float(np.median(snr[mask])), f"reflectance {level:g}, {name}")
 
 
 def lowest_snr(check: SensorCheck) -> Values:
     """Least SNR over bands."""
-    snr = check.noise.snr(sunlit_radiance(check.axis, MIDDLE))
-    yield _worst(check, np.where(check.good, snr, np.inf), f"reflectance {MIDDLE:g}", least=True)
+    snr = check.noise.snr(check.sunlit(MIDDLE))
+    yield _worst(check.axis, np.where(check.good, snr, np.inf), f"reflectance {MIDDLE:g}", least=True)
 
 
 def quantisation(check: SensorCheck) -> Values:
     """Noise of the digital word over all other."""
     if check.noise.constant is None:
-        parts = check.noise.breakdown(sunlit_radiance(check.axis, DARK))
+        parts = check.noise.breakdown(check.sunlit(DARK))
         ratio = np.where(check.axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
-        yield _worst(check, ratio, f"reflectance {DARK:g}")
+        yield _worst(check.axis, ratio, f"reflectance {DARK:g}")
 
 
 def saturation(check: SensorCheck) -> Values:
     """Greatest part of full scale: of bright ground judged, of white ground shown."""
     for level, outcome in ((BRIGHT, None), (1.0, Outcome.NONE)) if check.noise.full_scale is not None else ():
-        part = check.noise.full_scale_fraction(sunlit_radiance(check.axis, level))
+        part = check.noise.full_scale_fraction(check.sunlit(level))
         part = np.where(check.axis.good, part, 0.0)
-        worst = _worst(check, part, f"reflectance {level:g}")
+        worst = _worst(check.axis, part, f"reflectance {level:g}")
         words = f"{int(np.count_nonzero(part >= 1))} bands saturate, most at {worst.words}"
         yield worst._replace(words=words, outcome=outcome)
 
 
 def growth(check: SensorCheck) -> Values:
     """Least relative growth of the SNR with radiance, with time, with aperture, and with a smaller C_R."""
-    noise, spec, level = check.noise, check.sensor.specification, sunlit_radiance(check.axis, MIDDLE)
+    noise, spec, level = check.noise, check.sensor.specification, check.sunlit(MIDDLE)
 
     def changed(**changes: float) -> Array:
         return changed_noise(noise, SensorChanges.model_validate(changes)).snr(level)
@@ -672,7 +673,7 @@ def growth(check: SensorCheck) -> Values:
     worse = max(STEP * float(noise.calibration_percent.max()), 0.1)
     rises["less C_R"] = base / changed(calibration_error_percent=worse) - 1.0
     for name, values in rises.items():
-        worst = _worst(check, np.where(check.axis.good, values, np.inf), name, least=True)
+        worst = _worst(check.axis, np.where(check.axis.good, values, np.inf), name, least=True)
         yield worst._replace(words=f"{name} at {worst.words}")
 
 
@@ -680,9 +681,7 @@ def published(check: SensorCheck, of: str) -> Values:
     """Computed over published ratios, of values or of lower bounds; a file without any says so once."""
     if not check.points and of == "value":
         yield Found(words="the file holds no published ratio to compare with", outcome=Outcome.NONE)
-    for point in check.points:
-        if point.item.says != of:
-            continue
+    for point in (point for point in check.points if point.item.says == of):
         subject, bound = f"{point.wavelength_nm:g} nm", "at least " if of == "at least" else ""
         words = (
             f"computed {point.computed:.0f} at {point.radiance:.3g} uW cm-2 sr-1 nm-1, "

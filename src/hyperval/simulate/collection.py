@@ -111,9 +111,7 @@ class Detector:
 
     def radiance(self, reflectance: Field) -> Field:
         """(samples, B) at-sensor radiance without noise [uW cm-2 sr-1 nm-1]."""
-        out: Field = reflectance * self.slope
-        out += self.offset
-        return out
+        return np.asarray(reflectance * self.slope + self.offset)
 
     def saturated(self, radiance: Field) -> int:
         """How many of the radiances lie beyond the full scale of the digital numbers."""
@@ -133,10 +131,7 @@ class Detector:
         out = self._digitised(out, rng)
         relative = self.noise.calibration_percent / 100.0
         if np.any(relative > 0.0):
-            error = rng.standard_normal(out.shape, dtype=np.float32)
-            error *= relative.astype(np.float32)
-            error *= radiance
-            out += error  # (3.17)
+            out += rng.standard_normal(out.shape, dtype=np.float32) * relative.astype(np.float32) * radiance  # (3.17)
         return out
 
     def _detected(self, radiance: Field, rng: np.random.Generator) -> Field:
@@ -148,22 +143,17 @@ class Detector:
             a, b, c = (x.astype(np.float32) for x in (1.0 / np.sqrt(g), sigma**2 / g, n.constant))
             return np.asarray(noise * np.abs(a * np.sqrt(np.maximum(b + radiance, 0.0)) + c))
         gain = n.electrons_per_radiance.astype(np.float32)
-        electrons = radiance * gain  # (3.13)
-        np.maximum(electrons, 0.0, out=electrons)  # a dark draw emits no photons
+        electrons = np.maximum(radiance * gain, 0.0)  # (3.13); a dark draw emits no photons
         noise *= np.sqrt(electrons)
         few = electrons < NORMAL_ABOVE_ELECTRONS
         noise[few] = (rng.poisson(electrons[few].astype(np.float64)) - electrons[few]).astype(np.float32)
-        fixed = rng.standard_normal(radiance.shape, dtype=np.float32)
-        fixed *= n.fixed_noise.astype(np.float32)
-        noise += fixed  # (3.15)
-        noise /= gain  # back in radiance
-        return noise
+        noise += rng.standard_normal(radiance.shape, dtype=np.float32) * n.fixed_noise.astype(np.float32)  # (3.15)
+        return np.asarray(noise / gain)  # back in radiance
 
     def _digitised(self, radiance: Field, rng: np.random.Generator) -> Field:
         n, bits = self.noise, int(self.noise.bits)
         lsb = np.where(self.lsb > 0.0, self.lsb, 1.0).astype(np.float32)
-        number = np.rint(radiance / lsb)  # (3.18)
-        np.minimum(number, np.float32(2**bits - 1), out=number)  # full scale
+        number = np.minimum(np.rint(radiance / lsb), np.float32(2**bits - 1))  # (3.18), up to full scale
         # An error rate per word is spread over the bits of the word.
         rate = float(n.bit_error_rate) / (bits if n.bit_error_per == "word" else 1)
         if rate > 0.0:
@@ -182,9 +172,7 @@ class Detector:
         counts = np.rint(measured * np.float32(self.counts_per_radiance))
         low, high = INT16_LIMITS
         clipped = int(np.count_nonzero((counts < low) | (counts > high)))
-        if clipped:
-            np.clip(counts, low, high, out=counts)
-        return counts.astype("<i2"), clipped
+        return np.clip(counts, low, high).astype("<i2"), clipped
 
 
 def detector(inputs: SimulationInputs, average_reflectance: Array, counts_per_radiance: float) -> Detector:
@@ -194,12 +182,8 @@ def detector(inputs: SimulationInputs, average_reflectance: Array, counts_per_ra
     """
     t = inputs.terms
     bounce = 1.0 - t.spherical_albedo * average_reflectance
-    return Detector(
-        inputs.noise,
-        (t.path_radiance + t.adjacency * average_reflectance / bounce).astype(np.float32),
-        (t.direct / bounce).astype(np.float32),
-        counts_per_radiance,
-    )
+    offset, slope = t.path_radiance + t.adjacency * average_reflectance / bounce, t.direct / bounce
+    return Detector(inputs.noise, offset.astype(np.float32), slope.astype(np.float32), counts_per_radiance)
 
 
 FILES = {
@@ -375,32 +359,19 @@ def _write_cube(
         refuse(clipped, "scene.radiance", scene.name, clipped=clipped, line=line)
         return values, chain.saturated(radiance)
 
-    axis = inputs.axis
-    scale = 1.0 / scene.counts_per_radiance
-    gains = ", ".join([repr(scale)] * len(axis))
+    axis, scale = inputs.axis, 1.0 / scene.counts_per_radiance
     noun = "closure: surfaces drawn as the model assumes" if scene.mode == "closure" else "broken assumptions"
-    with envi_writer(
-        path,
-        lines=scene.lines,
-        samples=scene.samples,
-        bands=len(axis),
-        data_type=2,
-        interleave="bil",
-        axis=axis,
-        description=(
-            f"SIMULATED at-sensor radiance, scene {scene.name} ({noun}), seed {scene.seed}, "
-            f"stored integers x {scale:g} = uW cm-2 sr-1 nm-1; no instrument collected it"
-        ),
-        **_place(scene),
-        extra={
-            "sensor type": f"{inputs.sensor} (simulated)",
-            "data units": "uW cm-2 sr-1 nm-1",
-            **({"acquisition time": scene.acquired_utc} if scene.acquired_utc else {}),
-            "data gain values": "{" + gains + "}",
-            "data offset values": "{" + ", ".join(["0"] * len(axis)) + "}",
-            **scene.header,
-        },
-    ) as writer:
+    words = (
+        f"SIMULATED at-sensor radiance, scene {scene.name} ({noun}), seed {scene.seed}, "
+        f"stored integers x {scale:g} = uW cm-2 sr-1 nm-1; no instrument collected it"
+    )
+    entries = {"sensor type": f"{inputs.sensor} (simulated)", "data units": "uW cm-2 sr-1 nm-1"}
+    if scene.acquired_utc:
+        entries["acquisition time"] = scene.acquired_utc
+    for name, number in (("gain", repr(scale)), ("offset", "0")):
+        entries[f"data {name} values"] = "{" + ", ".join([number] * len(axis)) + "}"
+    options = {"data_type": 2, "axis": axis, "description": words, "extra": entries | scene.header, **_place(scene)}
+    with envi_writer(path, lines=scene.lines, samples=scene.samples, bands=len(axis), **options) as writer:
         saturated = 0
         for values, count in _line_by_line(stored, scene, "cube"):
             writer.write(values[None])
@@ -409,29 +380,22 @@ def _write_cube(
 
 
 def _write_maps(class_path: Path, fill_path: Path, scene: SceneFile, ground: GroundLayout) -> None:
-    names = ("Unclassified", *ground.surfaces)
-    write_cube(
-        class_path,
-        ground.class_map[:, :, None] + np.uint8(1),  # 0 stands for "no class" in this format
-        data_type=1,
-        interleave="bsq",
-        description="SIMULATED truth: surface class",
-        extra={"file type": "ENVI Classification"}
-        | {"classes": str(len(names)), "class names": "{" + ", ".join(names) + "}"},
-        **_place(scene),
-    )
+    names, common = ("Unclassified", *ground.surfaces), {"interleave": "bsq", **_place(scene)}
+    entries = {"file type": "ENVI Classification", "classes": str(len(names))}
+    entries["class names"] = "{" + ", ".join(names) + "}"
+    numbers = ground.class_map[:, :, None] + np.uint8(1)  # 0 stands for "no class" in this format
+    words = "SIMULATED truth: surface class"
+    write_cube(class_path, numbers, data_type=1, description=words, extra=entries, **common)
     words = "SIMULATED truth: share of planks in the pixel's signal"
-    write_cube(fill_path, ground.fill[:, :, None], data_type=4, interleave="bsq", description=words, **_place(scene))
+    write_cube(fill_path, ground.fill[:, :, None], description=words, **common)
 
 
 def _place(scene: SceneFile) -> dict[str, Any]:
     """Where a map of the scene lies."""
     origin = scene.map
+    zone = (32600 if origin.hemisphere == "north" else 32700) + origin.utm_zone
     transform = Affine(scene.gsd_m, 0.0, origin.easting_m, 0.0, -scene.gsd_m, origin.northing_m)
-    return {
-        "transform": transform,
-        "crs": CRS.from_epsg((32600 if origin.hemisphere == "north" else 32700) + origin.utm_zone),
-    }
+    return {"transform": transform, "crs": CRS.from_epsg(zone)}
 
 
 def _check_size(scene: SceneFile, bands: int) -> None:

@@ -26,14 +26,13 @@ _CELLS = 32  # fine cells per pixel side
 _CUT_SIGMA = 5.0  # the Gaussian beyond holds 6e-7 of its area
 
 
-def _line_spread(psf_fwhm_pixels: float) -> tuple[Array, int]:
-    """One-dimensional system response on fine cells, unit sum, and the reach in cells from its centre."""
+def _line_spread(psf_fwhm_pixels: float) -> Array:
+    """One-dimensional system response on fine cells, of unit sum."""
     sigma = psf_fwhm_pixels * _CELLS / (2.0 * math.sqrt(2.0 * math.log(2.0)))  # in fine cells
     reach = math.ceil(_CUT_SIGMA * sigma)
     offsets = np.arange(-reach, reach + 1)
     gaussian = np.exp(-0.5 * (offsets / sigma) ** 2) if sigma > 0 else np.ones(1)
-    response = np.convolve(gaussian / gaussian.sum(), np.full(_CELLS, 1.0 / _CELLS))
-    return response, (response.size - 1) // 2
+    return np.convolve(gaussian / gaussian.sum(), np.full(_CELLS, 1.0 / _CELLS))
 
 
 def pixel_weights(psf_fwhm_pixels: float) -> Array:
@@ -41,7 +40,7 @@ def pixel_weights(psf_fwhm_pixels: float) -> Array:
 
     Returns (2 k + 1,) weights of unit sum, symmetric, the pixel itself in the middle.
     """
-    size = _line_spread(psf_fwhm_pixels)[0].size
+    size = _line_spread(psf_fwhm_pixels).size
     k = math.ceil((size / _CELLS - 1.0) / 2.0)
     middle = _fine_response(2 * k + 1, psf_fwhm_pixels)[k]
     weights = middle.reshape(-1, _CELLS).sum(axis=1)
@@ -50,13 +49,10 @@ def pixel_weights(psf_fwhm_pixels: float) -> Array:
 
 def _fine_response(count: int, psf_fwhm_pixels: float) -> Array:
     """(count, count * cells) response of each pixel of a run to the fine cells of the same run."""
-    response, _ = _line_spread(psf_fwhm_pixels)
-    matrix = np.zeros((count, count * _CELLS))
-    for pixel in range(count):
-        start = pixel * _CELLS + _CELLS // 2 - response.size // 2
-        low, high = max(start, 0), min(start + response.size, count * _CELLS)
-        matrix[pixel, low:high] = response[low - start : high - start]
-    return matrix
+    response = _line_spread(psf_fwhm_pixels)
+    start = _CELLS * np.arange(count) + _CELLS // 2 - response.size // 2
+    at = np.arange(count * _CELLS) - start[:, None]
+    return np.where((at >= 0) & (at < response.size), response[at.clip(0, response.size - 1)], 0.0)
 
 
 def _coverage(u: Array, half: float, cell: float) -> Array:
@@ -78,7 +74,7 @@ def square_footprint(
     heading_deg : turn of the square about its centre [deg]
     psf_fwhm_pixels : full width at half maximum of the Gaussian point spread function [pixels]
     """
-    _, reach = _line_spread(psf_fwhm_pixels)
+    reach = (_line_spread(psf_fwhm_pixels).size - 1) // 2  # from its centre, in cells
     margin = side_pixels / math.sqrt(2.0) + (reach + 1) / _CELLS
     first_line, first_sample = math.floor(centre_line - margin), math.floor(centre_sample - margin)
     lines = math.ceil(centre_line + margin) - first_line
@@ -322,9 +318,7 @@ class Sampler:
         if self.dof is not None:
             # A t vector is a normal one over sqrt(chi2/nu); its covariance is nu/(nu - 2) times larger.
             z *= np.sqrt((self.dof - 2.0) / rng.chisquare(self.dof, count))[:, None].astype(np.float32)
-        spectra: Field = z @ self.factor
-        spectra += self.mean
-        return spectra
+        return np.asarray(z @ self.factor + self.mean)
 
 
 class SurfaceRenderer:
@@ -339,12 +333,10 @@ class SurfaceRenderer:
     def __init__(self, scene: SceneFile, ground: GroundLayout, classes: Mapping[str, ClassStatistics]):
         self.scene, self.ground = scene, ground
         tails = scene.broken.heavy_tails
-        covering = list(ground.surfaces)
-        covering += [a.surface for a in scene.broken.admixtures if a.surface not in covering]
-        self._names = covering
+        self._names = list(dict.fromkeys((*ground.surfaces, *(a.surface for a in scene.broken.admixtures))))
         open_ground = {a.surface for a in scene.layout}
         self._samplers = [
-            Sampler(classes[name], tails.dof if tails and name in open_ground else None) for name in covering
+            Sampler(classes[name], tails.dof if tails and name in open_ground else None) for name in self._names
         ]
         self.bands = int(self._samplers[0].mean.size)
         self._texture = texture_factor(scene, ground.on_panel)

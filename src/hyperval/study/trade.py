@@ -142,12 +142,6 @@ class Prepared(NamedTuple):
     detectors: tuple[str, ...] = LINEAR_DETECTORS
 
 
-@lru_cache(maxsize=1)
-def _table() -> list[Offer]:
-    groups = package_table("study/trade.yaml").items()
-    return [Offer(group=group, **row) for group, rows in groups for row in rows]
-
-
 @lru_cache(maxsize=16)
 def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prepared:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
@@ -192,7 +186,8 @@ def prepared(source: str, trade: Trade) -> Prepared:
 
 def _offers(world: World) -> Iterator[Offer]:
     known, state = every_path(world), world.stated.scenario.atmosphere
-    for row in _table():
+    table = package_table("study/trade.yaml").items()
+    for row in (Offer(group=group, **row) for group, rows in table for row in rows):
         paths = [path for path in known if fits(row.path, path)]
         if not paths and "now" in row.model_fields_set and (state is not None or row.path == PFA):
             paths = [row.path]
@@ -255,11 +250,11 @@ def moves_of(offer: Offer, trade: Trade) -> list[Move]:
     return [Move(path=path) for path in (own if len(offer.paths) > 1 and own else offer.paths)]
 
 
-def outputs_of(trade: Trade, is_moved: bool = False) -> list[Output]:
-    """The output of each subject; ``is_moved``: an input moves the false-alarm probability."""
+def outputs_of(trade: Trade) -> list[Output]:
+    """The output of each subject."""
     label = KINDS[trade.output]
     asked: dict[str, Any] = {"kind": trade.output}
-    if trade.output == "pd" and not is_moved:
+    if trade.output == "pd" and PFA not in (trade.x, trade.y):
         asked["pfa"] = trade.pfa
         label += f" at P_FA {trade.pfa:g}"
     if trade.is_spectral:
@@ -284,7 +279,7 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     settings |= _settings(p, trade)
     of_sky = sum(key.startswith("atmosphere.") for key in (trade.x, trade.y))
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
-    outputs = outputs_of(trade, PFA in (trade.x, trade.y))
+    outputs = outputs_of(trade)
     more: dict[str, Any] = {"kind": "heat", "y": axes[0].name} if trade.y else {"kind": "lines"}
     if not trade.y and overlays:
         more["family"] = overlays[0].name
@@ -332,10 +327,9 @@ def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
     """The same as entries of the scenario's file, those left out that give way."""
     constants, state = _constants(p, trade), p.scenario.atmosphere
     sky = {path.partition(".")[2]: v for path, v in constants.items() if path.startswith("atmosphere.")}
+    moved = state_entries(state, sky) if state is not None else {}
     out: dict[str, Any] = {path: v for path, v in constants.items() if not path.startswith("atmosphere.")}
-    if sky and state is not None:
-        out |= {f"atmosphere.{key}": value for key, value in state_entries(state, sky).items()}
-    return out
+    return out | {f"atmosphere.{key}": value for key, value in moved.items()}
 
 
 def _world(p: Prepared, trade: Trade) -> World:
@@ -411,7 +405,7 @@ def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
     """The value of x at which the output of each curve comes to what is wanted, and in words."""
     trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
     (columns, labels), offer = _families(p, trade), p.inputs[trade.x]
-    outputs, unit = outputs_of(trade, trade.x == PFA), f" {offer.unit}" if offer.unit != "1" else ""
+    outputs, unit = outputs_of(trade), f" {offer.unit}" if offer.unit != "1" else ""
     found = []
     for o in outputs:
         question = Required(
@@ -452,7 +446,7 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
 
 def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any]) -> Array:
     """(K, O, 2) limits along x, predicted at some of its values and between them as the curve runs."""
-    x = _places(along)
+    _, x = _axis(along)
     if trade.x == PFA:
         return np.moveaxis(_limits_in(p, trade, family, x), 0, 1)
     nodes = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int)
@@ -469,13 +463,11 @@ def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any]) 
     return np.stack([np.interp(np.arange(x.size), nodes, column) for column in flat.T], axis=1).reshape(x.size, -1, 2)
 
 
-def _places(along: Input) -> Array:
-    return np.asarray(along.listed, float)
-
-
-def _axis(along: Input) -> Axis:
+def _axis(along: Input) -> tuple[Axis, Array]:
+    """An axis, and the values along it."""
     assert along.grid is not None  # noqa: S101 - an axis has one
-    return Axis(along.words, along.grid.spacing, ends=(along.grid.start, along.grid.stop))
+    ends = along.grid.start, along.grid.stop
+    return Axis(along.words, along.grid.spacing, ends=ends), np.asarray(along.listed, float)
 
 
 def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
@@ -506,7 +498,7 @@ def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: A
 def _curves(
     p: Prepared, trade: Trade, study: StudyFile, values: Array, limits: Array, labels: Sequence[str]
 ) -> Figure:  # fmt: skip
-    x, axis = _places(study.inputs[-1]), _axis(study.inputs[-1])
+    axis, x = _axis(study.inputs[-1])
     lines = [(x, line) for line in np.moveaxis(values, 1, 2).reshape(-1, x.size)]
     marks = _lines(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
     rules = _present(p, trade) + ((("y", trade.wanted),) if trade.wanted is not None else ())
@@ -515,9 +507,9 @@ def _curves(
 
 
 def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int) -> Figure:
-    y_axis, x_axis = map(_axis, study.inputs[-2:])
+    (x_axis, x), (y_axis, y) = map(_axis, study.inputs[:-3:-1])
     grid = values[0, :, 0].reshape(MAP_POINTS, MAP_POINTS)[::stride, ::stride]
-    edges = [cell_edges(_places(i)[::stride], _axis(i).scale == "log") for i in study.inputs[:-3:-1]]
+    edges = [cell_edges(at[::stride], axis.scale == "log") for axis, at in ((x_axis, x), (y_axis, y))]
     rows, columns = np.nonzero(np.isfinite(grid))
     mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
     part = Part(y_axis, (mark,), _present(p, trade) + _present(p, trade, "y"))
@@ -583,7 +575,4 @@ def _error(p: Prepared, trade: Trade) -> str:
 def notebook(files: Mapping[str, str]) -> str:
     """A notebook that writes a study and what lies beside it, by name, and runs it by the API."""
     text = resources.files("hyperval.study").joinpath("trade.ipynb").read_text("utf-8")
-    content: dict[str, Any] = json.loads(text)
-    for cell in content["cells"]:
-        cell["source"] = cell["source"].replace("FILES = {}", f"FILES = {dict(files)!r}")
-    return json.dumps(content, indent=1)
+    return text.rstrip().replace("FILES = {}", json.dumps(f"FILES = {dict(files)!r}")[1:-1])

@@ -24,12 +24,11 @@ from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
 from hyperval.errors import UsageError
-from hyperval.model import column_of, in_file
-from hyperval.model import plain as own_value
+from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
-from hyperval.study.plan import MOST_TRIED, moved, values_to_try
+from hyperval.study.plan import MOST_TRIED, point_of, states_of, values_to_try
 from hyperval.study.schema import StudyFile
 from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.forms import (
@@ -384,7 +383,8 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     """
     own = Uploads(request)
     scenario = load_scenario(_source(request, study.scenario))
-    if mistakes := [*_of_size(study, request.app.state.settings.points), *_of_paths(study, scenario, own.names())]:
+    most = request.app.state.settings.points
+    if mistakes := [*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())]:
         raise Refused(422, mistakes)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
@@ -405,11 +405,9 @@ def studies(request: Request, order: StudyOrder) -> RunAnswer:
     return answer_of(request, order_study(request, order.study))
 
 
-def _of_size(study: StudyFile, most: int) -> Iterator[FieldMistake]:
-    sky = [i for i in study.inputs if any(m.path.startswith("atmosphere.") for m in i.targets)]
-    states = math.prod(i.size for i in sky)
-    if any(i.random for i in sky) or states > study.atmosphere.above:
-        states = math.prod(study.atmosphere.nodes if i.random else min(i.size, study.atmosphere.nodes) for i in sky)
+def _of_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldMistake]:
+    few, nodes = states_of(study, scenario)
+    states = len(few) or math.prod(map(len, nodes.values()))
     points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
     if points > most:
         yield FieldMistake("inputs", f"{points:,} evaluations; this server allows at most {most:,}")
@@ -429,10 +427,9 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
         if len(values) > MOST_TRIED:
             yield FieldMistake(f"{at}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
         for value in values[:MOST_TRIED]:
-            point = {path: column[0] for path, column in moved([item], {item.name: column_of([value])}).items()}
-            file = {path for path in point if in_file(path) and path.partition(".")[0] in Scenario.model_fields}
-            own = {path: own_value(point[path]) for path in sorted(file) if point[path] is not None}
-            tries.append((f"{at}.path", own))
+            point = {path: own for path, own in point_of(item, value).items() if own is not None and in_file(path)}
+            named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
+            tries.append((f"{at}.path", named))
     for field, settings in tries:
         try:
             checked_scenario(plain(with_settings(scenario, settings)), uploads)
