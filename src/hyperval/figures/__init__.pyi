@@ -7,11 +7,12 @@ from .catalogue import (
     first_figures,
     further_figures,
     many_objects_figure,
+    reason_figures,
     spectra_figure,
 )
 from .pictures import draw_pictures
 from .print import canvas_of, drawings_of, house_style
-from .rows import campaigns_figure, criteria_figure, reason_figures
+from .rows import campaigns_figure, criteria_figure
 from .spec import (
     Axis,
     ColourScale,

@@ -269,9 +269,8 @@ def outcome_words(rows: Iterable[Result]) -> str:
 
 def accepted_words(rows: Iterable[Result]) -> str:
     """How many numbers are as they were accepted, and how many are not; nothing of what the model agrees with."""
-    outcomes = [row.outcome for row in rows]
-    wrong, right = outcomes.count(Outcome.DISAGREES), outcomes.count(Outcome.AGREES)
-    total = wrong + right
+    counts = Counter(row.outcome for row in rows)
+    wrong, total = counts[Outcome.DISAGREES], counts[Outcome.DISAGREES] + counts[Outcome.AGREES]
     if total == 0:
         return "No number was checked."
     return f"{wrong} of {total} numbers are not as accepted." if wrong else f"{total} numbers as accepted."
@@ -289,18 +288,12 @@ def number_text(value: float, spread: float = math.nan) -> str:
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    magnitude = abs(value)
-    if value != 0 and not 1e-4 <= magnitude < 1e6:
-        return f"{value:.3g}".replace("-", "−")
-    if math.isfinite(spread) and spread > 0:
-        decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
-    elif float(value).is_integer():
-        decimals = 0
+    if value != 0 and not 1e-4 <= abs(value) < 1e6:
+        text = f"{value:.3g}"
+    elif 0 < spread < math.inf:
+        text = f"{value:.{min(max(1 - math.floor(math.log10(spread)), 0), 6)}f}"
     else:
-        decimals = min(max(3 - math.floor(math.log10(magnitude)), 0), 7)
-    text = f"{value:.{decimals}f}"
-    if "." in text and not (math.isfinite(spread) and spread > 0):
-        text = text.rstrip("0").removesuffix(".")
+        text = f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
     if float(text) == 0.0:
         text = text.removeprefix("-")
     return text.replace("-", "−")

@@ -26,6 +26,7 @@ from hyperval.figures.spec import (
     Mark,
     Panels,
     Part,
+    by_kind,
     robust_limits,
     row_names,
     single,
@@ -81,7 +82,7 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
     yield Figure(
         "response", "response", "Width and spacing of the bands",
         f"Width and spacing of the {len(axis)} bands against wavelength{ratio}.",
-        (single(_wavelengths(axis), "width, spacing [nm]", marks),),
+        (single(_wavelengths(axis), Axis("width, spacing [nm]"), marks),),
     )  # fmt: skip
     sigmas, responses = np.linspace(-3.0, 3.0, 61), []
     most = max(len(axis) - _MOST_RESPONSES, 0)
@@ -93,7 +94,7 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
     yield Figure(
         "responses", "response", f"Responses of {len(responses)} bands",
         f"Relative response of {len(responses)} bands against wavelength.",
-        (single(Axis(WAVELENGTH, ends=ends), "relative response", responses),),
+        (single(Axis(WAVELENGTH, ends=ends), Axis("relative response"), responses),),
     )  # fmt: skip
 
 
@@ -113,7 +114,7 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
         "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the "
         f"calibration error. At 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to "
         f"{middle.max():.0f}.",
-        (single(_wavelengths(axis), "signal-to-noise ratio", marks, ends=robust_limits(highest)),),
+        (single(_wavelengths(axis), Axis("signal-to-noise ratio", ends=robust_limits(highest)), marks),),
     )  # fmt: skip
 
 
@@ -133,8 +134,8 @@ def _noise(check: SensorCheck) -> Iterator[Figure]:
                 marks.append(Mark("bars" if few else "area", columns, words, colour, alpha=1.0))
                 base = base + share
                 shown.setdefault(words, colour)
-        label = "share of the variance [%]"
-        views.append(single(_wavelengths(axis), label, marks, subject=f"reflectance {level:g}", ends=(0.0, 100.0)))
+        y = Axis("share of the variance [%]", ends=(0.0, 100.0))
+        views.append(single(_wavelengths(axis), y, marks, f"reflectance {level:g}"))
     alt = f"Share of each source in the variance of the noise, dark and bright ground: {', '.join(shown)}."
     yield Figure("noise", "noise", "Sources of noise, dark and bright ground", alt, tuple(views))
 
@@ -148,10 +149,11 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     named = zip(levels, parts, SOURCES, strict=False)
     marks = [_curve(check.axis, part, f"reflectance {level:g}", colour) for level, part, colour in named]
     highest = max(1.0, float(np.max(parts)))
+    y = Axis("part of full scale", ends=(0.0, 1.08 * highest))
     yield Figure(
         "saturation", "saturation", "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)",
         f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}.",
-        (single(_wavelengths(check.axis), "part of full scale", marks, ends=(0.0, 1.08 * highest), level=1.0),),
+        (single(_wavelengths(check.axis), y, marks, rules=(("y", 1.0),)),),
     )  # fmt: skip
 
 
@@ -179,9 +181,9 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     if not points:
         return
     looks = {
-        "value": ("circle", SOURCES[0], "published value"),
-        "at least": ("square", SOURCES[2], "published lower bound"),
-        "unstated": ("tick", SOURCES[7], "no radiance stated: not judged"),
+        "value": {"marker": "circle", "colour": SOURCES[0], "label": "published value"},
+        "at least": {"marker": "square", "colour": SOURCES[2], "label": "published lower bound"},
+        "unstated": {"marker": "tick", "colour": SOURCES[7], "label": "no radiance stated: not judged"},
     }
     kinds = [point.item.says if point.judged else "unstated" for point in points]
     w, ratios = np.array([p.wavelength_nm for p in points]), np.array([p.computed / p.published for p in points])
@@ -191,18 +193,14 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     if "value" in kinds:
         columns = {"x": np.array(x), "low": np.full(2, 1 - TOLERANCE), "high": np.full(2, 1 + TOLERANCE)}
         marks.append(Mark("area", columns, f"within {100 * TOLERANCE:g} %", SOURCES[0], alpha=0.15))
-    for kind, (marker, colour, label) in looks.items():
-        own = [i for i, k in enumerate(kinds) if k == kind]
-        words = tuple(f"{points[i].computed:.0f} / {points[i].published:g}" for i in own)
-        if own:
-            columns = {"x": w[own], "y": ratios[own]}
-            marks.append(Mark("dots", columns, label, colour, marker=marker, words=words, beside="right"))
+    words = tuple(f"{p.computed:.0f} / {p.published:g}" for p in points)
+    marks += by_kind(Mark("dots", {"x": w, "y": ratios}, words=words, beside="right"), kinds, looks)
     listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
     ends = min(0.6, 0.9 * float(ratios.min())), max(1.4, 1.15 * float(ratios.max()))
     yield Figure(
         "published-snr", "published_snr", "Computed over published signal-to-noise ratio",
         f"Computed against published ratios: {listed}.",
-        (single(Axis(WAVELENGTH, ends=x), "computed / published", marks, ends=ends, level=1.0),),
+        (single(Axis(WAVELENGTH, ends=x), Axis("computed / published", ends=ends), marks, rules=(("y", 1.0),)),),
     )  # fmt: skip
 
 
