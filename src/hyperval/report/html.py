@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jinja2
-from markupsafe import Markup
 
 import hyperval
 from hyperval.errors import refuse
@@ -159,9 +158,6 @@ _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that dr
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
-_MOST_OPEN = 12  # rows of a table before it is folded
-_MOST_LISTED = 400  # planned rows of one section; results.csv has all
-_MOST_ROWS = 60  # rows of one section that nothing was planned for
 
 SECTIONS = {
     "attribution": "Why they differ",
@@ -187,7 +183,6 @@ _GROUPS = (
     ("Simulated collections", (True, False)),
 )
 _REASONS = ("attribution", "what-if", "sensitivity")
-_INPUT = ("reference", "sha256", "licence", "citation")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 
@@ -201,15 +196,13 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     plots = further_figures(sides, run.table, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
-    planned = [row for row in rows if row.planned]
+    compares = any(row.planned for row in rows)
     screen = v.first_screen(rows, power.sentence.partition(". ")[0] + "." if power else "")
-    forest = criteria_figure(rows) if planned and not run.sentence else None
+    forest = criteria_figure(rows) if compares and not run.sentence else None
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
     first = [one for one in (forest, worst) if one is not None]
     statements = {one.name: statement(one) for one in (*first, *charts, *folded)}
-    embedded = _embedded(drawings, statements)
     shown = same_background_once(rows)
-    sections = _sections(drawings, folded, shown)
     compared = [row for row in shown if row.product not in _REASONS]
     return page(
         "report.html.j2", statements,
@@ -217,27 +210,20 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         screen=screen,
         forest=forest,
         worst=worst,
-        verdict=run.sentence or screen.words,
-        compares=bool(planned),
+        compares=compares,
         power=power,
         stale=stale,
-        gated=any(row.gates for row in rows),
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=_matrices(run, compared, lambda r: r.subject, _link),
-        per_band=sum(row.per_band for row in rows),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
-        embedded=embedded,
+        embedded=_embedded(drawings, statements),
         budget=[chart for chart in folded if chart.name == _BUDGET],
-        sections=[section for section in sections if section["name"] not in _REASONS],
-        reasons=[section for section in sections if section["name"] in _REASONS],
+        parts=_sections(drawings, folded, shown),
+        of_reasons=_REASONS,
         undone=_undone(rows),
-        notes=run.notes,
-        inputs=[{key: str(item.get(key) or "") for key in _INPUT} for item in run.provenance.get("inputs", ())],
-        facts=list(flat({k: v for k, v in run.provenance.items() if k != "inputs"}).items()),
-        maps=len(run.score_maps),
-        metrics=explained(row.metric for row in planned),
-        most_open=_MOST_OPEN,
+        facts=flat({k: v for k, v in run.provenance.items() if k != "inputs"}),
+        metrics=explained(row.metric for row in rows if row.planned),
     )  # fmt: skip
 
 
@@ -316,14 +302,12 @@ def environment() -> jinja2.Environment:
     """The templates of reports, with the filters of rows."""
     environment = strict_templates("hyperval.report")
     environment.filters.update(
-        metric=_metric_markup,
         value=v.value_text,
         interval=v.interval_text,
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         row_name=row_name,
         outcome=lambda word: OUTCOMES[Outcome(word)].word,
-        breakable=_breakable,
         subject=_subject_text,
         anchor=anchor,
     )
@@ -346,8 +330,7 @@ def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **w
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
         starter=script() if statements else "", script_hashes=page_hashes(bool(statements)),
-        version=hyperval.__version__, generated=_generated(), most_listed=_MOST_LISTED, most_rows=_MOST_ROWS,
-        page_script=page_script(),
+        version=hyperval.__version__, generated=_generated(), page_script=page_script(),
     )  # fmt: skip
 
 
@@ -366,18 +349,6 @@ def _undone(rows: Sequence[Result]) -> list[tuple[Outcome, str, str, list[str]]]
         if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
             groups.setdefault((row.outcome, row.product, row.reason or str(row.cause)), []).append(row_name(row))
     return [(*key, names) for key, names in groups.items()]
-
-
-def _breakable(text: str) -> Markup:
-    """A dotted name with places where it may break."""
-    return Markup(".<wbr>").join(Markup("_<wbr>").join(part.split("_")) for part in text.split("."))
-
-
-def _metric_markup(row: Result) -> Markup:
-    """The metric's name with places where a long one may break; what follows "@" stays together."""
-    base, at, where = row.metric.partition("@")
-    name = Markup("_<wbr>").join(base.split("_"))  # join escapes the parts
-    return name + (Markup('<wbr><span class="together">{}</span>').format(at + where) if at else "")
 
 
 def _subject_text(text: str) -> str:
