@@ -181,20 +181,20 @@ def _view(
     axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], gap: tuple[Array, Array] | None,
     label: str, below: str, names: tuple[str, str],
 ) -> Panels:  # fmt: skip
-    w, keep = axis.centre_nm, in_windows(axis)
-    marks, edges = [], []
+    def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
+        keep = in_windows(axis)
+        ends = robust_limits([mark.numbers[end][keep] for mark in marks for end in ("low", "high")], trim)
+        return Part(Axis(label, ends=ends), tuple(marks), rules)
+
     # Dashes on top, so that neither hides the other.
-    for estimate, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])):
-        if estimate is not None:
-            half = Z95 * estimate.standard_uncertainty
-            marks.append(make("line", {"x": w, "y": estimate.mean, "half": half}, name, linked=True))
-            edges += [(estimate.mean - half)[keep], (estimate.mean + half)[keep]]
-    parts = [Part(Axis(label, ends=robust_limits(edges)), tuple(marks))]
+    marks = [
+        make("line", {"x": axis.centre_nm, "y": e.mean, "half": Z95 * e.standard_uncertainty}, name, linked=True)
+        for e, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])) if e is not None
+    ]  # fmt: skip
+    parts = [part(label, marks, 0.5)]
     if gap is not None:
-        value, half = gap[0], Z95 * gap[1]
-        ends = robust_limits([(value - half)[keep], (value + half)[keep]], trim=3.0)
-        mark = Mark("line", {"x": w, "y": value, "half": half}, "", DIFFERENCE, linked=True)
-        parts.append(Part(Axis(below, ends=ends), (mark,), (("y", 0.0),)))
+        columns = {"x": axis.centre_nm, "y": gap[0], "half": Z95 * gap[1]}
+        parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
     return Panels(wavelengths(axis), tuple(parts), subject)
 
 
@@ -241,13 +241,13 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
     for estimate in estimates:
         squares = {s: float(np.nanmedian(np.square(u) / np.square(estimate.mean))) for s, u in estimate.budget.items()}
         total = sum(squares.values()) or 1.0
-        for source, square in squares.items():
-            weight[source] = max(weight.get(source, 0.0), square / total)
+        weight |= {source: max(weight.get(source, 0.0), square / total) for source, square in squares.items()}
     ranked = sorted(weight, key=lambda s: (-weight[s], s))
     return ranked if len(ranked) <= _MOST_SOURCES else [*ranked[: _MOST_SOURCES - 1], _REST]
 
 
 _MOST_SPREADS = 6  # subjects in each quantity; those with the most pixels
+_EIGENVALUE = "number of the eigenvalue"
 _EIGENVALUES = {"radiance": "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]", "reflectance": "eigenvalue"}
 
 
@@ -280,7 +280,7 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         inside = int(np.sum((measured >= low) & (measured <= high)))
         words = f"{subject}: first eigenvalue predicted {mean[0]:.3g}, measured {measured[0]:.3g}; "
         words += f"{inside} of {measured.size} inside"
-        x, name = _number_of_eigenvalue(measured.size), f"{subject} (n = {count_text(spread.n)})"
+        x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
         return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name), words
 
     return a_view_each(
@@ -291,10 +291,6 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         "circles, with the 95 % band of samples of as many pixels) and measured (squares); below, predicted over "
         "measured with that band.", list(spreads), view,
     )  # fmt: skip
-
-
-def _number_of_eigenvalue(most: int) -> Axis:
-    return Axis("number of the eigenvalue", ends=(0.0, most + 1.0))
 
 
 def _eigenvalues_alone(sides: Sides) -> Figure | None:
@@ -308,7 +304,7 @@ def _eigenvalues_alone(sides: Sides) -> Figure | None:
         factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
         columns = {"y": values, "low": values / factor, "high": values * factor}
         mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
-        x, y = _number_of_eigenvalue(MOST_EIGENVALUES), Axis(_EIGENVALUES["radiance"], "log")
+        x, y = Axis(_EIGENVALUE, ends=(0.0, MOST_EIGENVALUES + 1.0)), Axis(_EIGENVALUES["radiance"], "log")
         words = f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
         return single(x, y, [mark], subject), words
 
@@ -558,8 +554,10 @@ def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
 def score_figure(sides: Sides) -> Figure | None:
     """Mean and 95 % range of each population's score."""
     both = [{key: _entry(s.mean, s.sd, s.n) for key, s in own.items()} for own in both_of(sides, "scores")]
-    return _value_figure("scores", "scores", "Score distributions", both, Axis("score"), (0.0, 1.0),
-                         "dot: mean; bar: mean ± 1.96 standard deviations")  # fmt: skip
+    return a_row_each(
+        "scores", "scores", f"Score distributions: {_there(both)}", both_first(*both), both, Axis("score"),
+        rules=(0.0, 1.0), legend="dot: mean; bar: mean ± 1.96 standard deviations",
+    )  # fmt: skip
 
 
 def abundance_figure(sides: Sides) -> Figure | None:
@@ -572,8 +570,9 @@ def abundance_figure(sides: Sides) -> Figure | None:
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
-    return _value_figure("abundance", "abundance", "Target area from the sum of abundances", both, x,
-                         () if scattered else (0.0,), "bar: 95 % interval")  # fmt: skip
+    title = f"Target area from the sum of abundances: {_there(both)}"
+    return a_row_each("abundance", "abundance", title, both_first(*both), both, x,
+                      rules=() if scattered else (0.0,), legend="bar: 95 % interval")  # fmt: skip
 
 
 def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
@@ -583,13 +582,9 @@ def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
     return value, value - reach, value + reach, f"{value:.3g} ± {half:.2g}{unit}{count}"
 
 
-def _value_figure(
-    name: str, section: str, title: str, both: Sequence[Mapping[Any, Entry]], x: Axis, rules: tuple[float, ...],
-    legend: str,
-) -> Figure | None:  # fmt: skip
-    """A row for each key of either side."""
-    names = " and ".join(word for word, own in zip(SIDES, both, strict=True) if own)
-    return a_row_each(name, section, f"{title}: {names}", both_first(*both), both, x, rules=rules, legend=legend)
+def _there(both: Sequence[Mapping[Any, Any]]) -> str:
+    """The sides that have anything."""
+    return " and ".join(word for word, own in zip(SIDES, both, strict=True) if own)
 
 
 def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
@@ -631,14 +626,12 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
 
 def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
     """Where each target stands: those of one area beside each other within a quarter of a decade."""
-    groups: dict[float, list[Any]] = {}
-    for key, area in nominal.items():
-        groups.setdefault(area, []).append(key)
-    return {
-        key: area * 10**step
-        for area, keys in groups.items()
-        for key, step in zip(keys, np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,), strict=True)
-    }
+    places: dict[Any, float] = {}
+    for area in dict.fromkeys(nominal.values()):
+        keys = [key for key, own in nominal.items() if own == area]
+        steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,)
+        places |= {key: area * 10**step for key, step in zip(keys, steps, strict=True)}
+    return places
 
 
 def object_score_figure(sides: Sides) -> Figure | None:

@@ -42,7 +42,8 @@ Window = tuple[slice, slice]  # the lines and the samples of an image that are d
 def draw_pictures(quicklook: Quicklook | None, maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
     """The scene, and the first score maps with what the model expects in their place."""
     scene = [] if quicklook is None else [quicklook_figure(quicklook, simulated=simulated)]
-    return scene + score_map_figures(maps, simulated=simulated)
+    first = enumerate(list(maps.items())[:_MOST_MAPS], start=1)
+    return scene + [one for n, (name, own) in first for one in _map_drawings(f"score-map-{n}", name, own, simulated)]
 
 
 def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
@@ -63,13 +64,8 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     return canvas.drawing("scene", "scene", title, alt, quicklook.regions, quicklook.pixel_size_m)
 
 
-def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
-    """The first maps, each a figure: scores as colours, targets outlined; and what the model expects, likewise."""
-    first = enumerate(list(maps.items())[:_MOST_MAPS], start=1)
-    return [one for number, (name, own) in first for one in _map_drawings(f"score-map-{number}", name, own, simulated)]
-
-
 def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) -> Iterator[Drawing]:
+    """A map, scores as colours and targets outlined; what the model expects, likewise; and what moves its alarms."""
     scores, outlines, metres = np.asarray(score_map.values), score_map.outlines, score_map.pixel_size_m
     view, limits = shown_window(scores.shape, outlines), _score_limits(score_map)
     values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
@@ -160,8 +156,10 @@ class _Canvas:
             self._label((left + right) / 2, y - 12, f"{length_m:g} m", _WHITE, "mb")
         out = io.BytesIO()
         self._image.save(out, format="png")
-        css, named = round(self._image.width / _PER_CSS), _numbered_names(regions)
-        return Drawing(name, section, title, alt, out.getvalue(), "png", width_px=css, legend=named)
+        named = "; ".join(f"{number} {one}" for number, one in enumerate(regions, start=1))
+        named = f"{len(regions)} outlines" if len(regions) > _MOST_NUMBERED else named
+        width_px = round(self._image.width / _PER_CSS)
+        return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)
 
     def _at(self, sample: Any, line: Any) -> tuple[Any, Any]:
         return (
@@ -282,12 +280,6 @@ def _cut(shape: tuple[int, ...], view: Window) -> str:
         return ""
     lines, samples = (f"{part.start} to {part.stop - 1}" for part in view)
     return f"; lines {lines}, samples {samples}"
-
-
-def _numbered_names(regions: Mapping[str, Any]) -> str:
-    if len(regions) > _MOST_NUMBERED:
-        return f"{len(regions)} outlines"
-    return "; ".join(f"{number} {name}" for number, name in enumerate(regions, start=1))
 
 
 def _css_width(view: Window) -> float:

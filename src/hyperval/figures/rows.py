@@ -138,8 +138,7 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
         return None
     apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())
     shown = apart[:_MOST_PARTS]
-    room = [1 + sum(row.outcome is not Outcome.AGREES for row in own) for own in shown]
-    room = [min(most, len(own)) for most, own in zip(room, shown, strict=True)]
+    room = [min(1 + sum(row.outcome is not Outcome.AGREES for row in own), len(own)) for own in shown]
     while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
         room[room.index(max(room))] -= 1
     parts = [_part(own, most) for own, most in zip(shown, room, strict=True)]

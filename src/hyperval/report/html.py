@@ -393,18 +393,13 @@ def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dic
     """
     sources: dict[str, str] = {}
     room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
-    for drawing in sorted(drawings, key=_rank):
+    order = {name: number for number, name in enumerate(PICTURES)}
+    for drawing in sorted(drawings, key=lambda d: order.get(d.name, len(order) + d.name.startswith("score-map"))):
         source = drawing.source
         if len(source) <= room:
             room -= len(source)
             sources[drawing.name] = source
     return sources
-
-
-def _rank(drawing: Drawing) -> int:
-    if drawing.name in PICTURES:
-        return PICTURES.index(drawing.name)
-    return len(PICTURES) + drawing.name.startswith("score-map")
 
 
 def flat(value: Any, at: str = "") -> dict[str, str]:
