@@ -200,8 +200,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     screen = v.first_screen(rows, power.sentence.partition(". ")[0] + "." if power else "")
     forest = criteria_figure(rows) if compares and not run.sentence else None
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
-    first = [one for one in (forest, worst) if one is not None]
-    statements = {one.name: statement(one) for one in (*first, *charts, *folded)}
+    statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
     compared = [row for row in shown if row.product not in _REASONS]
     return page(
@@ -257,29 +256,24 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of their own are
     set beside accepted numbers.
     """
+    pages = {name: f"{folder}/report.html" for name, folder in folders.items()}
     groups = []
     for heading, kind in _GROUPS:
         own = [run for run in runs if not run.remedy and (run.simulated, run.computed) == kind]
         if not own:
             continue
-        rows = [row for run in own for row in run.table if row.product not in _REASONS]
-
-        def link(name: str, cell: Sequence[Result]) -> str:
-            page = f"{folders[name]}/report.html"
-            return f"{page}#{anchor(cell[0])}" if cell else page
-
-        matrices = _matrices(own[0], rows, lambda r: r.campaign, link)
-        entries = [(run, v.first_screen(list(run.table)), f"{folders[run.campaign]}/report.html") for run in own]
         together = [row for run in own for row in run.table]
+        matrices = _matrices(
+            own[0], [row for row in together if row.product not in _REASONS], lambda r: r.campaign,
+            lambda name, cell: f"{pages[name]}#{anchor(cell[0])}" if cell else pages[name],
+        )  # fmt: skip
+        entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
         screen, sentence = v.first_screen(together), ""
         if own[0].sentence:
             sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
         groups.append((heading, screen, sentence, matrices, entries))
     remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
-    absent = [
-        (remedy, [(run, f"{folders[run.campaign]}/report.html") for run in runs if run.remedy == remedy])
-        for remedy in remedies
-    ]
+    absent = [(remedy, [(run, pages[run.campaign]) for run in runs if run.remedy == remedy]) for remedy in remedies]
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
     drawn = [forest] if forest else []
     return page("index.html.j2", drawn, forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
