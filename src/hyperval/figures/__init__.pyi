@@ -21,12 +21,13 @@ from .spec import (
     Mark,
     Panels,
     Part,
+    data_uri,
     statement,
 )
 
 __all__ = [
     "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part",
-    "campaigns_figure", "canvas_of", "criteria_figure",
+    "campaigns_figure", "canvas_of", "criteria_figure", "data_uri",
     "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure", "first_figures", "further_figures",
     "house_style", "many_objects_figure", "reason_figures", "spectra_figure", "statement",
 ]  # fmt: skip

@@ -37,7 +37,7 @@ Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Way = Literal["x", "y"]
 Rules = tuple[tuple[Way, float], ...]
 _TONES = 33  # of a scale in a page
-_REACH = {"x": ("x", "left", "right"), "y": ("y", "low", "high", "bottom", "top")}
+_REACH = {"x": {"x", "left", "right"}, "y": {"y", "bottom", "top"}}
 
 
 @dataclass(frozen=True)
@@ -241,8 +241,12 @@ class Drawing:
     @property
     def source(self) -> str:
         """The figure as a data URI, for a page that holds it."""
-        kind = "svg+xml" if self.kind == "svg" else self.kind
-        return f"data:image/{kind};base64,{base64.b64encode(self.content).decode('ascii')}"
+        return data_uri(self.content, self.kind)
+
+
+def data_uri(content: bytes, kind: str) -> str:
+    """An image of a kind as a data URI."""
+    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64.b64encode(content).decode('ascii')}"
 
 
 def statement(figure: Figure) -> str:
@@ -286,9 +290,7 @@ def statement(figure: Figure) -> str:
 
 def _extent(mark: Mark, way: Way) -> list[Array]:
     """The columns of a mark that reach along an axis."""
-    names = set(_REACH[way])
-    if mark.kind == "dots" and mark.along == "x":  # whose interval lies along x
-        names = names | {"low", "high"} if way == "x" else names - {"low", "high"}
+    names = _REACH[way] | ({"low", "high"} if way == mark.along else set())
     return [values for name, values in mark.numbers.items() if name in names]
 
 

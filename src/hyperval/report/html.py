@@ -14,7 +14,6 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,12 +36,16 @@ if TYPE_CHECKING:
     from hyperval.figures.print import Kind
 
 
-LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
+# Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
+# filters tables and links to evidence.
+LIBRARY = tuple(("bokeh", "server", "static", "js", name) for name in ("bokeh.min.js", "bokeh-api.min.js"))
+CHARTS = ("hyperval.figures", "charts.js")
+_EVERY_PAGE = ("hyperval.report", "templates", "page.js")
 
 
-def library(name: str) -> str:
-    """One script of the library, from its installed package."""
-    return installed_file("bokeh", "server", "static", "js", name).read_text("utf-8")
+def script(place: tuple[str, ...]) -> bytes:
+    """A script of an installed package."""
+    return installed_file(*place).read_bytes()
 
 
 def _text_of(content: bytes) -> str:
@@ -52,26 +55,14 @@ def _text_of(content: bytes) -> str:
 @functools.cache
 def packed_library() -> tuple[str, ...]:
     """The library's scripts as base64 of gzip: 0.6 MB in place of 1.4 leave the figures room."""
-    return tuple(_text_of(gzip.compress(library(name).encode("utf-8"), mtime=0)) for name in LIBRARY)
-
-
-@functools.cache
-def script() -> str:
-    """The script that unpacks the library and draws the figures."""
-    return (resources.files("hyperval.figures") / "charts.js").read_text("utf-8")
-
-
-@functools.cache
-def page_script() -> str:
-    """The script of every page: sorting and filtering of tables, links to evidence."""
-    return (resources.files("hyperval.report") / "templates" / "page.js").read_text("utf-8")
+    return tuple(_text_of(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
 
 
 @functools.cache
 def page_hashes(figures: bool = True) -> str:
     """The scripts of a page, with figures or without, as sources of its policy: these texts, and no other, may run."""
-    texts = (*map(library, LIBRARY), script(), page_script()) if figures else (page_script(),)
-    return " ".join(f"'sha256-{_text_of(hashlib.sha256(text.encode('utf-8')).digest())}'" for text in texts)
+    places = (*LIBRARY, CHARTS, _EVERY_PAGE) if figures else (_EVERY_PAGE,)
+    return " ".join(f"'sha256-{_text_of(hashlib.sha256(script(place)).digest())}'" for place in places)
 
 
 def anchor(row: Result) -> str:
@@ -188,7 +179,7 @@ _COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
-    rows, sides, (power, stale) = list(run.table), run.pair, run.power or (None, "")
+    rows, sides = list(run.table), run.pair
     spectra = _worst_first(first_figures(sides, run.table), rows)
     many = many_objects_figure(run.score_maps, sides)
     shown_first = [*spectra, *([many] if many is not None else [])]
@@ -197,7 +188,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
     compares = any(row.planned for row in rows)
-    screen = v.first_screen(rows, power.sentence.partition(". ")[0] + "." if power else "")
+    screen = v.first_screen(rows, run.power[0].sentence.partition(". ")[0] + "." if run.power else "")
     forest = criteria_figure(rows) if compares and not run.sentence else None
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
     statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
@@ -210,8 +201,6 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         forest=forest,
         worst=worst,
         compares=compares,
-        power=power,
-        stale=stale,
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=_matrices(run, compared, lambda r: r.subject, _link),
         charts=charts,
@@ -323,8 +312,8 @@ def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **w
     statements = dict(drawn) if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn}
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
-        starter=script() if statements else "", script_hashes=page_hashes(bool(statements)),
-        version=hyperval.__version__, generated=_generated(), page_script=page_script(),
+        starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
+        version=hyperval.__version__, generated=_generated(), page_script=script(_EVERY_PAGE).decode(),
     )  # fmt: skip
 
 
@@ -354,11 +343,15 @@ def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figur
     """Charts of products whose gates say worse before the others; of one rank, by informational comparisons."""
 
     def rank(chart: Figure) -> tuple[int, ...]:
-        made = (row for row in rows if row.planned and row.outcome is not Outcome.SKIPPED)
-        planned = [row for row in made if row.product == chart.section]
+        planned = _made(rows, chart.section)
         return tuple(WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
 
     return sorted(charts, key=rank)
+
+
+def _made(rows: Sequence[Result], product: str) -> list[Result]:
+    """Planned rows of a product that were made."""
+    return [row for row in rows if row.product == product and row.planned and row.outcome is not Outcome.SKIPPED]
 
 
 def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[dict[str, Any]]:
@@ -366,17 +359,12 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
     sections = []
     for name in dict.fromkeys([*_COMPARED, *_REASONS, *(row.product for row in rows)]):
         own_drawings = [d for d in drawings if d.section == name and d.name not in PICTURES]
-        own = [row for row in rows if row.product == name]
-        made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
-        planned = sorted(made, key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
+        planned = sorted(_made(rows, name), key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
         own_charts = [chart for chart in charts if chart.section == name and chart.name != _BUDGET]
-        others = [row for row in own if not row.planned and not row.per_band]
+        others = [row for row in rows if row.product == name and not row.planned and not row.per_band]
         if own_drawings or own_charts or planned or others:
-            sections.append({
-                "name": name, "title": SECTIONS.get(name, name), "figures": own_drawings, "charts": own_charts,
-                "gates": [row for row in planned if row.gates], "others": others,
-                "informing": [row for row in planned if not row.gates],
-            })  # fmt: skip
+            named = {"name": name, "title": SECTIONS.get(name, name), "figures": own_drawings, "charts": own_charts}
+            sections.append(named | {"planned": planned, "others": others})
     return sections
 
 

@@ -94,7 +94,7 @@ def _lead(gates: Sequence[Result], rows: Sequence[Result], ahead: str, first: Re
     if not gates:
         outside = sum(row.outcome is Outcome.DISAGREES for row in rows)
         return f"Nothing here can pass or fail. {outside} informational comparisons are outside their range."
-    parts = [_counted([row for row in gates if row.evidence is kind], kind, named=False) for kind in _KINDS]
+    parts = [_counted(gates, kind, named=False) for kind in _KINDS]
     if first is not None and first.gates and ahead:
         parts.append(f"{ahead}: {product_words(first.product)}, {row_label(first)}, {effect_text(first)}.")
     return " ".join(filter(None, parts))
@@ -103,8 +103,7 @@ def _lead(gates: Sequence[Result], rows: Sequence[Result], ahead: str, first: Re
 def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str:
     telling = [row for row in rows if disagrees_without_gating(row)]
     unsure = sum(not row.gates and row.outcome is Outcome.UNDECIDED for row in rows)
-    words = [opening, *(_counted([row for row in gates if row.evidence is kind], kind) for kind in _KINDS)]
-    words.append(_never_met(gates))
+    words = [opening, *(_counted(gates, kind) for kind in _KINDS), _never_met(gates)]
     if telling:
         noun = "comparison is" if len(telling) == 1 else "comparisons are"
         words.append(f"Besides, {len(telling)} informational {noun} not met ({_named(telling)}).")
@@ -238,7 +237,7 @@ def _counted(gates: Sequence[Result], kind: Evidence, *, named: bool = True) -> 
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
     for outcome, said in OUTCOMES.items():
-        own = [row for row in gates if row.outcome is outcome]
+        own = [row for row in gates if row.evidence is kind and row.outcome is outcome]
         if own:
             noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
             told = f" ({_named(own)})" if named else ""
