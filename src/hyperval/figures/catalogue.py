@@ -18,7 +18,6 @@ from hyperval.figures.rows import MET, NOT_MET
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
-    GREY,
     MAX_PANELS,
     PREDICTED,
     SOURCES,
@@ -659,9 +658,17 @@ def transform_figure(sides: Sides) -> Figure | None:
 
     def view(detector: str) -> tuple[Panels, str]:
         u = np.sort(np.concatenate(by_detector[detector]))
-        inside = float(np.mean(central(u)))
-        words = f"{detector}: {u.size} objects, {inside:.0%} in the central 95 %"
-        return _ordered(u, detector), words
+        n, rank = u.size, np.arange(1, u.size + 1)
+        at = (rank - 0.5) / n
+        low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
+        marks = (
+            Mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects", PREDICTED),
+            Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", dash="dotted"),
+            measured_mark("line", {"x": at, "y": u}, "objects, in order"),
+        )
+        x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("probability of a lower score", "transform value"))
+        words = f"{detector}: {n} objects, {np.mean(central(u)):.0%} in the central 95 %"
+        return single(x, y, marks, detector), words
 
     return a_view_each(
         "object-transforms", "scores",
@@ -670,17 +677,6 @@ def transform_figure(sides: Sides) -> Figure | None:
         "95 % band for independent objects. Objects share errors of the inputs, which the band leaves out.",
         list(by_detector), view,
     )  # fmt: skip
-
-
-def _ordered(u: Array, detector: str) -> Panels:
-    n, rank = u.size, np.arange(1, u.size + 1)
-    at = (rank - 0.5) / n
-    low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
-    band = Mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects", PREDICTED)
-    uniform = Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", dash="dotted")
-    objects = measured_mark("line", {"x": at, "y": u}, "objects, in order")
-    x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("probability of a lower score", "transform value"))
-    return single(x, y, (band, uniform, objects), detector)
 
 
 def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
@@ -865,26 +861,25 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
 
 def _gain(table: ResultTable) -> Figure | None:
     """The gain of the sensor that would explain the radiance of all subjects, over wavelength."""
-    marks: dict[str, Mark] = {}
-    for name, label, colour in (
-        ("sensor_gain", "gain without an offset", DIFFERENCE), ("sensor_offset", "offset beside that gain", GREY),
-        ("sensor_gain_beside_offset", "gain beside the offset below", GREY),
-    ):  # fmt: skip
-        every = [r for r in table.where(product="radiance") if r.metric.startswith(f"{name}@")]
-        if every:
-            numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in every])
-            columns, hollow = dict(zip(("x", "y", "low", "high"), numbers.T, strict=True)), colour == GREY
-            marks[name] = Mark("dots", columns, f"{label}, 95 % interval", colour, marker="circle", hollow=hollow)
-    if not marks:
+
+    def marks(name: str, label: str, **look: Any) -> list[Mark]:
+        rows = [r for r in table.where(product="radiance") if r.metric.startswith(f"{name}@")]
+        numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
+        columns = dict(zip(("x", "y", "low", "high"), numbers.reshape(-1, 4).T, strict=True))
+        return [Mark("dots", columns, f"{label}, 95 % interval", marker="circle", **look)] if rows else []
+
+    gains = marks("sensor_gain", "gain without an offset", colour=DIFFERENCE)
+    gains += marks("sensor_gain_beside_offset", "gain beside the offset below", hollow=True)
+    if not gains:
         return None
-    nm, gain, low, high = marks["sensor_gain"].columns.values()
+    nm, gain, low, high = gains[0].columns.values()
     far = int(np.argmax(np.abs(gain - 1.0)))
     title = "Gain and offset of the sensor that would explain the radiance of all subjects"
     alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
     alt += f"{nm[far]:.0f} nm."
-    offset = [marks.pop("sensor_offset")] if "sensor_offset" in marks else []
-    parts = [Part(Axis("measured / predicted radiance"), tuple(marks.values()), (("y", 1.0),))]
-    parts += [Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)) for mark in offset]
+    parts = [Part(Axis("measured / predicted radiance"), tuple(gains), (("y", 1.0),))]
+    for mark in marks("sensor_offset", "offset beside that gain", hollow=True):
+        parts.append(Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)))
     return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
 
 
