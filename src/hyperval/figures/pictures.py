@@ -9,7 +9,6 @@ import functools
 import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
 from itertools import cycle
 from typing import Any
 
@@ -70,7 +69,7 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
     view, limits = shown_window(scores.shape, outlines), _score_limits(score_map)
     values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
     colours = [int(tone[at : at + 2], 16) for tone in tones(VIRIDIS, _TONES) for at in (1, 3, 5)]
-    canvas = partial(_Canvas, colours=colours, view=view, block=block, simulated=simulated)
+    canvas = functools.partial(_Canvas, colours=colours, view=view, block=block, simulated=simulated)
     named = f"{len(outlines)} objects" if len(outlines) > _MOST_NUMBERED else ", ".join(outlines)
     outlined = f"; outlined: {named or 'nothing'}."
     note = _cut(scores.shape, view)

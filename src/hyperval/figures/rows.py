@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -128,6 +128,12 @@ def row_label(row: Result, *, several: bool = False) -> str:
     return ", ".join(word for word in (subject, unseen, region, _words(row) if several else "") if word) or _words(row)
 
 
+def outcome_words(rows: Iterable[Result]) -> str:
+    """Number of rows by outcome: "3 met, 1 not met, 40 without a range"."""
+    count = Counter(row.outcome for row in rows)
+    return ", ".join(f"{count[key]} {said.word}" for key, said in OUTCOMES.items() if count[key]) or "no rows"
+
+
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     """Criteria as effects: a plot for each product and unit, the worst first; what is alike is folded into one row."""
     every = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
@@ -168,10 +174,8 @@ def _part(own: Sequence[Result], most: int) -> Part:
     notes = [effect_text(row) for row in own[:most]]
     rest, first = own[most:], own[0]
     if rest:
-        counts = Counter(OUTCOMES[row.outcome].word for row in rest)
-        names.append(
-            f"{len(rest)} more, {', '.join(counts if len(counts) == 1 else (f'{n} {w}' for w, n in counts.items()))}"
-        )
+        alike = len({row.outcome for row in rest}) == 1
+        names.append(f"{len(rest)} more, {OUTCOMES[rest[0].outcome].word if alike else outcome_words(rest)}")
         values = [row.effect for row in rest if math.isfinite(row.effect)]
         notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
     low, high = _ends(own, False)
@@ -197,7 +201,7 @@ def _ends(rows: Sequence[Result], log: bool) -> tuple[float, float]:
     values = [getattr(row, name) for row in rows for name in names]
     values = [v for v in values if math.isfinite(v) and (v > 0 or not log)] or [0.1 if log else 0.0, 1.0]
     low, high = min(values), max(values)
-    if rows and rows[0].effect_unit == _P_VALUE:
+    if rows[0].effect_unit == _P_VALUE:
         return max(0.5 * low, 0.5 * _LEAST_P), 1.0
     if log:
         return low / 1.15, max(high, low * 1.1) * 1.15
@@ -232,8 +236,9 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
 
 def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
     """Share of each campaign's acceptance criteria by outcome, the worst campaigns first; None without any criteria."""
-    counts = {name: Counter(row.outcome for row in rows if row.gates and row.evidence is Evidence.MODEL)
-              for name, rows in tables.items()}  # fmt: skip
+    criteria = {name: [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
+                for name, rows in tables.items()}  # fmt: skip
+    counts = {name: Counter(row.outcome for row in rows) for name, rows in criteria.items()}
     names = [name for name, own in counts.items() if own.total() > own[Outcome.SKIPPED]]
     if not names:
         return None
@@ -245,8 +250,7 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
             edges = {"left": start, "right": start + share, "bottom": y - 0.3, "top": y + 0.3}
             marks.append(Mark("bars", edges, look["label"], look["colour"], alpha=1.0))
             start = start + share
-    notes = tuple(", ".join(f"{counts[name][o]} {OUTCOMES[o].word}" for o in WORST_FIRST if counts[name][o])
-                  for name in names)  # fmt: skip
+    notes = tuple(outcome_words(criteria[name]) for name in names)
     words = "; ".join(f"{name}: {note}" for name, note in zip(names, notes, strict=True))
     return of_rows(
         "campaigns", "criteria", "Acceptance criteria of the model by campaign, the worst first",

@@ -22,12 +22,12 @@ import jinja2
 import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
-from hyperval.figures.rows import campaigns_figure, criteria_figure
+from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
 from hyperval.figures.spec import Drawing, Figure, statement
 from hyperval.metrics import Evidence, explained
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.report.verdict import outcome_words, worst
+from hyperval.report.verdict import worst
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.errors import refuse
-from hyperval.figures import Figure, data_uri, first_figures
+from hyperval.figures import Figure, data_uri, first_figures, outcome_words
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
 from hyperval.report.html import flat, page
@@ -66,7 +66,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     return page(
         "pair.html.j2", charts,
         runs=[{"label": label, "folder": name, "screen": v.first_screen(list(run.table)),
-               "counts": v.outcome_words(run.table)} for label, run, name in labels],
+               "counts": outcome_words(run.table)} for label, run, name in labels],
         changed=changed,
         moved=whole,
         bands=len(moved) - len(whole),

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hyperval.figures.rows import criteria_of, effect_text, ranked, row_label, short_text
+from hyperval.figures.rows import criteria_of, effect_text, outcome_words, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import EVERY, OUTCOMES, WORST_FIRST, Cause, Outcome, Result
 
@@ -258,12 +258,6 @@ def gate_fails(row: Result) -> bool:
 def disagrees_without_gating(row: Result) -> bool:
     """True for a row that informs, and found a disagreement."""
     return not row.gates and row.outcome is Outcome.DISAGREES
-
-
-def outcome_words(rows: Iterable[Result]) -> str:
-    """Number of rows by outcome: "3 met, 1 not met, 40 without a range"."""
-    count = Counter(row.outcome for row in rows)
-    return ", ".join(f"{count[key]} {said.word}" for key, said in OUTCOMES.items() if count[key]) or "no rows"
 
 
 def accepted_words(rows: Iterable[Result]) -> str:

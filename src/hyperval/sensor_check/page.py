@@ -15,8 +15,8 @@ import numpy as np
 from hyperval.campaign.provenance import record_of
 from hyperval.data import Array
 from hyperval.datasets import InputLog
+from hyperval.figures import drawings_of, outcome_words
 from hyperval.figures.catalogue import roc_figure
-from hyperval.figures.print import drawings_of
 from hyperval.figures.spec import (
     SOURCES,
     WAVELENGTH,
@@ -273,7 +273,7 @@ def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: di
             words += " nothing of the instrument itself."
     return page(
         "datasheet.html.j2", figures,
-        sensor=check.sensor.specification, tone=tone, verdict=words, counts=v.outcome_words(rows), failed=failed,
+        sensor=check.sensor.specification, tone=tone, verdict=words, counts=outcome_words(rows), failed=failed,
         known=known, facts=_facts(check.sensor), numbers=listed, assumed=assumed, sections=_sections(rows, figures),
         beside=bands_beside(check.sensor), provenance=provenance, folded=_FOLDED,
     )  # fmt: skip
