@@ -12,7 +12,7 @@ import gzip
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,9 +71,9 @@ def anchor(row: Result) -> str:
 
 
 def matrix_of(
-    rows: Iterable[Result], line_of: Callable[[Result], str], link_of: Callable[[str, Sequence[Result]], str]
-) -> dict[str, Sequence[Any]] | None:
-    """Planned rows in lines by ``line_of`` and columns by product; None without any.
+    planned: Sequence[Result], line_of: Callable[[Result], str], link_of: Callable[[str, Sequence[Result]], str]
+) -> dict[str, Sequence[Any]]:
+    """Planned rows in lines by ``line_of`` and columns by product.
 
     Lines that gate come first, the worst of them first, then those that inform; each has its name, where it links to,
     and a cell for each column.
@@ -82,9 +82,6 @@ def matrix_of(
     ----------
     link_of : (line, rows of the cell) -> where the cell links to; of a whole line (line, [])
     """
-    planned = [row for row in rows if row.planned]
-    if not planned:
-        return None
     every = dict.fromkeys(row.product for row in planned)
     columns = [product for product in dict.fromkeys([*_COMPARED, *every]) if product in every]
     groups: dict[str, list[Result]] = {}
@@ -105,8 +102,8 @@ def matrix_of(
 def _matrices(run: Run, rows: Sequence[Result], *options: Callable[..., str]) -> list[tuple[str, Mapping[str, Any]]]:
     """The matrices of rows by what moves them, each with its heading, as a page of ``run`` parts them."""
     parts = _NUMBERS if run.sentence else _MATRICES
-    made = ((title, matrix_of([r for r in rows if r.evidence in kinds], *options)) for title, kinds in parts)
-    return [(title, matrix) for title, matrix in made if matrix is not None]
+    planned = ((title, [r for r in rows if r.planned and r.evidence in kinds]) for title, kinds in parts)
+    return [(title, matrix_of(own, *options)) for title, own in planned if own]
 
 
 def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
