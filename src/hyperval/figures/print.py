@@ -217,8 +217,8 @@ def _mark(axes: Axes, mark: Mark) -> None:
             fill = {"color": own["cmap"](own["norm"](columns["value"]))}
             axes.grid(visible=False)
         axes.bar(left, top - bottom, right - left, bottom, align="edge", linewidth=0, **fill)
-        x, y = (left if mark.beside == "left" else right), 0.5 * (bottom + top)
-        x = 0.5 * (left + right) if mark.beside == "centre" else x
+        x = {"left": left, "centre": 0.5 * (left + right)}.get(mark.beside, right)
+        y = 0.5 * (bottom + top)
     if mark.beside:
         _words(axes, mark, x, y)
 

@@ -200,11 +200,6 @@ class Figure:
         """Title and legend."""
         return self.title + (f". {self.legend[0].upper()}{self.legend[1:]}" if self.legend else "")
 
-    @property
-    def summary(self) -> str:
-        """The first words of its caption, for the line that unfolds it."""
-        return self.title.partition(". ")[0]
-
     def marks(self) -> Iterator[Mark]:
         """Every mark of every view."""
         for view in self.views:
@@ -237,11 +232,6 @@ class Drawing:
     def file_name(self) -> str:
         """Name of the file in ``figures/``."""
         return f"{self.name}.{self.kind}"
-
-    @property
-    def source(self) -> str:
-        """The figure as a data URI, for a page that holds it."""
-        return data_uri(self.content, self.kind)
 
 
 def data_uri(content: bytes, kind: str) -> str:

@@ -23,7 +23,7 @@ import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
-from hyperval.figures.spec import Drawing, Figure, statement
+from hyperval.figures.spec import Drawing, Figure, data_uri, statement
 from hyperval.metrics import Evidence, explained
 from hyperval.products import background_of
 from hyperval.report import verdict as v
@@ -374,7 +374,7 @@ def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dic
     room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
     order = {name: number for number, name in enumerate(PICTURES)}
     for drawing in sorted(drawings, key=lambda d: order.get(d.name, len(order) + d.name.startswith("score-map"))):
-        source = drawing.source
+        source = data_uri(drawing.content, drawing.kind)
         if len(source) <= room:
             room -= len(source)
             sources[drawing.name] = source
