@@ -212,7 +212,7 @@ def budget_figure(sides: Sides) -> Figure | None:
         "radiance-budget", "radiance", head,
         "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
         f"share of the variance. Sources, largest first: {', '.join(sources)}. Panels:",
-        list(panels), lambda name: (_stack(*panels[name], sources, name), name), head=head,
+        list(panels), lambda name: _stack(*panels[name], sources, name), head=head,
     )  # fmt: skip
 
 
@@ -230,8 +230,8 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
         Mark("area", {"x": w, "low": low, "high": high}, source, colour, alpha=1.0)
         for low, high, source, colour in zip(edges[:-1], edges[1:], sources, SOURCES, strict=False)
     ]
-    ends = robust_limits([edges[-1][in_windows(axis)]])
-    return single(wavelengths(axis), Axis("standard uncertainty [% of radiance]", ends=ends), marks, subject)
+    y = Axis("standard uncertainty [% of radiance]", ends=robust_limits([edges[-1][in_windows(axis)]]))
+    return single(wavelengths(axis), y, marks, subject, subject)
 
 
 def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
@@ -265,7 +265,7 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
     found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s in most}
     spreads = {s: one for s, one in found.items() if isinstance(one, Sampled)}
 
-    def view(subject: str) -> tuple[Panels, str]:
+    def view(subject: str) -> Panels:
         spread = spreads[subject]
         measured, drawn = spread.measured.eigenvalues, spread.band.eigenvalues
         mean, (low, high), number = drawn.mean(axis=0), band_limits(drawn), np.arange(1.0, measured.size + 1)
@@ -280,7 +280,7 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         words = f"{subject}: first eigenvalue predicted {mean[0]:.3g}, measured {measured[0]:.3g}; "
         words += f"{inside} of {measured.size} inside"
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
-        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name), words
+        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words)
 
     return a_view_each(
         f"{quantity}-eigenvalues", "covariance",
@@ -297,7 +297,7 @@ def _eigenvalues_alone(sides: Sides) -> Figure | None:
     make = measured_mark if sides[0] is None else predicted_mark
     known = {k: e for own in both_of(sides, "radiance") for k, e in own.items() if e.pixel_covariance is not None}
 
-    def view(subject: str) -> tuple[Panels, str]:
+    def view(subject: str) -> Panels:
         n, values = known[subject].n, _eigenvalues(known[subject])
         # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
         factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
@@ -305,7 +305,7 @@ def _eigenvalues_alone(sides: Sides) -> Figure | None:
         mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
         x, y = Axis(_EIGENVALUE, ends=(0.0, MOST_EIGENVALUES + 1.0)), Axis(_EIGENVALUES["radiance"], "log")
         words = f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
-        return single(x, y, [mark], subject), words
+        return single(x, y, [mark], subject, words)
 
     return a_view_each(
         "radiance-eigenvalues", "covariance",
@@ -331,7 +331,7 @@ def tail_figure(sides: Sides) -> Figure | None:
     """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
     predicted, measured = both_of(sides, "distribution")
 
-    def view(subject: str) -> tuple[Panels, str]:
+    def view(subject: str) -> Panels:
         law, stated = measured[subject], predicted.get(subject)
         n, dimension, distance = law.n or 1, law.leading_dimension, np.sqrt(law.distance)
         low, high = clopper_pearson(law.exceedance * n, np.full(distance.size, n))
@@ -348,7 +348,7 @@ def tail_figure(sides: Sides) -> Figure | None:
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
         y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
         name = f"{subject}: {dimension} components, n = {count_text(n)}"
-        return single(x, y, marks, name), f"{subject}: {_dof(law.leading_tail_dof)} measured{told}"
+        return single(x, y, marks, name, f"{subject}: {_dof(law.leading_tail_dof)} measured{told}")
 
     known = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
     return a_view_each(
@@ -410,17 +410,14 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in drawn}
     # Two decades past what the background can resolve are enough.
     seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
-    views, words = [], []
+    views = []
     for kind in kinds:
         # Of too many those with the most targets, pools of targets among them.
         own = [key for key in drawn if key[1:] == kind]
         chosen = sorted(own, key=lambda key: -counts[key])[: MOST_CURVES // len(kinds) or 1]
         keys = [key for key in own if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
-        for key in keys:
-            curves = [own.get(key) for own in both]
-            views.append(_roc_view(key, curves, max(lowest, seen), names))
-            words.append(f"{', '.join(key)}: {_roc_words(curves, names) or 'no points'}.")
+        views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
     if not views:
         return None
     head = f"ROC: {names[0]}" + (f" (dashed) and {names[1]}" if measured else "")
@@ -428,7 +425,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     return Figure(
         "roc", "roc", head + left_out(len(views), len({*both[0], *measured})),
         f"Probability of detection against probability of false alarm (logarithmic), {names[0]} (dashed) and "
-        f"{names[1]}, with 95 % intervals. {' '.join(words)}",
+        f"{names[1]}, with 95 % intervals. {' '.join(view.words for view in views)}",
         tuple(views), head=head, together="first",
     )  # fmt: skip
 
@@ -447,7 +444,9 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
         if background is not None:
             note.append(f"{count_text(background)} background px")
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
-    return Panels(Axis(_PFA, "log", ends=(low, 1.0)), (part,), key[0], f"{key[1]}, by {key[2]}", ", ".join(note))
+    x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
+    words = f"{', '.join(key)}: {_roc_words(curves, names) or 'no points'}."
+    return Panels(x, (part,), key[0], tab, ", ".join(note), words)
 
 
 def _roc_words(curves: Sequence[RocCurve | None], names: tuple[str, str]) -> str:
@@ -480,7 +479,7 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
     predicted, measured = both_of(sides, "roc")
     rules: Rules = (("y", 0.0),) if margin is None else (("y", 0.0), ("y", -margin), ("y", margin))
 
-    def view(key: Key) -> tuple[Panels, str]:
+    def view(key: Key) -> Panels:
         columns = _difference_columns(predicted[key], measured[key])
         x, *limits = columns.values()
         at = int(np.argmin(np.abs(np.log(x) - math.log(1e-2))))
@@ -488,7 +487,7 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
         across, up = Axis(_PFA, "log", ends=(float(x[0]), float(x[-1]))), Axis("difference of P_D", ends=(-1.05, 1.05))
         d, low, high = (y[at] for y in limits)
         words = f"{', '.join(key)}: {d:+.2f} ({low:+.2f} to {high:+.2f}) at P_FA {x[at]:.1e}"
-        return single(across, up, [line], f"{key[0]}, {key[1]}, by {key[2]}", rules=rules), words
+        return single(across, up, [line], f"{key[0]}, {key[1]}, by {key[2]}", words, rules=rules)
 
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
@@ -517,7 +516,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     """Share of background pixels above a score, predicted and measured, on a logarithmic axis."""
     predicted, measured = both_of(sides, "exceedance")
 
-    def view(key: tuple[str, str]) -> tuple[Panels, str]:
+    def view(key: tuple[str, str]) -> Panels:
         law, found, floor, span, words = predicted[key], measured.get(key), 1e-6, None, " ".join(key)
         columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
         marks = [predicted_mark("line", _thinned(columns))]
@@ -532,7 +531,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             model = float(np.exp(np.interp(x[at], law.threshold, np.log(law.probability))))
             words += f": at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
-        return single(Axis("score", ends=span), y, marks, ", ".join(key)), words
+        return single(Axis("score", ends=span), y, marks, ", ".join(key), words)
 
     legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
     return a_view_each(
@@ -590,7 +589,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
     """Areas by unmixing against the nominal ones, and the root mean square error by size, by method."""
     both = [{k: a for k, a in own.items() if a.nominal_m2} for own in both_of(sides, "abundance")]
 
-    def view(method: str) -> tuple[Panels, str]:
+    def view(method: str) -> Panels:
         place = _places({key: area.nominal_m2 for key, area in both[1].items() if key[1] == method})
         sizes, words = np.array(sorted({both[1][key].nominal_m2 for key in place})), []
         above, below = list[Mark](), list[Mark]()
@@ -613,7 +612,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
         below.append(Mark("line", {"x": sizes, "y": sizes}, "as large as the target"))
         parts = Part(ratio, tuple(above), (("y", 1.0),)), Part(Axis("rms error [m²]", "log"), tuple(below))
         x = Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8))
-        return Panels(x, parts, method), "; ".join(words)
+        return Panels(x, parts, method, words="; ".join(words))
 
     return a_view_each(
         "unmixing-areas", "abundance", "Target areas by unmixing against nominal areas, and their error by size",
@@ -656,7 +655,7 @@ def transform_figure(sides: Sides) -> Figure | None:
     for (_, detector), draws, measured in _objects(sides):
         by_detector.setdefault(detector, []).append(probability_integral_transform(measured, draws))
 
-    def view(detector: str) -> tuple[Panels, str]:
+    def view(detector: str) -> Panels:
         u = np.sort(np.concatenate(by_detector[detector]))
         n, rank = u.size, np.arange(1, u.size + 1)
         at = (rank - 0.5) / n
@@ -668,7 +667,7 @@ def transform_figure(sides: Sides) -> Figure | None:
         )
         x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("probability of a lower score", "transform value"))
         words = f"{detector}: {n} objects, {np.mean(central(u)):.0%} in the central 95 %"
-        return single(x, y, marks, detector), words
+        return single(x, y, marks, detector, words)
 
     return a_view_each(
         "object-transforms", "scores",
@@ -700,7 +699,7 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     )  # fmt: skip
 
 
-def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> tuple[Panels, str] | None:
+def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
     predicted, observed = both_of(sides, "object_scores")
     found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
     for key, scores in observed.items():
@@ -723,9 +722,9 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> tuple[Panels, 
     dots = Mark("dots", columns, marker="circle", words=said, scale=scale, linked=True)
     lines, samples = (float(n) for n in np.shape(score_map.values))
     place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
-    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), (place, _scores_of_all(measured, laws, said)), name), (
-        f"{name}: {len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
-    )
+    parts = place, _scores_of_all(measured, laws, said)
+    words = f"{len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
+    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=f"{name}: {words}")
 
 
 def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], said: tuple[str, ...]) -> Part:
@@ -756,7 +755,7 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
     dashed.
     """
 
-    def view(detector: str) -> tuple[Panels, str]:
+    def view(detector: str) -> Panels:
         curves = [
             (label, number, subject, *density_of(score))
             for number, (label, side) in enumerate(sides)
@@ -773,7 +772,7 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
             for label, number, subject, x, y in curves
         )  # fmt: skip
         y = Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top))
-        return single(Axis(f"score of {detector}"), y, marks, detector), f"{detector}: {', '.join(subjects)}"
+        return single(Axis(f"score of {detector}"), y, marks, detector, f"{detector}: {', '.join(subjects)}")
 
     return a_view_each(
         "densities", "scores", "Scores: probability density of each population and of the background",

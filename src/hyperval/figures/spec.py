@@ -139,13 +139,20 @@ class Part:
 
 @dataclass(frozen=True)
 class Panels:
-    """The plots of one subject, of one of several tabs where the figure has these; ``note``: what it rests on."""
+    """The plots of one subject, of one of several tabs where the figure has these.
+
+    Attributes
+    ----------
+    note : what it rests on
+    words : its numbers, for those who cannot see it
+    """
 
     x: Axis
     parts: tuple[Part, ...]
     subject: str = ""
     tab: str = ""
     note: str = ""
+    words: str = ""
 
     def ends(self, way: Way, part: Part | None = None) -> tuple[float, float]:
         """Ends of an axis of a part, the first: as stated, or with a margin about everything drawn along it."""
@@ -311,9 +318,9 @@ def by_kind(mark: Mark, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, A
     return marks
 
 
-def single(x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", *, rules: Rules = ()) -> Panels:
+def single(x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = ()) -> Panels:
     """A view of one plot."""
-    return Panels(x, (Part(y, tuple(marks), rules),), subject)
+    return Panels(x, (Part(y, tuple(marks), rules),), subject, words=words)
 
 
 def tones(palette: Sequence[str], count: int) -> list[str]:
@@ -357,15 +364,15 @@ def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, floa
 
 def a_view_each(
     name: str, section: str, title: str, alt: str, items: Sequence[Any],
-    view: Callable[[Any], tuple[Panels, str]], where: str = "products.nc", **more: Any,
+    view: Callable[[Any], Panels], where: str = "products.nc", **more: Any,
 ) -> Figure | None:  # fmt: skip
     """A figure with a view for each of the first items and the numbers of each in words; None without any."""
     made = [view(item) for item in items[:MAX_PANELS]]
     if not made:
         return None
     title += left_out(len(made), len(items), where)
-    words = "; ".join(text for _, text in made if text)
-    return Figure(name, section, title, f"{alt} {words}.", tuple(one for one, _ in made), **more)
+    words = "; ".join(one.words for one in made if one.words)
+    return Figure(name, section, title, f"{alt} {words}.", tuple(made), **more)
 
 
 def of_rows(
