@@ -241,9 +241,14 @@ class Drawing:
         return f"{self.name}.{self.kind}"
 
 
+def base64_of(content: bytes) -> str:
+    """Bytes as text."""
+    return base64.b64encode(content).decode("ascii")
+
+
 def data_uri(content: bytes, kind: str) -> str:
     """An image of a kind as a data URI."""
-    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64.b64encode(content).decode('ascii')}"
+    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
 
 
 def statement(figure: Figure) -> str:
@@ -254,7 +259,7 @@ def statement(figure: Figure) -> str:
     columns: dict[str, int] = {}
 
     def place(values: Any) -> int:
-        text = base64.b64encode(np.atleast_1d(np.asarray(values, "<f4")).tobytes()).decode("ascii")
+        text = base64_of(np.atleast_1d(np.asarray(values, "<f4")).tobytes())
         return columns.setdefault(text, len(columns))
 
     def said(what: Any, **more: Any) -> dict[str, Any]:

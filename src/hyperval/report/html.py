@@ -5,7 +5,6 @@ The first screen: product by subject, or product by campaign, each cell with its
 
 from __future__ import annotations
 
-import base64
 import datetime
 import functools
 import gzip
@@ -23,11 +22,10 @@ import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
-from hyperval.figures.spec import Drawing, Figure, data_uri, statement
+from hyperval.figures.spec import Drawing, Figure, base64_of, data_uri, statement
 from hyperval.metrics import Evidence, explained
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.report.verdict import worst
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
@@ -48,21 +46,17 @@ def script(place: tuple[str, ...]) -> bytes:
     return installed_file(*place).read_bytes()
 
 
-def _text_of(content: bytes) -> str:
-    return base64.b64encode(content).decode("ascii")
-
-
 @functools.cache
 def packed_library() -> tuple[str, ...]:
     """The library's scripts as base64 of gzip: 0.6 MB in place of 1.4 leave the figures room."""
-    return tuple(_text_of(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
+    return tuple(base64_of(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
 
 
 @functools.cache
 def page_hashes(figures: bool = True) -> str:
     """The scripts of a page, with figures or without, as sources of its policy: these texts, and no other, may run."""
     places = (*LIBRARY, CHARTS, _EVERY_PAGE) if figures else (_EVERY_PAGE,)
-    return " ".join(f"'sha256-{_text_of(hashlib.sha256(script(place)).digest())}'" for place in places)
+    return " ".join(f"'sha256-{base64_of(hashlib.sha256(script(place)).digest())}'" for place in places)
 
 
 def anchor(row: Result) -> str:
@@ -90,7 +84,7 @@ def matrix_of(
 
     def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
         gates = [row for row in item[1] if row.gates]
-        return not gates, WORST_FIRST.index(worst(gates or item[1]))
+        return not gates, WORST_FIRST.index(v.worst(gates or item[1]))
 
     lines = []
     for name, own in sorted(groups.items(), key=rank):
@@ -115,11 +109,11 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     if not rows:
         return {"outcome": Outcome.NONE, "letter": "", "words": "not planned", "link": ""}
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
-    outcome = worst(gates or rows)
+    outcome = v.worst(gates or rows)
     letter = OUTCOMES[outcome].letter if gates else OUTCOMES[outcome].letter.lower()
     parts = [f"criteria: {outcome_words(gates)}"] if gates else []
     informing = [row for row in rows if not row.gates and row.outcome is not Outcome.ERROR]
-    if gates and outcome is not Outcome.DISAGREES and worst(informing) is Outcome.DISAGREES:
+    if gates and outcome is not Outcome.DISAGREES and v.worst(informing) is Outcome.DISAGREES:
         letter += f" {OUTCOMES[Outcome.DISAGREES].letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
     return {"outcome": outcome, "letter": letter, "words": "; ".join(parts), "link": link}

@@ -298,7 +298,7 @@ def value_text(row: Result) -> str:
         if row.value < 1e-300:  # which the computer cannot tell from 0
             return "< 1e−300"
         return "> 0.999" if row.value > 0.999 else f"{row.value:.2g}".replace("-", "−")
-    text = number_text(row.value, _half_width(row))
+    text = number_text(row.value, (row.upper - row.lower) / 2)
     return text if row.unit in ("1", "") or math.isnan(row.value) else f"{text} {row.unit}"
 
 
@@ -306,7 +306,7 @@ def interval_text(row: Result) -> str:
     """The interval of a row, empty when it has none."""
     if math.isnan(row.lower) and math.isnan(row.upper):
         return ""
-    spread = _half_width(row)
+    spread = (row.upper - row.lower) / 2
     return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"
 
 
@@ -318,10 +318,6 @@ def limits_text(row: Result) -> str:
     if math.isnan(low):
         return f"≤ {number_text(high)}"
     return f"≥ {number_text(low)}" if math.isnan(high) else f"{number_text(low)} to {number_text(high)}"
-
-
-def _half_width(row: Result) -> float:
-    return (row.upper - row.lower) / 2
 
 
 def _named(rows: Sequence[Result]) -> str:
