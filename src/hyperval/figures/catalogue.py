@@ -756,13 +756,10 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
     """
 
     def view(detector: str) -> Panels:
-        curves = [
-            (label, number, subject, *density_of(score))
-            for number, (label, side) in enumerate(sides)
-            for subject, score in [(s, v) for (s, d), v in side.scores.items() if d == detector and v.sd > 0][
-                :_MOST_POPULATIONS
-            ]
-        ]
+        curves = []
+        for number, (label, side) in enumerate(sides):
+            own = [(subject, one) for (subject, by), one in side.scores.items() if by == detector and one.sd > 0]
+            curves += [(label, number, subject, *density_of(one)) for subject, one in own[:_MOST_POPULATIONS]]
         subjects = list(dict.fromkeys(subject for _, _, subject, *_ in curves))
         top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
         marks = tuple(

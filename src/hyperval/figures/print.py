@@ -202,9 +202,8 @@ def _mark(axes: Axes, mark: Mark) -> None:
     if mark.marker:
         ticks = mark.marker == "tick"
         size = columns.get("size", np.full(x.shape, 9.0 if ticks else 5.0))
-        fill: Any = (
-            {"color": colour} if ticks else {"facecolors": "none" if mark.hollow else colour, "edgecolors": colour}
-        )
+        inside = "none" if mark.hollow else colour
+        fill: Any = {"color": colour} if ticks else {"facecolors": inside, "edgecolors": colour}
         if mark.scale is not None:
             fill = {"c": columns["value"], "edgecolors": GREY, **_colours(axes, mark.scale)}
         shape = "_" if ticks and mark.along == "y" else _MARKERS[mark.marker]

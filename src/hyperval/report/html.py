@@ -316,13 +316,13 @@ def _generated() -> str | None:
     return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def _undone(rows: Sequence[Result]) -> list[tuple[Outcome, str, str, list[str]]]:
+def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]:
     """Planned rows that were not made, those of one outcome, product and cause together with their names."""
     groups: dict[tuple[Outcome, str, str], list[str]] = {}
     for row in rows:
         if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
             groups.setdefault((row.outcome, row.product, row.reason or str(row.cause)), []).append(row_name(row))
-    return [(*key, names) for key, names in groups.items()]
+    return groups
 
 
 def _subject_text(text: str) -> str:
@@ -378,9 +378,8 @@ def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dic
 def flat(value: Any, at: str = "") -> dict[str, str]:
     """What a record says as text, nested keys joined by dots; lists of records by their references."""
     if isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
-        value = {
-            str(item.get("reference", n) if isinstance(item, Mapping) else n): item for n, item in enumerate(value)
-        }
+        names = (item.get("reference", n) if isinstance(item, Mapping) else n for n, item in enumerate(value))
+        value = dict(zip(map(str, names), value, strict=True))
     if isinstance(value, Mapping):
         return {k: text for key, item in value.items() for k, text in flat(item, f"{at}.{key}".strip(".")).items()}
     return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}

@@ -55,9 +55,8 @@ def difference_table(pairs: Sequence[Pair]) -> ResultTable:
 
 def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     """The page: both verdicts, verdicts that changed, what moved most, provenance that differs, figures."""
-    changed = sorted(
-        (p for p in pairs if p.verdict_changed), key=lambda p: WORST_FIRST.index((p.b or p.either).outcome)
-    )
+    changed = [p for p in pairs if p.verdict_changed]
+    changed.sort(key=lambda p: WORST_FIRST.index((p.b or p.either).outcome))
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     charts = _charts(a, b) if moved or changed else []

@@ -122,11 +122,8 @@ def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome
 
 def _reason(rows: Sequence[Result], subject: str) -> str:
     """What explains the differences: what the attribution concludes of all residuals, or else of one subject."""
-    told = {
-        row.subject: row.reason
-        for row in rows
-        if row.product == "attribution" and row.metric == "reduced_chi_square" and row.method == "every input"
-    }
+    concludes = "attribution", "reduced_chi_square", "every input"
+    told = {row.subject: row.reason for row in rows if (row.product, row.metric, row.method) == concludes}
     words, since = told.get("all") or told.get(subject, ""), told.get(SINCE, "")
     if since.startswith(("check", "none")):
         words = f"{since}, since the accepted run"
