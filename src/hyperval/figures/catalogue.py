@@ -506,10 +506,8 @@ def _difference_columns(predicted: RocCurve, measured: RocCurve) -> dict[str, Ar
         low = max(low, 3.0 / measured.n_background)
     x = np.geomspace(low, min(float(predicted.pfa[-1]), float(measured.pfa[-1])), 120)
     (_, (p, p_low, p_high)), (_, (o, o_low, o_high)) = (_detection(curve, x) for curve in (predicted, measured))
-    return {
-        "x": x, "y": p - o, "low": p - o - np.hypot(p - p_low, o_high - o),
-        "high": p - o + np.hypot(p_high - p, o - o_low),
-    }  # fmt: skip
+    d = p - o
+    return {"x": x, "y": d, "low": d - np.hypot(p - p_low, o_high - o), "high": d + np.hypot(p_high - p, o - o_low)}
 
 
 def exceedance_figure(sides: Sides) -> Figure | None:

@@ -161,10 +161,8 @@ class _Canvas:
         return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)
 
     def _at(self, sample: Any, line: Any) -> tuple[Any, Any]:
-        return (
-            _LEFT + (sample - self._view[1].start) * self._per_pixel,
-            _TOP + (line - self._view[0].start) * self._per_pixel,
-        )
+        lines, samples = self._view
+        return _LEFT + (sample - samples.start) * self._per_pixel, _TOP + (line - lines.start) * self._per_pixel
 
     def _axes(self) -> None:
         right, bottom = self._end

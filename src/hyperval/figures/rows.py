@@ -154,13 +154,11 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, nothing), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
-    words = "; ".join(
-        f"{row.product} {row_label(row)}: {OUTCOMES[row.outcome].word}, {effect_text(row)}" for row in every
-    )
+    words = (f"{row.product} {row_label(row)}: {OUTCOMES[row.outcome].word}, {effect_text(row)}" for row in every)
     kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
     return Figure(
         "criteria", "criteria", f"{kind} as effects with their 95 % intervals, the worst first",
-        f"{kind} as effects in units of the field. {words}.", (Panels(Axis(), tuple(parts)),),
+        f"{kind} as effects in units of the field. {'; '.join(words)}.", (Panels(Axis(), tuple(parts)),),
     )  # fmt: skip
 
 
