@@ -92,7 +92,7 @@ class SidesPlot:
             known = ", ".join(every["product"].unique())
             raise UsageError(f"nothing to draw: no {product}", expected=f"one of {known}" if known else None)
         columns = {"x": "band_nm", "y": "value", "half": "half"}
-        return _drawn(single(Axis(WAVELENGTH), PRODUCT_LABELS[product][0], _lines(own, ["subject"], columns)), ax)
+        return _drawn(single(Axis(WAVELENGTH), Axis(PRODUCT_LABELS[product][0]), _lines(own, ["subject"], columns)), ax)
 
     def roc(self, ax: Axes | None = None) -> Axes:
         """Every ROC curve, false alarms on a logarithmic scale.
@@ -103,8 +103,8 @@ class SidesPlot:
         """
         refuse(self.tables.roc.empty, "api.no_curve")
         marks = _lines(self.tables.roc, ["subject", "detector", "unit"], {"x": "pfa", "y": "pd"})
-        axis = Axis("probability of false alarm", "log")
-        return _drawn(single(axis, "probability of detection", marks, ends=(0.0, 1.0)), ax)
+        x, y = Axis("probability of false alarm", "log"), Axis("probability of detection", ends=(0.0, 1.0))
+        return _drawn(single(x, y, marks), ax)
 
 
 def _lines(frame: pandas.DataFrame, names: list[str], columns: Mapping[str, str]) -> list[Mark]:

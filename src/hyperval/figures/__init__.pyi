@@ -7,11 +7,12 @@ from .catalogue import (
     first_figures,
     further_figures,
     many_objects_figure,
+    reason_figures,
     spectra_figure,
 )
 from .pictures import draw_pictures
 from .print import canvas_of, drawings_of, house_style
-from .rows import campaigns_figure, criteria_figure, reason_figures
+from .rows import campaigns_figure, criteria_figure, outcome_words
 from .spec import (
     Axis,
     ColourScale,
@@ -20,12 +21,13 @@ from .spec import (
     Mark,
     Panels,
     Part,
+    data_uri,
     statement,
 )
 
 __all__ = [
     "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part",
-    "campaigns_figure", "canvas_of", "criteria_figure",
+    "campaigns_figure", "canvas_of", "criteria_figure", "data_uri",
     "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure", "first_figures", "further_figures",
-    "house_style", "many_objects_figure", "reason_figures", "spectra_figure", "statement",
+    "house_style", "many_objects_figure", "outcome_words", "reason_figures", "spectra_figure", "statement",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Figures of what the sides of a run hold: spectra, their uncertainty and spread, detection, areas; all in order."""
+"""Figures of a run: spectra, their uncertainty and spread, detection, areas, and the reasons; all in order."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import betaincinv
 
-from hyperval.compare.covariance import MOST_EIGENVALUES, sampled
+from hyperval.compare.covariance import MOST_EIGENVALUES, Sampled, sampled
 from hyperval.compare.detection import central, probability_integral_transform
 from hyperval.compare.products import SPREAD
-from hyperval.data import Array
-from hyperval.figures.rows import reason_figures
+from hyperval.data import Array, Mask
+from hyperval.figures.rows import MET, NOT_MET
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
-    GREY,
     MAX_PANELS,
-    MOST_ROWS,
     PREDICTED,
-    SIDES,
     SOURCES,
     WAVELENGTH,
     Axis,
@@ -30,29 +28,28 @@ from hyperval.figures.spec import (
     Mark,
     Panels,
     Part,
-    Sides,
-    a_row_each,
+    Rules,
     a_view_each,
-    both_first,
-    both_sides,
-    count_text,
-    drawn_of,
-    in_windows,
+    by_kind,
     left_out,
     measured_mark,
-    of_side,
+    of_rows,
     predicted_mark,
     robust_limits,
+    row_names,
     single,
 )
 from hyperval.model import Z95, detection_at
 from hyperval.model.intervals import clopper_pearson, difference_ratio, difference_ratio_uncertainty
 from hyperval.pixels import band_limits, exceedance_of_distance
-from hyperval.products import ClassificationError, ObjectScores, Products, RocCurve, ScoreDistribution, SpectralEstimate
-from hyperval.results import WORST_FIRST, Result, ResultTable
+from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
+from hyperval.results import WORST_FIRST, Cause, Result, ResultTable
 from hyperval.run import ScoreMap
-from hyperval.spectra.axis import SpectralAxis
+from hyperval.spectra.axis import SpectralAxis, in_window
 
+Sides = tuple[Products | None, Products | None]
+SIDES = ("predicted", "measured")
+Entry = tuple[float, float, float, str]  # a value of a side with the limits of its interval, and what is said of it
 # Of a product: its axis, its title, and whether its difference is a ratio.
 SPECTRA = {
     "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
@@ -61,8 +58,66 @@ SPECTRA = {
     "reflectance": ("reflectance", "Reflectance", False),
 }
 MOST_SUBJECTS = 24
+_MOST_ROWS = 40
 _MOST_SOURCES = 7
 _REST = "other sources"
+
+
+def both_of(sides: Sides, product: str) -> list[Mapping[Any, Any]]:
+    """A product of both sides, empty where a side is absent."""
+    return [{} if side is None else getattr(side, product) for side in sides]
+
+
+def both_first(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[Any]:
+    """Keys of either side: those of both sides before those of one."""
+    return list(dict.fromkeys([*(key for key in predicted if key in measured), *predicted, *measured]))
+
+
+def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[Any], bool]:
+    """A product of both sides, the keys that are drawn, and whether both sides hold these.
+
+    Where anything can be compared, what only one side holds is left to products.nc.
+    """
+    both = both_of(sides, product)
+    pairs = [key for key in both[0] if key in both[1]]
+    return both, pairs or both_first(*both), bool(pairs)
+
+
+def in_windows(axis: SpectralAxis) -> Mask:
+    """Bands in the windows of the atmosphere; all, where none is."""
+    keep = in_window(axis.centre_nm)
+    return keep if keep.any() else np.ones(keep.shape, bool)
+
+
+def count_text(n: int) -> str:
+    """A whole number with its thousands apart."""
+    return f"{n:,}".replace(",", "\u202f")
+
+
+def a_row_each(
+    name: str, section: str, title: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Entry]], x: Axis, *,
+    under: Sequence[Mark] = (), rules: tuple[float, ...] = (), legend: str = "",
+) -> Figure | None:  # fmt: skip
+    """A figure with a row for each of the first keys: dots of the sides that have it, a part of a row apart."""
+    shown = keys[:_MOST_ROWS]
+    if not shown:
+        return None
+    marks, looks = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
+    for own, (make, marker, shift) in zip(both, looks, strict=True):
+        here = [(i + shift, key) for i, key in enumerate(shown) if key in own]
+        if here:
+            numbers = np.array([(y, *own[key][:3]) for y, key in here]).T
+            columns = dict(zip(("y", "x", "low", "high"), numbers, strict=True))
+            words = tuple(f"{', '.join(key)}: {own[key][3]}" for _, key in here)
+            marks.append(make("dots", columns, marker=marker, words=words, along="x"))
+    told = "; ".join(
+        f"{', '.join(key)}: "
+        + ", ".join(f"{side} {own[key][3]}" for side, own in zip(SIDES, both, strict=True) if key in own)
+        for key in shown
+    )
+    title += left_out(len(shown), len(keys))
+    y = row_names([", ".join(key) for key in shown])
+    return of_rows(name, section, title, f"{title}: {told}.", x, y, marks, legend, rules)
 
 
 def wavelengths(axis: SpectralAxis) -> Axis:
@@ -87,10 +142,8 @@ def spectra_figure(
     both, drawn, paired = drawn_of(sides, product)
     if not drawn or (not paired and None not in sides):
         return None  # a comparison that has none of this product
-    worst: dict[str, int] = {}
-    for row in rows:
-        if row.planned and row.product == product:
-            worst[row.subject] = min(worst.get(row.subject, len(WORST_FIRST)), WORST_FIRST.index(row.outcome))
+    ranks = [(WORST_FIRST.index(row.outcome), row.subject) for row in rows if row.planned and row.product == product]
+    worst = {subject: rank for rank, subject in sorted(ranks, reverse=True)}
     shown = sorted(drawn, key=lambda subject: worst.get(subject, len(WORST_FIRST)))[:MOST_SUBJECTS]
     axis = next(side.axis for side, own in zip(sides, both, strict=True) if side and shown[0] in own)
     # Sides on other bands are not drawn over each other.
@@ -127,20 +180,20 @@ def _view(
     axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], gap: tuple[Array, Array] | None,
     label: str, below: str, names: tuple[str, str],
 ) -> Panels:  # fmt: skip
-    w, keep = axis.centre_nm, in_windows(axis)
-    marks, edges = [], []
+    def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
+        keep = in_windows(axis)
+        ends = robust_limits([mark.numbers[end][keep] for mark in marks for end in ("low", "high")], trim)
+        return Part(Axis(label, ends=ends), tuple(marks), rules)
+
     # Dashes on top, so that neither hides the other.
-    for estimate, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])):
-        if estimate is not None:
-            half = Z95 * estimate.standard_uncertainty
-            marks.append(make("line", {"x": w, "y": estimate.mean, "half": half}, name, linked=True))
-            edges += [(estimate.mean - half)[keep], (estimate.mean + half)[keep]]
-    parts = [Part(Axis(label, ends=robust_limits(edges)), tuple(marks))]
+    marks = [
+        make("line", {"x": axis.centre_nm, "y": e.mean, "half": Z95 * e.standard_uncertainty}, name, linked=True)
+        for e, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])) if e is not None
+    ]  # fmt: skip
+    parts = [part(label, marks, 0.5)]
     if gap is not None:
-        value, half = gap[0], Z95 * gap[1]
-        ends = robust_limits([(value - half)[keep], (value + half)[keep]], trim=3.0)
-        mark = Mark("line", {"x": w, "y": value, "half": half}, "", DIFFERENCE, linked=True)
-        parts.append(Part(Axis(below, ends=ends), (mark,), (("y", 0.0),)))
+        columns = {"x": axis.centre_nm, "y": gap[0], "half": Z95 * gap[1]}
+        parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
     return Panels(wavelengths(axis), tuple(parts), subject)
 
 
@@ -151,7 +204,7 @@ def budget_figure(sides: Sides) -> Figure | None:
         f"{subject} ({name})": (side.axis, own[subject])
         for subject in drawn
         for name, side, own in zip(SIDES, sides, estimates, strict=True)
-        if side is not None and subject in own and own[subject].budget
+        if side and subject in own and own[subject].budget
     }
     sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
     head = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
@@ -159,7 +212,7 @@ def budget_figure(sides: Sides) -> Figure | None:
         "radiance-budget", "radiance", head,
         "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
         f"share of the variance. Sources, largest first: {', '.join(sources)}. Panels:",
-        list(panels), lambda name: (_stack(*panels[name], sources, name), name), head=head,
+        list(panels), lambda name: _stack(*panels[name], sources, name), head=head,
     )  # fmt: skip
 
 
@@ -167,8 +220,7 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
     w = axis.centre_nm
     parts = np.zeros((len(sources), w.size))  # variance by source; the last may be everything without its own place
     for source, u in estimate.budget.items():
-        if source in sources or sources[-1] == _REST:
-            parts[sources.index(source) if source in sources else -1] += np.square(np.asarray(u, float))
+        parts[sources.index(source) if source in sources else -1] += np.square(np.asarray(u, float))
     with np.errstate(invalid="ignore", divide="ignore"):
         total = np.sqrt(parts.sum(axis=0))
         # Variances add, uncertainties do not: each source takes its share of the variance in the height.
@@ -178,8 +230,8 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
         Mark("area", {"x": w, "low": low, "high": high}, source, colour, alpha=1.0)
         for low, high, source, colour in zip(edges[:-1], edges[1:], sources, SOURCES, strict=False)
     ]
-    ends = robust_limits([edges[-1][in_windows(axis)]])
-    return single(wavelengths(axis), "standard uncertainty [% of radiance]", marks, subject=subject, ends=ends)
+    y = Axis("standard uncertainty [% of radiance]", ends=robust_limits([edges[-1][in_windows(axis)]]))
+    return single(wavelengths(axis), y, marks, subject, subject)
 
 
 def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
@@ -188,13 +240,13 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
     for estimate in estimates:
         squares = {s: float(np.nanmedian(np.square(u) / np.square(estimate.mean))) for s, u in estimate.budget.items()}
         total = sum(squares.values()) or 1.0
-        for source, square in squares.items():
-            weight[source] = max(weight.get(source, 0.0), square / total)
+        weight |= {source: max(weight.get(source, 0.0), square / total) for source, square in squares.items()}
     ranked = sorted(weight, key=lambda s: (-weight[s], s))
     return ranked if len(ranked) <= _MOST_SOURCES else [*ranked[: _MOST_SOURCES - 1], _REST]
 
 
 _MOST_SPREADS = 6  # subjects in each quantity; those with the most pixels
+_EIGENVALUE = "number of the eigenvalue"
 _EIGENVALUES = {"radiance": "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]", "reflectance": "eigenvalue"}
 
 
@@ -211,9 +263,9 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
     known = {s: n for s, n in known.items() if s in getattr(predicted, quantity)}
     most = sorted(known, key=lambda s: -known[s])[:_MOST_SPREADS]
     found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s in most}
-    spreads = {s: one for s, one in found.items() if one is not None and not isinstance(one, str)}
+    spreads = {s: one for s, one in found.items() if isinstance(one, Sampled)}
 
-    def view(subject: str) -> tuple[Panels, str]:
+    def view(subject: str) -> Panels:
         spread = spreads[subject]
         measured, drawn = spread.measured.eigenvalues, spread.band.eigenvalues
         mean, (low, high), number = drawn.mean(axis=0), band_limits(drawn), np.arange(1.0, measured.size + 1)
@@ -227,8 +279,8 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         inside = int(np.sum((measured >= low) & (measured <= high)))
         words = f"{subject}: first eigenvalue predicted {mean[0]:.3g}, measured {measured[0]:.3g}; "
         words += f"{inside} of {measured.size} inside"
-        x, name = _number_of_eigenvalue(measured.size), f"{subject} (n = {count_text(spread.n)})"
-        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name), words
+        x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
+        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words)
 
     return a_view_each(
         f"{quantity}-eigenvalues", "covariance",
@@ -240,24 +292,20 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
     )  # fmt: skip
 
 
-def _number_of_eigenvalue(most: int) -> Axis:
-    return Axis("number of the eigenvalue", ends=(0.0, most + 1.0))
-
-
 def _eigenvalues_alone(sides: Sides) -> Figure | None:
     """Those of the radiance of a side alone, for which no band of chance is known."""
-    side, make = (sides[1], measured_mark) if sides[0] is None else (sides[0], predicted_mark)
-    known = {k: e for k, e in of_side(side, "radiance").items() if e.pixel_covariance is not None}
+    make = measured_mark if sides[0] is None else predicted_mark
+    known = {k: e for own in both_of(sides, "radiance") for k, e in own.items() if e.pixel_covariance is not None}
 
-    def view(subject: str) -> tuple[Panels, str]:
+    def view(subject: str) -> Panels:
         n, values = known[subject].n, _eigenvalues(known[subject])
         # Large-sample variance of an eigenvalue of a normal sample covariance: 2 lambda^2 / (n - 1).
         factor = math.exp(Z95 * math.sqrt(2.0 / (n - 1))) if n is not None and n > 1 else 1.0
         columns = {"y": values, "low": values / factor, "high": values * factor}
         mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
-        x, part = _number_of_eigenvalue(MOST_EIGENVALUES), Part(Axis(_EIGENVALUES["radiance"], "log"), (mark,))
+        x, y = Axis(_EIGENVALUE, ends=(0.0, MOST_EIGENVALUES + 1.0)), Axis(_EIGENVALUES["radiance"], "log")
         words = f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
-        return Panels(x, (part,), subject), words
+        return single(x, y, [mark], subject, words)
 
     return a_view_each(
         "radiance-eigenvalues", "covariance",
@@ -281,9 +329,9 @@ def _eigenvalues(estimate: SpectralEstimate) -> Array:
 
 def tail_figure(sides: Sides) -> Figure | None:
     """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
-    predicted, measured = (of_side(side, "distribution") for side in sides)
+    predicted, measured = both_of(sides, "distribution")
 
-    def view(subject: str) -> tuple[Panels, str]:
+    def view(subject: str) -> Panels:
         law, stated = measured[subject], predicted.get(subject)
         n, dimension, distance = law.n or 1, law.leading_dimension, np.sqrt(law.distance)
         low, high = clopper_pearson(law.exceedance * n, np.full(distance.size, n))
@@ -294,13 +342,13 @@ def tail_figure(sides: Sides) -> Figure | None:
 
         marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
         marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]
-        marks.append(Mark("line", curve(math.inf), "normal law", GREY, "dotted"))
+        marks.append(Mark("line", curve(math.inf), "normal law", dash="dotted"))
         marks.append(Mark("line", curve(law.leading_tail_dof), "fitted t", DIFFERENCE, "dashdot"))
         told = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
-        part = Part(Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5)), tuple(marks))
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
+        y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
         name = f"{subject}: {dimension} components, n = {count_text(n)}"
-        return Panels(x, (part,), name), f"{subject}: {_dof(law.leading_tail_dof)} measured{told}"
+        return single(x, y, marks, name, f"{subject}: {_dof(law.leading_tail_dof)} measured{told}")
 
     known = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
     return a_view_each(
@@ -317,28 +365,27 @@ def _dof(dof: float) -> str:
 
 def class_error_figure(sides: Sides) -> Figure | None:
     """Classification error of every set of classes and features, both sides, with the bounds from distances."""
-    both = [of_side(side, "classification") for side in sides]
+    both = both_of(sides, "classification")
     keys = list(dict.fromkeys([*both[1], *both[0]]))
     # Left end of the axis: below every error that was measured or predicted, and not below a millionth.
     least = min([1e-2, *(x for own in both for e in own.values() for x in (e.error, e.lower) if x > 0)])
-    floor = max(least / 2.0, 1e-6)
+    floor, under = max(least / 2.0, 1e-6), []
+    bounded = {i: both[0][k] for i, k in enumerate(keys[:_MOST_ROWS]) if k in both[0] and both[0][k].bound_upper > 0}
+    if bounded:
+        numbers = np.array([(e.bound_lower, e.bound_upper, e.approximation) for e in bounded.values()])
+        (low, high, estimate), at = np.maximum(numbers, floor).T, np.array(list(bounded), float)
+        bars = {"left": low, "right": high, "bottom": at - 0.31, "top": at + 0.31}
+        under.append(Mark("bars", bars, "bounds from the predicted distance"))
+        under.append(Mark("dots", {"x": estimate, "y": at}, "estimate from it", marker="tick", along="x"))
 
-    def columns(own: Sequence[ClassificationError], **names: str) -> dict[str, Any]:
-        names = names or {"x": "error", "low": "lower", "high": "upper"}
-        return {name: np.maximum([getattr(e, of) for e in own], floor) for name, of in names.items()}
+    def entry(e: ClassificationError) -> Entry:
+        value, low, high = (max(x, floor) for x in (e.error, e.lower, e.upper))
+        return value, low, high, f"{e.error:.2g} ({e.lower:.1g} to {e.upper:.1g})"
 
-    bounded = {i: both[0][k] for i, k in enumerate(keys[:MOST_ROWS]) if k in both[0] and both[0][k].bound_upper > 0}
-    at, own = np.array(list(bounded), float), list(bounded.values())
-    bars = columns(own, left="bound_lower", right="bound_upper") | {"bottom": at - 0.31, "top": at + 0.31}
-    ticks = columns(own, x="approximation") | {"y": at}
-    under = [
-        Mark("bars", bars, "bounds from the predicted distance"),
-        Mark("dots", ticks, "estimate from it", marker="tick", along="x"),
-    ] if bounded else []  # fmt: skip
     return a_row_each(
-        "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys, both,
-        Axis("probability of error", "log", ends=(floor / 1.4, 1.0)), columns,
-        lambda e: f"{e.error:.2g} ({e.lower:.1g} to {e.upper:.1g})", under=under,
+        "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys,
+        [{key: entry(e) for key, e in own.items()} for own in both],
+        Axis("probability of error", "log", ends=(floor / 1.4, 1.0)), under=under,
         legend=f"bar: 95 % interval; an error below {floor:.0e} is drawn there",
     )  # fmt: skip
 
@@ -360,20 +407,17 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     both, drawn, _ = drawn_of(sides, "roc")
     measured: Mapping[Key, RocCurve] = both[1]
     kinds = dict.fromkeys(key[1:] for key in drawn)
-    views, words = [], []
+    counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in drawn}
+    # Two decades past what the background can resolve are enough.
+    seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
+    views = []
     for kind in kinds:
         # Of too many those with the most targets, pools of targets among them.
         own = [key for key in drawn if key[1:] == kind]
-        counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in own}
         chosen = sorted(own, key=lambda key: -counts[key])[: MOST_CURVES // len(kinds) or 1]
         keys = [key for key in own if key in chosen]
-        # Two decades past what the background can resolve are enough.
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
-        seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
-        for key in keys:
-            curves = [own.get(key) for own in both]
-            views.append(_roc_view(key, curves, max(lowest, seen), names))
-            words.append(f"{', '.join(key)}: {_roc_words(curves, names) or 'no points'}.")
+        views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
     if not views:
         return None
     head = f"ROC: {names[0]}" + (f" (dashed) and {names[1]}" if measured else "")
@@ -381,7 +425,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     return Figure(
         "roc", "roc", head + left_out(len(views), len({*both[0], *measured})),
         f"Probability of detection against probability of false alarm (logarithmic), {names[0]} (dashed) and "
-        f"{names[1]}, with 95 % intervals. {' '.join(words)}",
+        f"{names[1]}, with 95 % intervals. {' '.join(view.words for view in views)}",
         tuple(views), head=head, together="first",
     )  # fmt: skip
 
@@ -400,17 +444,24 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
         if background is not None:
             note.append(f"{count_text(background)} background px")
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
-    return Panels(Axis(_PFA, "log", ends=(low, 1.0)), (part,), key[0], f"{key[1]}, by {key[2]}", ", ".join(note))
+    x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
+    words = f"{', '.join(key)}: {_roc_words(curves, names) or 'no points'}."
+    return Panels(x, (part,), key[0], tab, ", ".join(note), words)
 
 
 def _roc_words(curves: Sequence[RocCurve | None], names: tuple[str, str]) -> str:
     words = []
     for name, curve in zip(names, curves, strict=True):
         if curve is not None and curve.pfa.size:
-            at = float(np.clip(1e-3, curve.pfa[0], curve.pfa[-1]))
-            pd, low, high = (detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper))
+            at, (pd, low, high) = _detection(curve, 1e-3)
             words.append(f"{name} P_D {pd:.2f} ({low:.2f} to {high:.2f}) at P_FA {at:.1e}")
     return "; ".join(words)
+
+
+def _detection(curve: RocCurve, pfa: npt.ArrayLike) -> tuple[Any, list[Any]]:
+    """P_FA within the curve, and P_D there with its limits."""
+    at = np.clip(pfa, curve.pfa[0], curve.pfa[-1])
+    return at, [detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper)]
 
 
 def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
@@ -425,18 +476,18 @@ def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
 
 def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
     """Predicted minus measured P_D against P_FA with its 95 % interval, for the curves with the most targets."""
-    predicted, measured = (of_side(side, "roc") for side in sides)
-    rules = tuple(("y", place) for place in ((0.0,) if margin is None else (0.0, -margin, margin)))
+    predicted, measured = both_of(sides, "roc")
+    rules: Rules = (("y", 0.0),) if margin is None else (("y", 0.0), ("y", -margin), ("y", margin))
 
-    def view(key: Key) -> tuple[Panels, str]:
+    def view(key: Key) -> Panels:
         columns = _difference_columns(predicted[key], measured[key])
         x, *limits = columns.values()
         at = int(np.argmin(np.abs(np.log(x) - math.log(1e-2))))
         line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
-        part = Part(Axis("difference of P_D", ends=(-1.05, 1.05)), (line,), rules)  # type: ignore[arg-type]
-        axis, (d, low, high) = Axis(_PFA, "log", ends=(float(x[0]), float(x[-1]))), (y[at] for y in limits)
+        across, up = Axis(_PFA, "log", ends=(float(x[0]), float(x[-1]))), Axis("difference of P_D", ends=(-1.05, 1.05))
+        d, low, high = (y[at] for y in limits)
         words = f"{', '.join(key)}: {d:+.2f} ({low:+.2f} to {high:+.2f}) at P_FA {x[at]:.1e}"
-        return Panels(axis, (part,), f"{key[0]}, {key[1]}, by {key[2]}"), words
+        return single(across, up, [line], f"{key[0]}, {key[1]}, by {key[2]}", words, rules=rules)
 
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
@@ -454,21 +505,16 @@ def _difference_columns(predicted: RocCurve, measured: RocCurve) -> dict[str, Ar
     if measured.n_background:
         low = max(low, 3.0 / measured.n_background)
     x = np.geomspace(low, min(float(predicted.pfa[-1]), float(measured.pfa[-1])), 120)
-    (p, p_low, p_high), (o, o_low, o_high) = (
-        [detection_at(c, np.clip(x, c.pfa[0], c.pfa[-1]), y) for y in (c.pd, c.pd_lower, c.pd_upper)]
-        for c in (predicted, measured)
-    )
-    return {
-        "x": x, "y": p - o, "low": p - o - np.hypot(p - p_low, o_high - o),
-        "high": p - o + np.hypot(p_high - p, o - o_low),
-    }  # fmt: skip
+    (_, (p, p_low, p_high)), (_, (o, o_low, o_high)) = (_detection(curve, x) for curve in (predicted, measured))
+    d = p - o
+    return {"x": x, "y": d, "low": d - np.hypot(p - p_low, o_high - o), "high": d + np.hypot(p_high - p, o - o_low)}
 
 
 def exceedance_figure(sides: Sides) -> Figure | None:
     """Share of background pixels above a score, predicted and measured, on a logarithmic axis."""
-    predicted, measured = (of_side(side, "exceedance") for side in sides)
+    predicted, measured = both_of(sides, "exceedance")
 
-    def view(key: tuple[str, str]) -> tuple[Panels, str]:
+    def view(key: tuple[str, str]) -> Panels:
         law, found, floor, span, words = predicted[key], measured.get(key), 1e-6, None, " ".join(key)
         columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
         marks = [predicted_mark("line", _thinned(columns))]
@@ -483,7 +529,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             model = float(np.exp(np.interp(x[at], law.threshold, np.log(law.probability))))
             words += f": at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
-        return Panels(Axis("score", ends=span), (Part(y, tuple(marks)),), ", ".join(key)), words
+        return single(Axis("score", ends=span), y, marks, ", ".join(key), words)
 
     legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
     return a_view_each(
@@ -503,70 +549,68 @@ def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
 
 def score_figure(sides: Sides) -> Figure | None:
     """Mean and 95 % range of each population's score."""
-    both = [of_side(side, "scores") for side in sides]
-    legend = "dot: mean; bar: mean ± 1.96 standard deviations"
-    return _value_figure("scores", "scores", "Score distributions", both, Axis("score"),
-                         ("mean", "sd"), "", (0.0, 1.0), legend)  # fmt: skip
+    both = [{key: _entry(s.mean, s.sd, s.n) for key, s in own.items()} for own in both_of(sides, "scores")]
+    return a_row_each(
+        "scores", "scores", f"Score distributions: {_there(both)}", both_first(*both), both, Axis("score"),
+        rules=(0.0, 1.0), legend="dot: mean; bar: mean ± 1.96 standard deviations",
+    )  # fmt: skip
 
 
 def abundance_figure(sides: Sides) -> Figure | None:
     """Area of each target from its abundance, where no nominal area is known."""
-    both = [{k: a for k, a in of_side(side, "abundance").items() if a.nominal_m2 is None} for side in sides]
-    areas = np.array([a.area_m2 for own in both for a in list(own.values())[:MOST_ROWS]])
+    both = [
+        {k: _entry(a.area_m2, a.standard_uncertainty, a.n, " m²") for k, a in own.items() if a.nominal_m2 is None}
+        for own in both_of(sides, "abundance")
+    ]
+    areas = np.array([area for own in both for area, *_ in list(own.values())[:_MOST_ROWS]])
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
-    return _value_figure("abundance", "abundance", "Target area from the sum of abundances", both, x,
-                         ("area_m2", "standard_uncertainty"), "m²", () if scattered else (0.0,),
-                         "bar: 95 % interval")  # fmt: skip
+    title = f"Target area from the sum of abundances: {_there(both)}"
+    return a_row_each("abundance", "abundance", title, both_first(*both), both, x,
+                      rules=() if scattered else (0.0,), legend="bar: 95 % interval")  # fmt: skip
 
 
-def _value_figure(
-    name: str, section: str, title: str, both: Sequence[Mapping[Any, Any]], x: Axis, of: tuple[str, str],
-    unit: str, rules: tuple[float, ...], legend: str,
-) -> Figure | None:  # fmt: skip
-    """A row for each key of either side: its value and its standard uncertainty, attributes of the entries."""
-    value, spread = of
+def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
+    """A value with 1.96 times its spread to either side."""
+    half, count = Z95 * spread, f", n = {count_text(n)}" if n else ""
+    reach = float(np.nan_to_num(half))
+    return value, value - reach, value + reach, f"{value:.3g} ± {half:.2g}{unit}{count}"
 
-    def words(entry: Any) -> str:
-        text = f"{getattr(entry, value):.3g} ± {Z95 * getattr(entry, spread):.2g} {unit}".rstrip()
-        return text + (f", n = {count_text(entry.n)}" if entry.n else "")
 
-    def columns(own: Sequence[Any]) -> dict[str, Any]:
-        middle, half = np.array([(getattr(e, value), Z95 * getattr(e, spread)) for e in own]).T
-        return {"x": middle, "low": middle - np.nan_to_num(half), "high": middle + np.nan_to_num(half)}
-
-    names = " and ".join(word for word, own in zip(SIDES, both, strict=True) if own)
-    return a_row_each(name, section, f"{title}: {names}", both_first(*both), both, x, columns, words,
-                      rules=rules, legend=legend)  # fmt: skip
+def _there(both: Sequence[Mapping[Any, Any]]) -> str:
+    """The sides that have anything."""
+    return " and ".join(word for word, own in zip(SIDES, both, strict=True) if own)
 
 
 def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
     """Areas by unmixing against the nominal ones, and the root mean square error by size, by method."""
-    both = [{k: a for k, a in of_side(side, "abundance").items() if a.nominal_m2} for side in sides]
+    both = [{k: a for k, a in own.items() if a.nominal_m2} for own in both_of(sides, "abundance")]
 
-    def view(method: str) -> tuple[Panels, str]:
+    def view(method: str) -> Panels:
         place = _places({key: area.nominal_m2 for key, area in both[1].items() if key[1] == method})
         sizes, words = np.array(sorted({both[1][key].nominal_m2 for key in place})), []
-        areas, errors, said = [], [], []
-        for name, own, shift in zip(("predicted", "observed"), both, (0.97, 1.03), strict=True):
+        above, below = list[Mark](), list[Mark]()
+        looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
+        for own, (make, marker, name, shift) in zip(both, looks, strict=True):
             each = {key: own[key] for key in place if key in own}
             nominal = np.array([a.nominal_m2 for a in each.values()])
             area, u = np.array([(a.area_m2, a.standard_uncertainty) for a in each.values()]).reshape(-1, 2).T
-            x = np.array([place[key] * shift for key in each])
-            areas.append({"x": x, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)})
-            said.append(tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items()))
+            places = np.array([place[key] * shift for key in each])
+            columns = {"x": places, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
+            said = tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items())
+            above.append(make("dots", columns, marker=marker, words=said))
             points = sorted((float(r.subject.removesuffix(" m2").rpartition(" ")[2]), r.value, r.lower, r.upper)
                             for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
-            errors.append(dict(zip(("x", "y", "low", "high"), np.array(points).reshape(-1, 4).T, strict=True)))
+            columns = dict(zip(("x", "y", "low", "high"), np.array(points).reshape(-1, 4).T, strict=True))
+            below.append(make("line", columns, "", marker=marker))
             told = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
             words += [f"{method}, {name.replace('observed', 'measured')}: {told}"] if told else []
         ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
-        diagonal = Mark("line", {"x": sizes, "y": sizes}, "as large as the target", GREY)
-        return Panels(Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8)), (
-            Part(ratio, tuple(both_sides("dots", areas, said)), (("y", 1.0),)),
-            Part(Axis("rms error [m²]", "log"), (*both_sides("line", errors, label=""), diagonal)),
-        ), method), "; ".join(words)  # fmt: skip
+        below.append(Mark("line", {"x": sizes, "y": sizes}, "as large as the target"))
+        parts = Part(ratio, tuple(above), (("y", 1.0),)), Part(Axis("rms error [m²]", "log"), tuple(below))
+        x = Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8))
+        return Panels(x, parts, method, words="; ".join(words))
 
     return a_view_each(
         "unmixing-areas", "abundance", "Target areas by unmixing against nominal areas, and their error by size",
@@ -578,33 +622,28 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
 
 def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
     """Where each target stands: those of one area beside each other within a quarter of a decade."""
-    groups: dict[float, list[Any]] = {}
-    for key, area in nominal.items():
-        groups.setdefault(area, []).append(key)
-    return {
-        key: area * 10**step
-        for area, keys in groups.items()
-        for key, step in zip(keys, np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,), strict=True)
-    }
+    places: dict[Any, float] = {}
+    for area in dict.fromkeys(nominal.values()):
+        keys = [key for key, own in nominal.items() if own == area]
+        steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,)
+        places |= {key: area * 10**step for key, step in zip(keys, steps, strict=True)}
+    return places
 
 
 def object_score_figure(sides: Sides) -> Figure | None:
     """Single objects: predicted median and 95 % interval of the score, and what was measured, a row each."""
-    pairs = {key: (np.quantile(p, [0.025, 0.5, 0.975]), float(m[0])) for key, p, m in _objects(sides) if m.size == 1}
-    outside = sum(not low <= m <= high for (low, _, high), m in pairs.values())
-
-    def columns(own: Sequence[Array]) -> dict[str, Array]:
-        return dict(zip(("low", "x", "high"), np.array(own).T, strict=True))
-
-    def words(numbers: Array) -> str:
-        low, middle, high = numbers
-        return f"{middle:.3g}" + (f" ({low:.3g} to {high:.3g})" if low < high else "")
-
+    predicted, measured, outside = dict[Any, Entry](), dict[Any, Entry](), 0
+    for key, draws, scores in _objects(sides):
+        if scores.size == 1:
+            (low, middle, high), score = np.quantile(draws, [0.025, 0.5, 0.975]), float(scores[0])
+            interval = f" ({low:.3g} to {high:.3g})" if low < high else ""
+            predicted[key] = middle, low, high, f"{middle:.3g}{interval}"
+            measured[key] = score, score, score, f"{score:.3g}"
+            outside += not low <= score <= high
+    title = "Score of each object: predicted median and 95 % interval, and as measured"
     return a_row_each(
-        "object-scores", "scores",
-        f"Score of each object: predicted median and 95 % interval, and as measured; {outside} of {len(pairs)} outside",
-        list(pairs), [{k: law for k, (law, _) in pairs.items()}, {k: np.full(3, m) for k, (_, m) in pairs.items()}],
-        Axis("greatest score of the object"), columns, words, rules=(0.0,),
+        "object-scores", "scores", f"{title}; {outside} of {len(predicted)} outside", list(predicted),
+        [predicted, measured], Axis("greatest score of the object"), rules=(0.0,),
     )  # fmt: skip
 
 
@@ -614,12 +653,19 @@ def transform_figure(sides: Sides) -> Figure | None:
     for (_, detector), draws, measured in _objects(sides):
         by_detector.setdefault(detector, []).append(probability_integral_transform(measured, draws))
 
-    def view(detector: str) -> tuple[Panels, str]:
+    def view(detector: str) -> Panels:
         u = np.sort(np.concatenate(by_detector[detector]))
-        inside = float(np.mean(central(u)))
-        x = Axis("probability of a lower score", ends=(0.0, 1.0))
-        words = f"{detector}: {u.size} objects, {inside:.0%} in the central 95 %"
-        return Panels(x, (_ordered(u),), detector), words
+        n, rank = u.size, np.arange(1, u.size + 1)
+        at = (rank - 0.5) / n
+        low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
+        marks = (
+            Mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects", PREDICTED),
+            Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", dash="dotted"),
+            measured_mark("line", {"x": at, "y": u}, "objects, in order"),
+        )
+        x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("probability of a lower score", "transform value"))
+        words = f"{detector}: {n} objects, {np.mean(central(u)):.0%} in the central 95 %"
+        return single(x, y, marks, detector, words)
 
     return a_view_each(
         "object-transforms", "scores",
@@ -630,19 +676,9 @@ def transform_figure(sides: Sides) -> Figure | None:
     )  # fmt: skip
 
 
-def _ordered(u: Array) -> Part:
-    n, rank = u.size, np.arange(1, u.size + 1)
-    at = (rank - 0.5) / n
-    low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
-    band = Mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects", PREDICTED)
-    uniform = Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", GREY, "dotted")
-    objects = measured_mark("line", {"x": at, "y": u}, "objects, in order")
-    return Part(Axis("transform value", ends=(0.0, 1.0)), (band, uniform, objects))
-
-
 def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
     """(subject, detector), predicted draws and measured scores of what both sides hold."""
-    predicted, measured = (of_side(side, "object_scores") for side in sides)
+    predicted, measured = both_of(sides, "object_scores")
     both = {key: measured[key].values[np.isfinite(measured[key].values)] for key in predicted if key in measured}
     return [(key, predicted[key].values.ravel(), values) for key, values in both.items() if values.size]
 
@@ -661,19 +697,17 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     )  # fmt: skip
 
 
-def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> tuple[Panels, str] | None:
-    if None in sides or len(score_map.outlines) <= MANY_OBJECTS:
-        return None
-    predicted: Mapping[Any, ObjectScores] = of_side(sides[0], "object_scores")
+def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
+    predicted, observed = both_of(sides, "object_scores")
     found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
-    for key, scores in of_side(sides[1], "object_scores").items():
+    for key, scores in observed.items():
         if key not in predicted or not name.endswith(f"-{key[1]}"):
             continue
         law, each = np.ravel(predicted[key].values), zip(scores.names, scores.values, strict=True)
         own = [(one, float(m)) for one, m in each if one in score_map.outlines and np.isfinite(m)]
         found += [(*one, float(np.median(law))) for one in own]
         laws += [(len(own), law)] if own else []
-    if len(found) <= MANY_OBJECTS:
+    if min(len(found), len(score_map.outlines)) <= MANY_OBJECTS:
         return None
     names, measured, median = zip(*found, strict=True)
     line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5
@@ -686,9 +720,9 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> tuple[Panels, 
     dots = Mark("dots", columns, marker="circle", words=said, scale=scale, linked=True)
     lines, samples = (float(n) for n in np.shape(score_map.values))
     place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
-    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), (place, _scores_of_all(measured, laws, said)), name), (
-        f"{name}: {len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
-    )
+    parts = place, _scores_of_all(measured, laws, said)
+    words = f"{len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
+    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=f"{name}: {words}")
 
 
 def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], said: tuple[str, ...]) -> Part:
@@ -719,14 +753,11 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
     dashed.
     """
 
-    def view(detector: str) -> tuple[Panels, str]:
-        curves = [
-            (label, number, subject, *density_of(score))
-            for number, (label, side) in enumerate(sides)
-            for subject, score in [(s, v) for (s, d), v in side.scores.items() if d == detector and v.sd > 0][
-                :_MOST_POPULATIONS
-            ]
-        ]
+    def view(detector: str) -> Panels:
+        curves = []
+        for number, (label, side) in enumerate(sides):
+            own = [(subject, one) for (subject, by), one in side.scores.items() if by == detector and one.sd > 0]
+            curves += [(label, number, subject, *density_of(one)) for subject, one in own[:_MOST_POPULATIONS]]
         subjects = list(dict.fromkeys(subject for _, _, subject, *_ in curves))
         top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
         marks = tuple(
@@ -735,8 +766,8 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
                  CURVES[subjects.index(subject) % len(CURVES)], "dashed" if number else "solid")
             for label, number, subject, x, y in curves
         )  # fmt: skip
-        part = Part(Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top)), marks)
-        return Panels(Axis(f"score of {detector}"), (part,), detector), f"{detector}: {', '.join(subjects)}"
+        y = Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top))
+        return single(Axis(f"score of {detector}"), y, marks, detector, f"{detector}: {', '.join(subjects)}")
 
     return a_view_each(
         "densities", "scores", "Scores: probability density of each population and of the background",
@@ -760,13 +791,176 @@ def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
     return score.mean + score.sd * z, np.exp(-0.5 * z**2) / (score.sd * np.sqrt(2.0 * np.pi))
 
 
+_MOST_INPUTS = 14
+_MOST_GROUPS = 26
+_MOST_QUANTITIES = 26
+_STATED = {
+    True: {"label": "uncertainty stated", "colour": "#0072B2"},
+    False: {"label": "none stated: standard step", "colour": "#E69F00"},
+}
+_GREATEST = {
+    False: {"label": "part of it", "colour": "#8aa4b8"},
+    True: {"label": "greatest gain of a subject", "colour": "#C2410C", "beside": "right"},
+}
+_CLOSER = {
+    True: {"label": "after, closer", "colour": MET, "marker": "left"},
+    False: {"label": "after, farther", "colour": NOT_MET, "marker": "right"},
+}
+_LONGEST = 34  # characters of an input's name
+# Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
+_TELLING = 10.8
+
+
+def reason_figures(table: ResultTable) -> list[Figure]:
+    """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
+    gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
+    whole = sorted((r for r in gains if r.subject == "all"), key=lambda r: -r.value)
+    others = [r for r in gains if r.subject != "all"]
+    told = [r for r in table if math.isfinite(r.before)]  # older tables say it in words alone
+    moves = [r for r in told if r.product == "sensitivity"]
+    tests = [r for r in told if r.metric == "reduced_chi_square"]
+    outcomes, left = ([r for r in tests if r.product == name] for name in ("what-if", "attribution"))
+    left = sorted(left, key=lambda r: -r.before)[:_MOST_QUANTITIES]
+    first = next((f"Residuals before and after: {r.method}" for r in left), "")
+    made = (
+        _before_and_after("residuals", "attribution", left, [r.subject for r in left], first),
+        _inputs(whole[:_MOST_INPUTS], table) if whole else None,
+        _gain(table),
+        _by_subject(others) if others else None,
+        _effects(moves) if moves else None,
+        _before_and_after("what-ifs", "what-if", outcomes, [r.method for r in outcomes], "What-ifs: before and after"),
+    )
+    return [figure for figure in made if figure is not None]
+
+
+def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
+    needed = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
+    stated, names = {r.method for r in needed if r.cause is not Cause.NO_UNCERTAINTY}, [r.method for r in rows]
+    best, at, ends = rows[0], np.arange(float(len(rows))), np.array([max(r.value, 0.1) for r in rows])
+    columns = {"left": np.full(at.size, 0.1), "right": ends, "bottom": at - 0.35, "top": at + 0.35}
+    # An input that explains nothing has nothing to say, however far it moves.
+    words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
+    bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
+    marks = by_kind(bars, [name in stated for name in names], _STATED)
+    alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
+    alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
+    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
+    legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
+    legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
+    x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
+    title = "Inputs that would explain the differences if they were less certain"
+    y = row_names(names, _LONGEST)
+    return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
+
+
+def _gain(table: ResultTable) -> Figure | None:
+    """The gain of the sensor that would explain the radiance of all subjects, over wavelength."""
+
+    def marks(name: str, label: str, **look: Any) -> list[Mark]:
+        rows = [r for r in table.where(product="radiance") if r.metric.startswith(f"{name}@")]
+        numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
+        columns = dict(zip(("x", "y", "low", "high"), numbers.reshape(-1, 4).T, strict=True))
+        return [Mark("dots", columns, f"{label}, 95 % interval", marker="circle", **look)] if rows else []
+
+    gains = marks("sensor_gain", "gain without an offset", colour=DIFFERENCE)
+    gains += marks("sensor_gain_beside_offset", "gain beside the offset below", hollow=True)
+    if not gains:
+        return None
+    nm, gain, low, high = gains[0].columns.values()
+    far = int(np.argmax(np.abs(gain - 1.0)))
+    title = "Gain and offset of the sensor that would explain the radiance of all subjects"
+    alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
+    alt += f"{nm[far]:.0f} nm."
+    parts = [Part(Axis("measured / predicted radiance"), tuple(gains), (("y", 1.0),))]
+    for mark in marks("sensor_offset", "offset beside that gain", hollow=True):
+        parts.append(Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)))
+    return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
+
+
+def _by_subject(rows: Sequence[Result]) -> Figure | None:
+    """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
+    by = {(r.subject, r.method): r.value for r in rows}
+    # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
+    telling, asked = {r.subject for r in rows if r.value >= 1.0}, list(dict.fromkeys(r.subject for r in rows))
+    every = [s for s in asked if s in telling]
+    if not every:
+        return None
+    subjects = every[:_MOST_GROUPS]
+    best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
+    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
+    gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
+    part = gains / np.maximum(gains.max(axis=1, keepdims=True), 1e-300)
+    at = np.nonzero(gains > 0.0)
+    columns = {"x": at[1].astype(float), "y": at[0].astype(float), "size": 14.0 * np.sqrt(part[at])}
+    words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[at])
+    marks = by_kind(Mark("dots", columns, marker="circle", words=words), part[at] >= 0.999, _GREATEST)
+    legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
+    quiet = len(asked) - len(every)
+    legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
+    legend += left_out(len(subjects), len(every), "results.csv")
+    tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
+    title, alt = "The same for each subject", f"For each subject the input that gains most: {tops}."
+    names = row_names(inputs, _LONGEST), row_names(subjects, _LONGEST)
+    return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
+
+
+def _effects(rows: Sequence[Result]) -> Figure:
+    """Change of each number of the comparison per unit of each input, as a matrix of colours."""
+
+    def label(r: Result) -> str:
+        what = r.metric.removesuffix("_change").replace("roc_pd@", "P_D ").removesuffix("_ratio_windows")
+        way = r.method.partition(" / ")[2].removesuffix("/pixel")
+        return f"{r.subject}, {what}" + (f" {way}" if way else "")
+
+    gaps = {label(r): r.before for r in rows}
+    shown = sorted(gaps, key=lambda q: -abs(gaps[q]))[:_MOST_QUANTITIES]
+    by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
+    names = sorted(dict.fromkeys(n for _, n in by), key=lambda n: -max(abs(by.get((q, n), 0.0)) for q in shown))
+    names = names[:_MOST_INPUTS]
+    y, x = (place.ravel().astype(float) for place in np.mgrid[: len(shown), : len(names)])
+    values = np.array([by.get((q, n), math.nan) for q in shown for n in names])
+    words = tuple(f"{v:+.{1 + (abs(v) >= 0.001)}g}" if abs(v) >= 0.0005 else "" for v in values)
+    # Colours end where nearly all values lie: one that is far out takes them from all others.
+    finite = np.abs(values[np.isfinite(values)])
+    reach = max(float(np.percentile(finite, 97)) if finite.size else 0.0, 1e-6)
+    columns = {"left": x - 0.5, "right": x + 0.5, "bottom": y - 0.5, "top": y + 0.5, "value": values}
+    scale = ColourScale("signed", -reach, reach, "change per unit")
+    cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
+    largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
+    alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
+    alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
+    legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
+    legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
+    legend += "the largest gaps are shown"
+    quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
+    ways = row_names(names, _LONGEST), row_names(quantities, 56)
+    title = "Change by one unit of each input"
+    return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
+
+
+def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
+    """Reduced chi-square of each row, and what it was before."""
+    if not rows:
+        return None
+    (before, after), at = np.array([(r.before, r.value) for r in rows]).T, np.arange(float(len(rows)))
+    start = Mark("dots", {"x": before, "y": at}, "as in the campaign", marker="circle", hollow=True)
+    columns = {"x": after, "y": at, "low": np.minimum(before, after), "high": np.maximum(before, after)}
+    end = Mark("dots", columns, along="x", words=tuple(f"{value:.3g}" for value in after), beside="right")
+    marks = [start, *by_kind(end, after < before, _CLOSER)]
+    both = [v for v in (*before, *after) if v > 0]
+    scattered = bool(both) and max(both) > 20.0 * min(both)
+    x = Axis("reduced chi-square", "log" if scattered else "linear")
+    each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
+    alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
+    return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
+
+
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:
     """Spectra and ROC curves; subjects about which more is amiss in ``table`` come first.
 
     ``names`` : what the two sides are, where they are no prediction and collection
     """
-    rows = list(table) if table is not None else []
-    made = [*(spectra_figure(sides, product, rows, names) for product in SPECTRA), roc_figure(sides, names)]
+    made = [*(spectra_figure(sides, product, table or (), names) for product in SPECTRA), roc_figure(sides, names)]
     return [figure for figure in made if figure is not None]
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 import functools
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -34,14 +35,14 @@ _OUTLINES = (_OWN + 3, _OWN + 4, _OWN + 5, _OWN + 6, _OWN + 7, _WHITE)
 _LETTER, _SMALL, _TITLE = 25, 21, 28  # heights
 _LEFT, _TOP, _FOOT, _RIGHT, _BAR, _BAR_ROOM = 96, 80, 76, 40, 32, 190  # room about the picture
 Indices = npt.NDArray[np.uint8]
-Segments = list[tuple[int, Array]]
 Window = tuple[slice, slice]  # the lines and the samples of an image that are drawn
 
 
 def draw_pictures(quicklook: Quicklook | None, maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
     """The scene, and the first score maps with what the model expects in their place."""
     scene = [] if quicklook is None else [quicklook_figure(quicklook, simulated=simulated)]
-    return scene + score_map_figures(maps, simulated=simulated)
+    first = enumerate(list(maps.items())[:_MOST_MAPS], start=1)
+    return scene + [one for n, (name, own) in first for one in _map_drawings(f"score-map-{n}", name, own, simulated)]
 
 
 def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
@@ -52,59 +53,47 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     picture = rgb[view][::step, ::step]
     whole = Image.fromarray(np.ascontiguousarray(picture))
     few = whole.quantize(_OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
     cut = _cut(rgb.shape, view)
     title = f"Scene with its regions of interest{f' (red, green, blue: {bands})' if quicklook.band_nm else ''}{cut}"
     size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f",{cut[1:]} of them shown" if cut else "")
     alt = f"Image of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
-    segments = _segments(quicklook.regions)
-    return canvas.drawing("scene", "scene", title, alt, quicklook.regions, segments, quicklook.pixel_size_m)
+    canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
+    return canvas.drawing("scene", "scene", title, alt, quicklook.regions, quicklook.pixel_size_m)
 
 
-def score_map_figures(maps: Mapping[str, ScoreMap], *, simulated: bool) -> list[Drawing]:
-    """The first maps, each a figure: scores as colours, targets outlined; and what the model expects, likewise."""
+def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) -> Iterator[Drawing]:
+    """A map, scores as colours and targets outlined; what the model expects, likewise; and what moves its alarms."""
+    scores, outlines, metres = np.asarray(score_map.values), score_map.outlines, score_map.pixel_size_m
+    view, limits = shown_window(scores.shape, outlines), _score_limits(score_map)
+    values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
     colours = [int(tone[at : at + 2], 16) for tone in tones(VIRIDIS, _TONES) for at in (1, 3, 5)]
-    drawings = []
-    for number, (name, score_map) in enumerate(list(maps.items())[:_MOST_MAPS], start=1):
-        scores, outlines = np.asarray(score_map.values), score_map.outlines
-        view = shown_window(scores.shape, outlines)
-        limits, segments = _score_limits(score_map), _segments(outlines)
-        named = f"{len(outlines)} objects" if len(outlines) > _MOST_NUMBERED else ", ".join(outlines)
-        outlined = f"; outlined: {named or 'nothing'}."
-        values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
-        note = _cut(scores.shape, view)
-        note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
-        size = f"{scores.shape[0]} lines by {scores.shape[1]} samples"
-        shown = [(
-            f"score-map-{number}", f"Score map {name}",
-            f"Score map {name}{', targets outlined' if outlines else ''}{note}",
-            f"Map of the detector score {name}, {size}{note}{outlined}", _toned(values, limits), limits, "score",
-        )]  # fmt: skip
-        if score_map.expected is not None:
-            expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
-            shown.append((
-                f"score-map-{number}-expected", f"Expected score {name}",
-                f"Model expectation of {name}, in the colours of the measured map: the mean score of each "
-                "class of ground and kind of target; blank where the campaign does not state the ground",
-                f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}",
-                _toned(expected, limits), limits, "score",
-            ))  # fmt: skip
-        if score_map.influence is not None:
-            ratio, threshold, words = score_map.influence
-            ends = float(np.nanmin(ratio)), float(np.nanmax(ratio)) + 1e-9
-            toned = _toned(ratio[view][::block, ::block], ends)
-            toned[(values > threshold) & (toned != _WHITE)] = _BLACK
-            title = f"False alarms of {name}, predicted over measured, without the part of the image that a pixel "
-            title += f"lies in; black: pixels above the threshold{note}. {words[0].upper()}{words[1:]}"
-            file, heading = f"score-map-{number}-influence", f"False alarms {name}"
-            shown.append((file, heading, title, f"Map: {title}.", toned, ends, "ratio"))
-        for file, heading, title, alt, picture, ends, what in shown:
-            canvas = _Canvas(heading, picture, colours, view, block, ends, what, simulated=simulated)
-            outlined_here = (outlines, segments) if what == "score" else ({}, [])
-            drawings.append(canvas.drawing(file, "scores", title, alt, *outlined_here, score_map.pixel_size_m))
-    return drawings
+    canvas = functools.partial(_Canvas, colours=colours, view=view, block=block, simulated=simulated)
+    named = f"{len(outlines)} objects" if len(outlines) > _MOST_NUMBERED else ", ".join(outlines)
+    outlined = f"; outlined: {named or 'nothing'}."
+    note = _cut(scores.shape, view)
+    note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
+    title = f"Score map {name}{', targets outlined' if outlines else ''}{note}"
+    alt = f"Map of the detector score {name}, {scores.shape[0]} lines by {scores.shape[1]} samples{note}{outlined}"
+    drawn = canvas(f"Score map {name}", _toned(values, limits), limits=limits)
+    yield drawn.drawing(file, "scores", title, alt, outlines, metres)
+    if score_map.expected is not None:
+        expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
+        title = f"Model expectation of {name}, in the colours of the measured map: the mean score of each class of "
+        title += "ground and kind of target; blank where the campaign does not state the ground"
+        alt = f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}"
+        drawn = canvas(f"Expected score {name}", _toned(expected, limits), limits=limits)
+        yield drawn.drawing(f"{file}-expected", "scores", title, alt, outlines, metres)
+    if score_map.influence is not None:
+        ratio, threshold, words = score_map.influence
+        limits = float(np.nanmin(ratio)), float(np.nanmax(ratio)) + 1e-9
+        toned = _toned(ratio[view][::block, ::block], limits)
+        toned[(values > threshold) & (toned != _WHITE)] = _BLACK
+        title = f"False alarms of {name}, predicted over measured, without the part of the image that a pixel "
+        title += f"lies in; black: pixels above the threshold{note}. {words[0].upper()}{words[1:]}"
+        drawn = canvas(f"False alarms {name}", toned, limits=limits, what="ratio")
+        yield drawn.drawing(f"{file}-influence", "scores", title, f"Map: {title}.", {}, metres)
 
 
 def _toned(values: Array, limits: tuple[float, float]) -> Indices:
@@ -143,18 +132,20 @@ class _Canvas:
             self._scale_of_colours(limits, what)
 
     def drawing(
-        self, name: str, section: str, title: str, alt: str, regions: Mapping[str, Any], segments: Segments,
-        pixel_size_m: float | None,
-    ) -> Drawing:  # fmt: skip
+        self, name: str, section: str, title: str, alt: str, regions: Mapping[str, Any], pixel_size_m: float | None
+    ) -> Drawing:
         """The finished picture with the outlines of regions, their numbers, and a scale."""
-        for number, own in segments:
-            ends = [(*self._at(*a), *self._at(*b)) for a, b in own]
-            for colour, width in ((_BLACK, 5), (_OUTLINES[number % len(_OUTLINES)], 3)):
-                for end in ends:
-                    self._pen.line(end, colour, width)
-        for number, own in segments if len(segments) <= _MOST_NUMBERED else ():  # more would hide what they name
-            x, y = self._at(own[..., 0].max(), own[..., 1].min())
-            self._label(x + 4, y - 3, str(number + 1), _OUTLINES[number % len(_OUTLINES)], "lb")
+        labels = []
+        for number, (mask, colour) in enumerate(zip(regions.values(), cycle(_OUTLINES)), start=1):
+            own = outline_segments(mask)
+            x, y = self._at(own[..., 0], own[..., 1])
+            for tone, width in ((_BLACK, 5), (colour, 3)):
+                for ends in np.stack([x, y], -1).reshape(-1, 4).tolist():
+                    self._pen.line(ends, tone, width)
+            if len(own):
+                labels.append((x.max() + 4, y.min() - 3, str(number), colour, "lb"))
+        for label in labels if len(labels) <= _MOST_NUMBERED else ():  # more would hide what they name
+            self._label(*label)
         if pixel_size_m and math.isfinite(pixel_size_m):
             length_m = _round_length(0.25 * _size(self._view)[1] * pixel_size_m)
             left, y = _LEFT + 0.04 * (self._end[0] - _LEFT), self._end[1] - 0.04 * (self._end[1] - _TOP)
@@ -164,14 +155,14 @@ class _Canvas:
             self._label((left + right) / 2, y - 12, f"{length_m:g} m", _WHITE, "mb")
         out = io.BytesIO()
         self._image.save(out, format="png")
-        css, named = round(self._image.width / _PER_CSS), _numbered_names(regions)
-        return Drawing(name, section, title, alt, out.getvalue(), "png", width_px=css, legend=named)
+        named = "; ".join(f"{number} {one}" for number, one in enumerate(regions, start=1))
+        named = f"{len(regions)} outlines" if len(regions) > _MOST_NUMBERED else named
+        width_px = round(self._image.width / _PER_CSS)
+        return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)
 
-    def _at(self, sample: float, line: float) -> tuple[float, float]:
-        return (
-            _LEFT + (sample - self._view[1].start) * self._per_pixel,
-            _TOP + (line - self._view[0].start) * self._per_pixel,
-        )
+    def _at(self, sample: Any, line: Any) -> tuple[Any, Any]:
+        lines, samples = self._view
+        return _LEFT + (sample - samples.start) * self._per_pixel, _TOP + (line - lines.start) * self._per_pixel
 
     def _axes(self) -> None:
         right, bottom = self._end
@@ -215,11 +206,6 @@ def _ticks(along: slice) -> list[float]:
     """Round places within an axis."""
     step = max(_round_length((along.stop - along.start) / 3), 1.0)
     return [float(at) for at in np.arange(math.ceil(along.start / step) * step, along.stop + 1e-9, step)]
-
-
-def _segments(regions: Mapping[str, Any]) -> Segments:
-    """Number and edges of every region that has any."""
-    return [(n, own) for n, mask in enumerate(regions.values()) if len(own := outline_segments(mask))]
 
 
 def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
@@ -291,12 +277,6 @@ def _cut(shape: tuple[int, ...], view: Window) -> str:
         return ""
     lines, samples = (f"{part.start} to {part.stop - 1}" for part in view)
     return f"; lines {lines}, samples {samples}"
-
-
-def _numbered_names(regions: Mapping[str, Any]) -> str:
-    if len(regions) > _MOST_NUMBERED:
-        return f"{len(regions)} outlines"
-    return "; ".join(f"{number} {name}" for number, name in enumerate(regions, start=1))
 
 
 def _css_width(view: Window) -> float:

@@ -18,7 +18,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure as Canvas
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
 
 from hyperval.figures.spec import (
     GREY,
@@ -37,7 +37,6 @@ from hyperval.figures.spec import (
 )
 from hyperval.spectra.axis import ABSORPTION_BANDS_NM
 
-_LINES: dict[str, Any] = {"solid": "-", "dashed": "--", "dotted": ":", "dashdot": "-."}
 _MARKERS = {
     "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "plus": "P", "star": "*",
     "x": "X", "hex": "h", "tick": "|", "left": "<", "right": ">",
@@ -46,19 +45,6 @@ _ABSORPTION = "#e9e9e9"
 _ROW_IN = 0.3  # [in] of a named row
 _MOST_PAGES = 2
 _FEW_DECADES = 2.5  # below which an axis has plain numbers at 1, 2 and 5
-_RC: dict[str, Any] = {
-    "font.family": "DejaVu Sans", "font.size": 9.0, "axes.titlesize": 9.5, "axes.labelsize": 9.0,
-    "axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
-    "grid.color": "#dddddd", "grid.linewidth": 0.6, "legend.frameon": False, "legend.fontsize": 9.0,
-    "lines.linewidth": 1.4, "figure.facecolor": "white", "savefig.facecolor": "white",
-    "text.hinting": "none",  # hinted letters are measured narrower than they are drawn, which cuts long labels
-    "svg.hashsalt": "hyperval", "svg.fonttype": "path", "path.simplify": True,
-}  # fmt: skip
-_JOURNAL: dict[str, Any] = {
-    "font.family": "DejaVu Serif", "font.size": 7.0, "axes.titlesize": 7.0, "axes.labelsize": 7.0,
-    "xtick.labelsize": 6.5, "ytick.labelsize": 6.5, "legend.fontsize": 7.0, "lines.linewidth": 1.0,
-    "axes.grid": False, "pdf.fonttype": 42,
-}  # fmt: skip
 _JOURNAL_SCALE = 0.72  # of 10 in: 183 mm, two columns
 _METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None}, "png": {"Software": None},
@@ -71,8 +57,8 @@ Kind = Literal["svg", "pdf", "png"]
 
 @contextmanager
 def house_style(journal: bool = False) -> Iterator[None]:
-    """The settings of this module, whatever the user's own matplotlib settings are."""
-    sheets: list[str | dict[str, Any]] = ["default", _RC, *([_JOURNAL] if journal else [])]
+    """The style sheets of this room, whatever the user's own matplotlib settings are."""
+    sheets = ["default", "hyperval.figures.print", *["hyperval.figures.journal"] * journal]
     with matplotlib.style.context(sheets), warnings.catch_warnings():
         # A subject may be named in a script that the font lacks; the figure is still of use.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
@@ -91,12 +77,12 @@ def drawings_of(
         for figure in figures:
             shown = figure.views[: MAX_PANELS * _MOST_PAGES]
             pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
-            left = left_out(len(shown), len(figure.views)) if len(shown) < len(figure.views) else ""
+            title = figure.title + left_out(len(shown), len(figure.views))
             for number, views in enumerate(pages, start=1):
                 name = figure.name if len(pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
                 canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
-                own = name, figure.section, figure.title + left, figure.alt, content.getvalue(), kind
+                own = name, figure.section, title, figure.alt, content.getvalue(), kind
                 out.append(Drawing(*own, legend=figure.legend))
     return out
 
@@ -193,7 +179,7 @@ def _scale(axes: Axes, way: str, axis: Axis, ends: tuple[float, float]) -> None:
         (axes.set_xscale if way == "x" else axes.set_yscale)("log")
         few = math.log10(ends[1] / ends[0]) <= _FEW_DECADES
         ruler.set_major_locator(LogLocator(base=10, subs=(1.0, 2.0, 5.0)) if few else LogLocator(base=10, numticks=7))
-        ruler.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}") if few else LogFormatterSciNotation(base=10))
+        ruler.set_major_formatter((lambda v, _: f"{v:g}") if few else LogFormatterSciNotation(base=10))
         ruler.set_minor_locator(NullLocator())
     elif way == "x":
         ruler.set_major_locator(MaxNLocator(5))
@@ -211,14 +197,13 @@ def _mark(axes: Axes, mark: Mark) -> None:
         lines, places = (axes.hlines, y) if mark.along == "x" else (axes.vlines, x)
         lines(places, low, high, color=colour, linewidth=1.3)
     if mark.kind in ("line", "steps"):
-        axes.plot(x, y, color=colour, linestyle=_LINES[mark.dash], linewidth=1.2,
+        axes.plot(x, y, color=colour, linestyle=mark.dash, linewidth=1.2,
                   drawstyle="steps-post" if steps else "default")  # fmt: skip
     if mark.marker:
         ticks = mark.marker == "tick"
         size = columns.get("size", np.full(x.shape, 9.0 if ticks else 5.0))
-        fill: Any = (
-            {"color": colour} if ticks else {"facecolors": "none" if mark.hollow else colour, "edgecolors": colour}
-        )
+        inside = "none" if mark.hollow else colour
+        fill: Any = {"color": colour} if ticks else {"facecolors": inside, "edgecolors": colour}
         if mark.scale is not None:
             fill = {"c": columns["value"], "edgecolors": GREY, **_colours(axes, mark.scale)}
         shape = "_" if ticks and mark.along == "y" else _MARKERS[mark.marker]
@@ -231,8 +216,8 @@ def _mark(axes: Axes, mark: Mark) -> None:
             fill = {"color": own["cmap"](own["norm"](columns["value"]))}
             axes.grid(visible=False)
         axes.bar(left, top - bottom, right - left, bottom, align="edge", linewidth=0, **fill)
-        x, y = (left if mark.beside == "left" else right), 0.5 * (bottom + top)
-        x = 0.5 * (left + right) if mark.beside == "centre" else x
+        x = {"left": left, "centre": 0.5 * (left + right)}.get(mark.beside, right)
+        y = 0.5 * (bottom + top)
     if mark.beside:
         _words(axes, mark, x, y)
 
@@ -258,7 +243,7 @@ def _colours(axes: Axes, scale: ColourScale) -> dict[str, Any]:
 def _handle(mark: Mark) -> Any:
     if mark.kind in ("bars", "area", "cells"):
         return Patch(color=mark.colour, alpha=mark.alpha)
-    line: Any = _LINES[mark.dash] if mark.kind in ("line", "steps") else ""
+    line: Any = mark.dash if mark.kind in ("line", "steps") else ""
     return Line2D([], [], color=mark.colour, linestyle=line, marker=_MARKERS.get(mark.marker), markersize=5,
                   markerfacecolor="none" if mark.hollow else mark.colour)  # fmt: skip
 

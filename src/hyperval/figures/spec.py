@@ -1,4 +1,4 @@
-"""A figure, stated once: axes with units, marks with intervals; and what of a run figures are made from.
+"""A figure, stated once: axes with units, marks with intervals.
 
 ``charts.js`` draws it in a page from :func:`statement`, :mod:`hyperval.figures.print` on paper.
 """
@@ -7,24 +7,20 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from hyperval.data import Array, Mask
-from hyperval.products import Products
-from hyperval.spectra.axis import ABSORPTION_BANDS_NM, SpectralAxis, in_window
+from hyperval.data import Array
+from hyperval.spectra.axis import ABSORPTION_BANDS_NM
 
-Sides = tuple[Products | None, Products | None]
 # Predicted and measured differ in colour (Okabe and Ito's palette, distinct under the common colour deficiencies), in
 # line style and in marker, so that a grey print still tells them apart.
 PREDICTED, MEASURED, DIFFERENCE, GREY = "#0072B2", "#C2410C", "#5B3A8C", "#5f646b"
 SOURCES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
 CURVES = ("#0072B2", "#C2410C", "#009E73", "#B4548F", "#5B3A8C", "#B58900")
-# Of outcomes and ranges, as in the style sheet of pages: blue, maroon and ochre, which no colour deficiency mixes up.
-MET, NOT_MET, INCONCLUSIVE, NOT_RUN, ACCEPTED = "#1f6f9f", "#7a1338", "#b07a10", "#8c959f", "#d8eaf5"
 PALETTES = {
     "signed": ("#2d004b", "#542788", "#8073ac", "#b2abd2", "#d8daeb", "#f7f7f7", "#fee0b6", "#fdb863", "#e08214",
                "#b35806", "#7f3b08"),
@@ -36,14 +32,12 @@ VIRIDIS = (
     "#20A585", "#2EB27C", "#45BF6F", "#64CB5D", "#88D547", "#AFDC2E", "#D7E219", "#FDE724",
 )  # fmt: skip
 MAX_PANELS = 12
-MOST_ROWS = 40
-SIDES = ("predicted", "measured")
 WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Way = Literal["x", "y"]
 Rules = tuple[tuple[Way, float], ...]
 _TONES = 33  # of a scale in a page
-_REACH = {"x": ("x", "left", "right"), "y": ("y", "low", "high", "bottom", "top")}
+_REACH = {"x": {"x", "left", "right"}, "y": {"y", "bottom", "top"}}
 
 
 @dataclass(frozen=True)
@@ -145,23 +139,30 @@ class Part:
 
 @dataclass(frozen=True)
 class Panels:
-    """The plots of one subject, of one of several tabs where the figure has these; ``note``: what it rests on."""
+    """The plots of one subject, of one of several tabs where the figure has these.
+
+    Attributes
+    ----------
+    note : what it rests on
+    words : its numbers, for those who cannot see it
+    """
 
     x: Axis
     parts: tuple[Part, ...]
     subject: str = ""
     tab: str = ""
     note: str = ""
+    words: str = ""
 
     def ends(self, way: Way, part: Part | None = None) -> tuple[float, float]:
-        """Ends of the axis of x or of a part: as stated, or with a margin about everything drawn."""
-        own_x = part is not None and part.x is not None
-        axis = (part.x or self.x if part else self.x) if way == "x" else (part or self.parts[0]).y
+        """Ends of an axis of a part, the first: as stated, or with a margin about everything drawn along it."""
+        part = part or self.parts[0]
+        axis = part.y if way == "y" else part.x or self.x
         if axis.scale == "names":
             return -0.6, len(axis.names) - 0.4
         if axis.ends is not None:
             return axis.ends
-        parts = self.parts if part is None or (way == "x" and not own_x) else (part,)
+        parts = self.parts if way == "x" and part.x is None else (part,)
         every = np.concatenate([np.empty(0), *(v for p in parts for m in p.marks for v in _extent(m, way))])
         every = every[np.isfinite(every) & ((every > 0.0) | (axis.scale != "log"))]
         if not every.size:
@@ -206,11 +207,6 @@ class Figure:
         """Title and legend."""
         return self.title + (f". {self.legend[0].upper()}{self.legend[1:]}" if self.legend else "")
 
-    @property
-    def summary(self) -> str:
-        """The first words of its caption, for the line that unfolds it."""
-        return self.title.partition(". ")[0]
-
     def marks(self) -> Iterator[Mark]:
         """Every mark of every view."""
         for view in self.views:
@@ -244,11 +240,15 @@ class Drawing:
         """Name of the file in ``figures/``."""
         return f"{self.name}.{self.kind}"
 
-    @property
-    def source(self) -> str:
-        """The figure as a data URI, for a page that holds it."""
-        kind = "svg+xml" if self.kind == "svg" else self.kind
-        return f"data:image/{kind};base64,{base64.b64encode(self.content).decode('ascii')}"
+
+def base64_of(content: bytes) -> str:
+    """Bytes as text."""
+    return base64.b64encode(content).decode("ascii")
+
+
+def data_uri(content: bytes, kind: str) -> str:
+    """An image of a kind as a data URI."""
+    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
 
 
 def statement(figure: Figure) -> str:
@@ -259,7 +259,7 @@ def statement(figure: Figure) -> str:
     columns: dict[str, int] = {}
 
     def place(values: Any) -> int:
-        text = base64.b64encode(np.atleast_1d(np.asarray(values, "<f4")).tobytes()).decode("ascii")
+        text = base64_of(np.atleast_1d(np.asarray(values, "<f4")).tobytes())
         return columns.setdefault(text, len(columns))
 
     def said(what: Any, **more: Any) -> dict[str, Any]:
@@ -292,9 +292,7 @@ def statement(figure: Figure) -> str:
 
 def _extent(mark: Mark, way: Way) -> list[Array]:
     """The columns of a mark that reach along an axis."""
-    names = set(_REACH[way])
-    if mark.kind == "dots" and mark.along == "x":  # whose interval lies along x
-        names = names | {"low", "high"} if way == "x" else names - {"low", "high"}
+    names = _REACH[way] | ({"low", "high"} if way == mark.along else set())
     return [values for name, values in mark.numbers.items() if name in names]
 
 
@@ -313,12 +311,21 @@ def measured_mark(kind: Any, columns: Mapping[str, Any], label: str = "measured"
     return Mark(kind, columns, label, MEASURED, **more)
 
 
-def single(
-    x: Axis, label: str, marks: Sequence[Mark], *, subject: str = "", ends: tuple[float, float] | None = None,
-    level: float | None = None,
-) -> Panels:  # fmt: skip
-    """A view of one plot, with a line across at ``level``."""
-    return Panels(x, (Part(Axis(label, ends=ends), tuple(marks), () if level is None else (("y", level),)),), subject)
+def by_kind(mark: Mark, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, Any]]) -> list[Mark]:
+    """A mark as one for each kind of its points that there is, each kind with its own look."""
+    marks = []
+    for kind, look in looks.items():
+        own = [i for i, one in enumerate(kinds) if one == kind]
+        if own:
+            columns = {name: np.asarray(values)[own] for name, values in mark.columns.items()}
+            words = tuple(mark.words[i] for i in own if mark.words)
+            marks.append(replace(mark, columns=columns, words=words, **look))
+    return marks
+
+
+def single(x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = ()) -> Panels:
+    """A view of one plot."""
+    return Panels(x, (Part(y, tuple(marks), rules),), subject, words=words)
 
 
 def tones(palette: Sequence[str], count: int) -> list[str]:
@@ -348,14 +355,9 @@ def left_out(shown: int, every: int, where: str = "products.nc") -> str:
     return "" if shown == every else f"; {shown} of {every} shown, all in {where}"
 
 
-def count_text(n: int) -> str:
-    """A whole number with its thousands apart."""
-    return f"{n:,}".replace(",", "\u202f")
-
-
 def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, float] | None:
     """Limits that hold all but ``trim`` per cent of the values at either end, and 0; None without any."""
-    stack = np.concatenate([np.asarray(v, dtype=float).ravel() for v in values]) if values else np.empty(0)
+    stack = np.concatenate([np.empty(0), *map(np.ravel, values)])
     stack = stack[np.isfinite(stack)]
     if stack.size == 0:
         return None
@@ -367,15 +369,15 @@ def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, floa
 
 def a_view_each(
     name: str, section: str, title: str, alt: str, items: Sequence[Any],
-    view: Callable[[Any], tuple[Panels, str]], where: str = "products.nc", **more: Any,
+    view: Callable[[Any], Panels], where: str = "products.nc", **more: Any,
 ) -> Figure | None:  # fmt: skip
     """A figure with a view for each of the first items and the numbers of each in words; None without any."""
     made = [view(item) for item in items[:MAX_PANELS]]
     if not made:
         return None
     title += left_out(len(made), len(items), where)
-    words = "; ".join(text for _, text in made if text)
-    return Figure(name, section, title, f"{alt} {words}.", tuple(one for one, _ in made), **more)
+    words = "; ".join(one.words for one in made if one.words)
+    return Figure(name, section, title, f"{alt} {words}.", tuple(made), **more)
 
 
 def of_rows(
@@ -383,69 +385,5 @@ def of_rows(
     rules: Sequence[float] = (),
 ) -> Figure:  # fmt: skip
     """A figure of one plot, whose rows have names; ``rules``: places of dotted lines along x."""
-    part = Part(y, tuple(marks), tuple(("x", place) for place in rules))
-    return Figure(name, section, title, alt, (Panels(x, (part,)),), legend)
-
-
-def both_sides(
-    kind: Any, both: Sequence[Mapping[str, Any] | None], words: Sequence[tuple[str, ...]] = ((), ()), **more: Any
-) -> list[Mark]:
-    """A mark of the columns of each side that has any, predicted first, each in its look."""
-    looks = zip(both, (predicted_mark, measured_mark), ("circle", "square"), words, strict=True)
-    return [make(kind, own, marker=marker, words=said, **more) for own, make, marker, said in looks if own is not None]
-
-
-def a_row_each(
-    name: str, section: str, title: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Any]], x: Axis,
-    columns: Callable[[Sequence[Any]], Mapping[str, Any]], words: Callable[[Any], str], *,
-    under: Sequence[Mark] = (), rules: tuple[float, ...] = (), legend: str = "",
-) -> Figure | None:  # fmt: skip
-    """A figure with a row for each of the first keys: dots of the sides that have it, a part of a row apart.
-
-    ``columns`` : of the entries of one side;  ``words`` : what is said of one entry
-    """
-    shown = keys[:MOST_ROWS]
-    if not shown:
-        return None
-    here = [[(i + shift, key) for i, key in enumerate(shown) if key in own]
-            for own, shift in zip(both, (-0.14, 0.14), strict=True)]  # fmt: skip
-    marks = [*under, *both_sides(
-        "dots", [{"y": np.array([i for i, _ in rows]), **columns([own[key] for _, key in rows])} if rows else None
-                 for own, rows in zip(both, here, strict=True)],
-        [tuple(f"{', '.join(key)}: {words(own[key])}" for _, key in rows)
-         for own, rows in zip(both, here, strict=True)], along="x",
-    )]  # fmt: skip
-    told = "; ".join(
-        f"{', '.join(key)}: "
-        + ", ".join(f"{side} {words(own[key])}" for side, own in zip(SIDES, both, strict=True) if key in own)
-        for key in shown
-    )
-    title += left_out(len(shown), len(keys))
-    y = row_names([", ".join(key) for key in shown])
-    return of_rows(name, section, title, f"{title}: {told}.", x, y, marks, legend, rules)
-
-
-def of_side(side: Products | None, product: str) -> Mapping[Any, Any]:
-    """A product of a side, empty where the side is absent."""
-    return {} if side is None else getattr(side, product)
-
-
-def both_first(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> list[Any]:
-    """Keys of either side: those of both sides before those of one."""
-    return list(dict.fromkeys([*(key for key in predicted if key in measured), *predicted, *measured]))
-
-
-def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[Any], bool]:
-    """A product of both sides, the keys that are drawn, and whether both sides hold these.
-
-    Where anything can be compared, what only one side holds is left to products.nc.
-    """
-    both = [of_side(side, product) for side in sides]
-    pairs = [key for key in both[0] if key in both[1]]
-    return both, pairs or both_first(*both), bool(pairs)
-
-
-def in_windows(axis: SpectralAxis) -> Mask:
-    """Bands in the windows of the atmosphere; all, where none is."""
-    keep = in_window(axis.centre_nm)
-    return keep if keep.any() else np.ones(keep.shape, bool)
+    view = single(x, y, marks, rules=tuple(("x", place) for place in rules))
+    return Figure(name, section, title, alt, (view,), legend)

@@ -5,31 +5,27 @@ The first screen: product by subject, or product by campaign, each cell with its
 
 from __future__ import annotations
 
-import base64
 import datetime
 import functools
 import gzip
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jinja2
-from markupsafe import Markup
 
 import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
-from hyperval.figures.rows import campaigns_figure, criteria_figure
-from hyperval.figures.spec import Drawing, Figure, statement
+from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
+from hyperval.figures.spec import Drawing, Figure, base64_of, data_uri, statement
 from hyperval.metrics import Evidence, explained
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.report.verdict import outcome_words, worst
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
@@ -38,41 +34,29 @@ if TYPE_CHECKING:
     from hyperval.figures.print import Kind
 
 
-LIBRARY = ("bokeh.min.js", "bokeh-api.min.js")
+# Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
+# filters tables and links to evidence.
+LIBRARY = tuple(("bokeh", "server", "static", "js", name) for name in ("bokeh.min.js", "bokeh-api.min.js"))
+CHARTS = ("hyperval.figures", "charts.js")
+_EVERY_PAGE = ("hyperval.report", "templates", "page.js")
 
 
-def library(name: str) -> str:
-    """One script of the library, from its installed package."""
-    return installed_file("bokeh", "server", "static", "js", name).read_text("utf-8")
-
-
-def _text_of(content: bytes) -> str:
-    return base64.b64encode(content).decode("ascii")
+def script(place: tuple[str, ...]) -> bytes:
+    """A script of an installed package."""
+    return installed_file(*place).read_bytes()
 
 
 @functools.cache
 def packed_library() -> tuple[str, ...]:
     """The library's scripts as base64 of gzip: 0.6 MB in place of 1.4 leave the figures room."""
-    return tuple(_text_of(gzip.compress(library(name).encode("utf-8"), mtime=0)) for name in LIBRARY)
-
-
-@functools.cache
-def script() -> str:
-    """The script that unpacks the library and draws the figures."""
-    return (resources.files("hyperval.figures") / "charts.js").read_text("utf-8")
-
-
-@functools.cache
-def page_script() -> str:
-    """The script of every page: sorting and filtering of tables, links to evidence."""
-    return (resources.files("hyperval.report") / "templates" / "page.js").read_text("utf-8")
+    return tuple(base64_of(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
 
 
 @functools.cache
 def page_hashes(figures: bool = True) -> str:
     """The scripts of a page, with figures or without, as sources of its policy: these texts, and no other, may run."""
-    texts = (*map(library, LIBRARY), script(), page_script()) if figures else (page_script(),)
-    return " ".join(f"'sha256-{_text_of(hashlib.sha256(text.encode('utf-8')).digest())}'" for text in texts)
+    places = (*LIBRARY, CHARTS, _EVERY_PAGE) if figures else (_EVERY_PAGE,)
+    return " ".join(f"'sha256-{base64_of(hashlib.sha256(script(place)).digest())}'" for place in places)
 
 
 def anchor(row: Result) -> str:
@@ -81,9 +65,9 @@ def anchor(row: Result) -> str:
 
 
 def matrix_of(
-    rows: Iterable[Result], line_of: Callable[[Result], str], link_of: Callable[[str, Sequence[Result]], str]
-) -> dict[str, Sequence[Any]] | None:
-    """Planned rows in lines by ``line_of`` and columns by product; None without any.
+    planned: Sequence[Result], line_of: Callable[[Result], str], link_of: Callable[[str, Sequence[Result]], str]
+) -> dict[str, Sequence[Any]]:
+    """Planned rows in lines by ``line_of`` and columns by product.
 
     Lines that gate come first, the worst of them first, then those that inform; each has its name, where it links to,
     and a cell for each column.
@@ -92,9 +76,6 @@ def matrix_of(
     ----------
     link_of : (line, rows of the cell) -> where the cell links to; of a whole line (line, [])
     """
-    planned = [row for row in rows if row.planned]
-    if not planned:
-        return None
     every = dict.fromkeys(row.product for row in planned)
     columns = [product for product in dict.fromkeys([*_COMPARED, *every]) if product in every]
     groups: dict[str, list[Result]] = {}
@@ -103,7 +84,7 @@ def matrix_of(
 
     def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
         gates = [row for row in item[1] if row.gates]
-        return not gates, WORST_FIRST.index(worst(gates or item[1]))
+        return not gates, WORST_FIRST.index(v.worst(gates or item[1]))
 
     lines = []
     for name, own in sorted(groups.items(), key=rank):
@@ -115,8 +96,8 @@ def matrix_of(
 def _matrices(run: Run, rows: Sequence[Result], *options: Callable[..., str]) -> list[tuple[str, Mapping[str, Any]]]:
     """The matrices of rows by what moves them, each with its heading, as a page of ``run`` parts them."""
     parts = _NUMBERS if run.sentence else _MATRICES
-    made = ((title, matrix_of([r for r in rows if r.evidence in kinds], *options)) for title, kinds in parts)
-    return [(title, matrix) for title, matrix in made if matrix is not None]
+    planned = ((title, [r for r in rows if r.planned and r.evidence in kinds]) for title, kinds in parts)
+    return [(title, matrix_of(own, *options)) for title, own in planned if own]
 
 
 def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
@@ -128,11 +109,11 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     if not rows:
         return {"outcome": Outcome.NONE, "letter": "", "words": "not planned", "link": ""}
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
-    outcome = worst(gates or rows)
+    outcome = v.worst(gates or rows)
     letter = OUTCOMES[outcome].letter if gates else OUTCOMES[outcome].letter.lower()
     parts = [f"criteria: {outcome_words(gates)}"] if gates else []
     informing = [row for row in rows if not row.gates and row.outcome is not Outcome.ERROR]
-    if gates and outcome is not Outcome.DISAGREES and worst(informing) is Outcome.DISAGREES:
+    if gates and outcome is not Outcome.DISAGREES and v.worst(informing) is Outcome.DISAGREES:
         letter += f" {OUTCOMES[Outcome.DISAGREES].letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
     return {"outcome": outcome, "letter": letter, "words": "; ".join(parts), "link": link}
@@ -159,9 +140,6 @@ _FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that dr
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
-_MOST_OPEN = 12  # rows of a table before it is folded
-_MOST_LISTED = 400  # planned rows of one section; results.csv has all
-_MOST_ROWS = 60  # rows of one section that nothing was planned for
 
 SECTIONS = {
     "attribution": "Why they differ",
@@ -187,13 +165,12 @@ _GROUPS = (
     ("Simulated collections", (True, False)),
 )
 _REASONS = ("attribution", "what-if", "sensitivity")
-_INPUT = ("reference", "sha256", "licence", "citation")
 _COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 
 def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
-    rows, sides, (power, stale) = list(run.table), run.pair, run.power or (None, "")
+    rows, sides = list(run.table), run.pair
     spectra = _worst_first(first_figures(sides, run.table), rows)
     many = many_objects_figure(run.score_maps, sides)
     shown_first = [*spectra, *([many] if many is not None else [])]
@@ -201,15 +178,12 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     plots = further_figures(sides, run.table, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
-    planned = [row for row in rows if row.planned]
-    screen = v.first_screen(rows, power.sentence.partition(". ")[0] + "." if power else "")
-    forest = criteria_figure(rows) if planned and not run.sentence else None
+    compares = any(row.planned for row in rows)
+    screen = v.first_screen(rows, run.power[0].sentence.partition(". ")[0] + "." if run.power else "")
+    forest = criteria_figure(rows) if compares and not run.sentence else None
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
-    first = [one for one in (forest, worst) if one is not None]
-    statements = {one.name: statement(one) for one in (*first, *charts, *folded)}
-    embedded = _embedded(drawings, statements)
+    statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
-    sections = _sections(drawings, folded, shown)
     compared = [row for row in shown if row.product not in _REASONS]
     return page(
         "report.html.j2", statements,
@@ -217,27 +191,18 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         screen=screen,
         forest=forest,
         worst=worst,
-        verdict=run.sentence or screen.words,
-        compares=bool(planned),
-        power=power,
-        stale=stale,
-        gated=any(row.gates for row in rows),
+        compares=compares,
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
         matrices=_matrices(run, compared, lambda r: r.subject, _link),
-        per_band=sum(row.per_band for row in rows),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
-        embedded=embedded,
+        embedded=_embedded(drawings, statements),
         budget=[chart for chart in folded if chart.name == _BUDGET],
-        sections=[section for section in sections if section["name"] not in _REASONS],
-        reasons=[section for section in sections if section["name"] in _REASONS],
+        parts=_sections(drawings, folded, shown),
+        of_reasons=_REASONS,
         undone=_undone(rows),
-        notes=run.notes,
-        inputs=[{key: str(item.get(key) or "") for key in _INPUT} for item in run.provenance.get("inputs", ())],
-        facts=list(flat({k: v for k, v in run.provenance.items() if k != "inputs"}).items()),
-        maps=len(run.score_maps),
-        metrics=explained(row.metric for row in planned),
-        most_open=_MOST_OPEN,
+        facts=flat({k: v for k, v in run.provenance.items() if k != "inputs"}),
+        metrics=explained(row.metric for row in rows if row.planned),
     )  # fmt: skip
 
 
@@ -271,29 +236,24 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of their own are
     set beside accepted numbers.
     """
+    pages = {name: f"{folder}/report.html" for name, folder in folders.items()}
     groups = []
     for heading, kind in _GROUPS:
         own = [run for run in runs if not run.remedy and (run.simulated, run.computed) == kind]
         if not own:
             continue
-        rows = [row for run in own for row in run.table if row.product not in _REASONS]
-
-        def link(name: str, cell: Sequence[Result]) -> str:
-            page = f"{folders[name]}/report.html"
-            return f"{page}#{anchor(cell[0])}" if cell else page
-
-        matrices = _matrices(own[0], rows, lambda r: r.campaign, link)
-        entries = [(run, v.first_screen(list(run.table)), f"{folders[run.campaign]}/report.html") for run in own]
         together = [row for run in own for row in run.table]
+        matrices = _matrices(
+            own[0], [row for row in together if row.product not in _REASONS], lambda r: r.campaign,
+            lambda name, cell: f"{pages[name]}#{anchor(cell[0])}" if cell else pages[name],
+        )  # fmt: skip
+        entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
         screen, sentence = v.first_screen(together), ""
         if own[0].sentence:
             sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
         groups.append((heading, screen, sentence, matrices, entries))
     remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
-    absent = [
-        (remedy, [(run, f"{folders[run.campaign]}/report.html") for run in runs if run.remedy == remedy])
-        for remedy in remedies
-    ]
+    absent = [(remedy, [(run, pages[run.campaign]) for run in runs if run.remedy == remedy]) for remedy in remedies]
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
     drawn = [forest] if forest else []
     return page("index.html.j2", drawn, forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
@@ -316,14 +276,12 @@ def environment() -> jinja2.Environment:
     """The templates of reports, with the filters of rows."""
     environment = strict_templates("hyperval.report")
     environment.filters.update(
-        metric=_metric_markup,
         value=v.value_text,
         interval=v.interval_text,
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         row_name=row_name,
         outcome=lambda word: OUTCOMES[Outcome(word)].word,
-        breakable=_breakable,
         subject=_subject_text,
         anchor=anchor,
     )
@@ -345,9 +303,8 @@ def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **w
     statements = dict(drawn) if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn}
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
-        starter=script() if statements else "", script_hashes=page_hashes(bool(statements)),
-        version=hyperval.__version__, generated=_generated(), most_listed=_MOST_LISTED, most_rows=_MOST_ROWS,
-        page_script=page_script(),
+        starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
+        version=hyperval.__version__, generated=_generated(), page_script=script(_EVERY_PAGE).decode(),
     )  # fmt: skip
 
 
@@ -359,25 +316,13 @@ def _generated() -> str | None:
     return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
-def _undone(rows: Sequence[Result]) -> list[tuple[Outcome, str, str, list[str]]]:
+def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]:
     """Planned rows that were not made, those of one outcome, product and cause together with their names."""
     groups: dict[tuple[Outcome, str, str], list[str]] = {}
     for row in rows:
         if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
             groups.setdefault((row.outcome, row.product, row.reason or str(row.cause)), []).append(row_name(row))
-    return [(*key, names) for key, names in groups.items()]
-
-
-def _breakable(text: str) -> Markup:
-    """A dotted name with places where it may break."""
-    return Markup(".<wbr>").join(Markup("_<wbr>").join(part.split("_")) for part in text.split("."))
-
-
-def _metric_markup(row: Result) -> Markup:
-    """The metric's name with places where a long one may break; what follows "@" stays together."""
-    base, at, where = row.metric.partition("@")
-    name = Markup("_<wbr>").join(base.split("_"))  # join escapes the parts
-    return name + (Markup('<wbr><span class="together">{}</span>').format(at + where) if at else "")
+    return groups
 
 
 def _subject_text(text: str) -> str:
@@ -389,11 +334,15 @@ def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figur
     """Charts of products whose gates say worse before the others; of one rank, by informational comparisons."""
 
     def rank(chart: Figure) -> tuple[int, ...]:
-        made = (row for row in rows if row.planned and row.outcome is not Outcome.SKIPPED)
-        planned = [row for row in made if row.product == chart.section]
+        planned = _made(rows, chart.section)
         return tuple(WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
 
     return sorted(charts, key=rank)
+
+
+def _made(rows: Sequence[Result], product: str) -> list[Result]:
+    """Planned rows of a product that were made."""
+    return [row for row in rows if row.product == product and row.planned and row.outcome is not Outcome.SKIPPED]
 
 
 def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[dict[str, Any]]:
@@ -401,17 +350,12 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
     sections = []
     for name in dict.fromkeys([*_COMPARED, *_REASONS, *(row.product for row in rows)]):
         own_drawings = [d for d in drawings if d.section == name and d.name not in PICTURES]
-        own = [row for row in rows if row.product == name]
-        made = (row for row in own if row.planned and row.outcome is not Outcome.SKIPPED)
-        planned = sorted(made, key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
+        planned = sorted(_made(rows, name), key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
         own_charts = [chart for chart in charts if chart.section == name and chart.name != _BUDGET]
-        others = [row for row in own if not row.planned and not row.per_band]
+        others = [row for row in rows if row.product == name and not row.planned and not row.per_band]
         if own_drawings or own_charts or planned or others:
-            sections.append({
-                "name": name, "title": SECTIONS.get(name, name), "figures": own_drawings, "charts": own_charts,
-                "gates": [row for row in planned if row.gates], "others": others,
-                "informing": [row for row in planned if not row.gates],
-            })  # fmt: skip
+            named = {"name": name, "title": SECTIONS.get(name, name), "figures": own_drawings, "charts": own_charts}
+            sections.append(named | {"planned": planned, "others": others})
     return sections
 
 
@@ -422,26 +366,20 @@ def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dic
     """
     sources: dict[str, str] = {}
     room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
-    for drawing in sorted(drawings, key=_rank):
-        source = drawing.source
+    order = {name: number for number, name in enumerate(PICTURES)}
+    for drawing in sorted(drawings, key=lambda d: order.get(d.name, len(order) + d.name.startswith("score-map"))):
+        source = data_uri(drawing.content, drawing.kind)
         if len(source) <= room:
             room -= len(source)
             sources[drawing.name] = source
     return sources
 
 
-def _rank(drawing: Drawing) -> int:
-    if drawing.name in PICTURES:
-        return PICTURES.index(drawing.name)
-    return len(PICTURES) + drawing.name.startswith("score-map")
-
-
 def flat(value: Any, at: str = "") -> dict[str, str]:
     """What a record says as text, nested keys joined by dots; lists of records by their references."""
     if isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
-        value = {
-            str(item.get("reference", n) if isinstance(item, Mapping) else n): item for n, item in enumerate(value)
-        }
+        names = (item.get("reference", n) if isinstance(item, Mapping) else n for n, item in enumerate(value))
+        value = dict(zip(map(str, names), value, strict=True))
     if isinstance(value, Mapping):
         return {k: text for key, item in value.items() for k, text in flat(item, f"{at}.{key}".strip(".")).items()}
     return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}

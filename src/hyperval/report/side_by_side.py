@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.errors import refuse
-from hyperval.figures import Figure, first_figures
+from hyperval.figures import Figure, data_uri, first_figures, outcome_words
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
 from hyperval.report.html import flat, page
@@ -21,8 +20,6 @@ from hyperval.run import Run
 from hyperval.storage import whole_folder
 
 _FIGURE_BYTES = 4_200_000
-_MOST_MOVED = 60
-_MEDIA = {".svg": "image/svg+xml", ".png": "image/png"}
 
 
 def compare_runs(one: Path, other: Path, output: Path) -> int:
@@ -58,9 +55,8 @@ def difference_table(pairs: Sequence[Pair]) -> ResultTable:
 
 def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     """The page: both verdicts, verdicts that changed, what moved most, provenance that differs, figures."""
-    changed = sorted(
-        (p for p in pairs if p.verdict_changed), key=lambda p: WORST_FIRST.index((p.b or p.either).outcome)
-    )
+    changed = [p for p in pairs if p.verdict_changed]
+    changed.sort(key=lambda p: WORST_FIRST.index((p.b or p.either).outcome))
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     charts = _charts(a, b) if moved or changed else []
@@ -69,10 +65,9 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     return page(
         "pair.html.j2", charts,
         runs=[{"label": label, "folder": name, "screen": v.first_screen(list(run.table)),
-               "counts": v.outcome_words(run.table)} for label, run, name in labels],
+               "counts": outcome_words(run.table)} for label, run, name in labels],
         changed=changed,
-        moved=whole[:_MOST_MOVED],
-        more=max(len(whole) - _MOST_MOVED, 0),
+        moved=whole,
         bands=len(moved) - len(whole),
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
         same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
@@ -129,8 +124,7 @@ def _figures(a: Run, b: Run, alike: Sequence[str]) -> list[dict[str, Any]]:
         sources = []
         for run in (a, b):
             path = run.figures.get(name)
-            text = "" if path is None else base64.b64encode(path.read_bytes()).decode("ascii")
-            source = f"data:{_MEDIA[path.suffix]};base64,{text}" if path else ""
+            source = data_uri(path.read_bytes(), path.suffix[1:]) if path else ""
             room -= len(source)
             sources.append({"source": source if room > 0 else "", "there": path is not None})
         out.append({"name": name.rsplit(".", 1)[0], "sides": sources})

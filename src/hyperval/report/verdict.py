@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from hyperval.figures.rows import criteria_of, effect_text, ranked, row_label, short_text
+from hyperval.figures.rows import criteria_of, effect_text, outcome_words, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import EVERY, OUTCOMES, WORST_FIRST, Cause, Outcome, Result
 
@@ -94,7 +94,7 @@ def _lead(gates: Sequence[Result], rows: Sequence[Result], ahead: str, first: Re
     if not gates:
         outside = sum(row.outcome is Outcome.DISAGREES for row in rows)
         return f"Nothing here can pass or fail. {outside} informational comparisons are outside their range."
-    parts = [_counted([row for row in gates if row.evidence is kind], kind, named=False) for kind in _KINDS]
+    parts = [_counted(gates, kind, named=False) for kind in _KINDS]
     if first is not None and first.gates and ahead:
         parts.append(f"{ahead}: {product_words(first.product)}, {row_label(first)}, {effect_text(first)}.")
     return " ".join(filter(None, parts))
@@ -103,8 +103,7 @@ def _lead(gates: Sequence[Result], rows: Sequence[Result], ahead: str, first: Re
 def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str:
     telling = [row for row in rows if disagrees_without_gating(row)]
     unsure = sum(not row.gates and row.outcome is Outcome.UNDECIDED for row in rows)
-    words = [opening, *(_counted([row for row in gates if row.evidence is kind], kind) for kind in _KINDS)]
-    words.append(_never_met(gates))
+    words = [opening, *(_counted(gates, kind) for kind in _KINDS), _never_met(gates)]
     if telling:
         noun = "comparison is" if len(telling) == 1 else "comparisons are"
         words.append(f"Besides, {len(telling)} informational {noun} not met ({_named(telling)}).")
@@ -123,11 +122,8 @@ def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome
 
 def _reason(rows: Sequence[Result], subject: str) -> str:
     """What explains the differences: what the attribution concludes of all residuals, or else of one subject."""
-    told = {
-        row.subject: row.reason
-        for row in rows
-        if row.product == "attribution" and row.metric == "reduced_chi_square" and row.method == "every input"
-    }
+    concludes = "attribution", "reduced_chi_square", "every input"
+    told = {row.subject: row.reason for row in rows if (row.product, row.metric, row.method) == concludes}
     words, since = told.get("all") or told.get(subject, ""), told.get(SINCE, "")
     if since.startswith(("check", "none")):
         words = f"{since}, since the accepted run"
@@ -238,7 +234,7 @@ def _counted(gates: Sequence[Result], kind: Evidence, *, named: bool = True) -> 
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
     for outcome, said in OUTCOMES.items():
-        own = [row for row in gates if row.outcome is outcome]
+        own = [row for row in gates if row.evidence is kind and row.outcome is outcome]
         if own:
             noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
             told = f" ({_named(own)})" if named else ""
@@ -261,17 +257,10 @@ def disagrees_without_gating(row: Result) -> bool:
     return not row.gates and row.outcome is Outcome.DISAGREES
 
 
-def outcome_words(rows: Iterable[Result]) -> str:
-    """Number of rows by outcome: "3 met, 1 not met, 40 without a range"."""
-    count = Counter(row.outcome for row in rows)
-    return ", ".join(f"{count[key]} {said.word}" for key, said in OUTCOMES.items() if count[key]) or "no rows"
-
-
 def accepted_words(rows: Iterable[Result]) -> str:
     """How many numbers are as they were accepted, and how many are not; nothing of what the model agrees with."""
-    outcomes = [row.outcome for row in rows]
-    wrong, right = outcomes.count(Outcome.DISAGREES), outcomes.count(Outcome.AGREES)
-    total = wrong + right
+    counts = Counter(row.outcome for row in rows)
+    wrong, total = counts[Outcome.DISAGREES], counts[Outcome.DISAGREES] + counts[Outcome.AGREES]
     if total == 0:
         return "No number was checked."
     return f"{wrong} of {total} numbers are not as accepted." if wrong else f"{total} numbers as accepted."
@@ -289,18 +278,12 @@ def number_text(value: float, spread: float = math.nan) -> str:
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    magnitude = abs(value)
-    if value != 0 and not 1e-4 <= magnitude < 1e6:
-        return f"{value:.3g}".replace("-", "−")
-    if math.isfinite(spread) and spread > 0:
-        decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
-    elif float(value).is_integer():
-        decimals = 0
+    if value != 0 and not 1e-4 <= abs(value) < 1e6:
+        text = f"{value:.3g}"
+    elif 0 < spread < math.inf:
+        text = f"{value:.{min(max(1 - math.floor(math.log10(spread)), 0), 6)}f}"
     else:
-        decimals = min(max(3 - math.floor(math.log10(magnitude)), 0), 7)
-    text = f"{value:.{decimals}f}"
-    if "." in text and not (math.isfinite(spread) and spread > 0):
-        text = text.rstrip("0").removesuffix(".")
+        text = f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
     if float(text) == 0.0:
         text = text.removeprefix("-")
     return text.replace("-", "−")
@@ -312,7 +295,7 @@ def value_text(row: Result) -> str:
         if row.value < 1e-300:  # which the computer cannot tell from 0
             return "< 1e−300"
         return "> 0.999" if row.value > 0.999 else f"{row.value:.2g}".replace("-", "−")
-    text = number_text(row.value, _half_width(row))
+    text = number_text(row.value, (row.upper - row.lower) / 2)
     return text if row.unit in ("1", "") or math.isnan(row.value) else f"{text} {row.unit}"
 
 
@@ -320,7 +303,7 @@ def interval_text(row: Result) -> str:
     """The interval of a row, empty when it has none."""
     if math.isnan(row.lower) and math.isnan(row.upper):
         return ""
-    spread = _half_width(row)
+    spread = (row.upper - row.lower) / 2
     return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"
 
 
@@ -332,10 +315,6 @@ def limits_text(row: Result) -> str:
     if math.isnan(low):
         return f"≤ {number_text(high)}"
     return f"≥ {number_text(low)}" if math.isnan(high) else f"{number_text(low)} to {number_text(high)}"
-
-
-def _half_width(row: Result) -> float:
-    return (row.upper - row.lower) / 2
 
 
 def _named(rows: Sequence[Result]) -> str:

@@ -775,7 +775,7 @@ def detector_figure(one: Benchmarked) -> Figure | None:
     """A view for each metric on all objects: value, interval, rank with its set."""
     detectors = row_names([" = ".join(g) for g in one.groups])
 
-    def view(metric: str) -> tuple[Panels, str]:
+    def view(metric: str) -> Panels:
         standings = [one.standing(group, metric) for group in one.groups]
         known = {i: (row, rank) for i, (row, rank, _) in enumerate(standings) if row is not None and rank is not None}
         notes = {i: _rank_text(rank) for i, (_, rank) in known.items()}
@@ -794,7 +794,7 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         said = [f"{'/'.join(one.groups[i])} {metric} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
         part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
-        return Panels(Axis("value", "log" if far else "linear"), (part,), name), "; ".join(said)
+        return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(said))
 
     title = f"{one.name}: detectors on all objects with 95 % intervals; rank [95 % set]"
     alt = f"Metrics of each detector on all objects of {one.name}."
@@ -858,15 +858,15 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
     pairs = {name: [(key, one.here[*key[:2], name], row) for key, row in one.here.items()
                     if key[2] == f"predicted_{name}" and (*key[:2], name) in one.here] for name in names}  # fmt: skip
 
-    def view(metric: str) -> tuple[Panels, str]:
+    def view(metric: str) -> Panels:
         y, low, high, x = np.array([(m.value, m.lower, m.upper, p.value) for _, m, p in pairs[metric]], float).T
         said = tuple(
             f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs[metric]
         )
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
         dots = measured_mark("dots", {"x": x, "y": y, "low": low, "high": high}, marker="circle", words=said)
-        part = Part(Axis("measured", ends=(-0.02, 1.02)), (diagonal, dots))
-        return Panels(Axis("predicted", ends=(-0.02, 1.02)), (part,), MEASURES[metric].title), "; ".join(said)
+        x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
+        return Panels(x, (Part(y, (diagonal, dots)),), MEASURES[metric].title, words="; ".join(said))
 
     title = f"{one.name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
     known = [name for name in names if pairs[name]]

@@ -18,8 +18,8 @@ from hyperval.config import shipped
 from hyperval.data import Array
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
+from hyperval.figures import drawings_of, outcome_words
 from hyperval.figures.catalogue import roc_figure
-from hyperval.figures.print import drawings_of
 from hyperval.figures.spec import (
     SOURCES,
     WAVELENGTH,
@@ -28,6 +28,7 @@ from hyperval.figures.spec import (
     Mark,
     Panels,
     Part,
+    by_kind,
     robust_limits,
     row_names,
     single,
@@ -65,7 +66,7 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         columns = {"x": 0.5 * (axis.centre_nm[:-1] + axis.centre_nm[1:]), "y": spacing}
         marks.append(Mark("line", columns, "spacing", narrow, "dashed"))
         ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings"
-    title, view = "Width and spacing of the bands", single(_wavelengths(axis), "width, spacing [nm]", marks)
+    title, view = "Width and spacing of the bands", single(_wavelengths(axis), Axis("width, spacing [nm]"), marks)
     alt = f"Width and spacing of the {len(axis)} bands against wavelength{ratio}."
     yield Figure("response", "response", title, alt, (view,))
     sigmas, responses = np.linspace(-3.0, 3.0, 61), []
@@ -75,7 +76,7 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         w = axis.centre_nm[k] + sigmas * axis.fwhm_nm[k] * SIGMA_PER_FWHM
         responses.append(Mark("line", {"x": w, "y": np.exp(-0.5 * sigmas**2)}, "", (wide, narrow)[k % 2]))
     ends = responses[0].columns["x"][0], responses[-1].columns["x"][-1]
-    count, view = len(responses), single(Axis(WAVELENGTH, ends=ends), "relative response", responses)
+    count, view = len(responses), single(Axis(WAVELENGTH, ends=ends), Axis("relative response"), responses)
     alt = f"Relative response of {count} bands against wavelength."
     yield Figure("responses", "response", f"Responses of {count} bands", alt, (view,))
 
@@ -96,7 +97,7 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
         "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the calibration "
         f"error. At 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to {middle.max():.0f}."
     )
-    view = single(_wavelengths(axis), "signal-to-noise ratio", marks, ends=robust_limits(highest))
+    view = single(_wavelengths(axis), Axis("signal-to-noise ratio", ends=robust_limits(highest)), marks)
     yield Figure("snr", "snr", title, alt, (view,))
 
 
@@ -116,8 +117,8 @@ def _noise(check: SensorCheck) -> Iterator[Figure]:
                 marks.append(Mark("bars" if few else "area", columns, words, colour, alpha=1.0))
                 base = base + share
                 shown.setdefault(words, colour)
-        label = "share of the variance [%]"
-        views.append(single(_wavelengths(axis), label, marks, subject=f"reflectance {level:g}", ends=(0.0, 100.0)))
+        y = Axis("share of the variance [%]", ends=(0.0, 100.0))
+        views.append(single(_wavelengths(axis), y, marks, f"reflectance {level:g}"))
     alt = f"Share of each source in the variance of the noise, dark and bright ground: {', '.join(shown)}."
     yield Figure("noise", "noise", "Sources of noise, dark and bright ground", alt, tuple(views))
 
@@ -133,7 +134,8 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     highest = max(1.0, float(np.max(parts)))
     title = "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)"
     alt = f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}."
-    view = single(_wavelengths(check.axis), "part of full scale", marks, ends=(0.0, 1.08 * highest), level=1.0)
+    y = Axis("part of full scale", ends=(0.0, 1.08 * highest))
+    view = single(_wavelengths(check.axis), y, marks, rules=(("y", 1.0),))
     yield Figure("saturation", "saturation", title, alt, (view,))
 
 
@@ -160,6 +162,11 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     points = check.points
     if not points:
         return
+    looks = {
+        "value": {"marker": "circle", "colour": SOURCES[0], "label": "published value"},
+        "at least": {"marker": "square", "colour": SOURCES[2], "label": "published lower bound"},
+        "unstated": {"marker": "tick", "colour": SOURCES[7], "label": "no radiance stated: not judged"},
+    }
     kinds = [point.item.says if point.judged else "unstated" for point in points]
     w, ratios = np.array([p.wavelength_nm for p in points]), np.array([p.computed / p.published for p in points])
     margin = max(0.12 * float(np.ptp(w)), 60.0)
@@ -168,20 +175,12 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     if "value" in kinds:
         columns = {"x": np.array(x), "low": np.full(2, 1 - TOLERANCE), "high": np.full(2, 1 + TOLERANCE)}
         marks.append(Mark("area", columns, f"within {100 * TOLERANCE:g} %", SOURCES[0], alpha=0.15))
-    for kind, marker, colour, label in (
-        ("value", "circle", SOURCES[0], "published value"),
-        ("at least", "square", SOURCES[2], "published lower bound"),
-        ("unstated", "tick", SOURCES[7], "no radiance stated: not judged"),
-    ):
-        own = [i for i, k in enumerate(kinds) if k == kind]
-        words = tuple(f"{points[i].computed:.0f} / {points[i].published:g}" for i in own)
-        if own:
-            columns = {"x": w[own], "y": ratios[own]}
-            marks.append(Mark("dots", columns, label, colour, marker=marker, words=words, beside="right"))
+    words = tuple(f"{p.computed:.0f} / {p.published:g}" for p in points)
+    marks += by_kind(Mark("dots", {"x": w, "y": ratios}, words=words, beside="right"), kinds, looks)
     listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
     ends = min(0.6, 0.9 * float(ratios.min())), max(1.4, 1.15 * float(ratios.max()))
     title, alt = "Computed over published signal-to-noise ratio", f"Computed against published ratios: {listed}."
-    view = single(Axis(WAVELENGTH, ends=x), "computed / published", marks, ends=ends, level=1.0)
+    view = single(Axis(WAVELENGTH, ends=x), Axis("computed / published", ends=ends), marks, rules=(("y", 1.0),))
     yield Figure("published-snr", "published_snr", title, alt, (view,))
 
 
@@ -231,7 +230,7 @@ def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: di
         axis = check.axis
     return page(
         "datasheet.html.j2", figures,
-        sensor=check.sensor.specification, axis=axis, counts=v.outcome_words(rows), failed=failed, known=known,
+        sensor=check.sensor.specification, axis=axis, counts=outcome_words(rows), failed=failed, known=known,
         decided=len(failed) + sum(r.gates and r.outcome is Outcome.AGREES for r in rows), rows=rows, figures=figures,
         numbers=numbers(check.sensor.specification), beside=bands_beside(check.sensor), provenance=provenance,
         folded=_FOLDED,

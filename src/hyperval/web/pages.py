@@ -20,7 +20,7 @@ from starlette.responses import HTMLResponse, Response
 
 import hyperval
 from hyperval.config import schema_text
-from hyperval.report.html import LIBRARY, library, script, strict_templates
+from hyperval.report.html import CHARTS, LIBRARY, script, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
 from hyperval.web.forms import Node
@@ -46,7 +46,7 @@ pages = APIRouter(include_in_schema=False)
 api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _REPORT = ("style.css", "page.js")
-_LIBRARY = dict(zip(("bokeh.js", "bokeh-api.js"), LIBRARY, strict=True))
+_SCRIPTS = dict(zip(("bokeh.js", "bokeh-api.js", "charts.js"), (*LIBRARY, CHARTS), strict=True))
 
 
 @lru_cache(maxsize=1)
@@ -93,10 +93,8 @@ def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: st
 
 @lru_cache(maxsize=16)
 def _static(name: str) -> bytes | None:
-    if name in _LIBRARY:
-        return library(_LIBRARY[name]).encode("utf-8")
-    if name == "charts.js":
-        return script().encode("utf-8")
+    if name in _SCRIPTS:
+        return script(_SCRIPTS[name])
     package = ("hyperval.report", "templates") if name in _REPORT else ("hyperval.web", "static")
     file = resources.files(package[0]) / package[1] / name
     return file.read_bytes() if file.is_file() else None
