@@ -16,7 +16,7 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import metadata
 from operator import attrgetter
 from pathlib import Path
@@ -27,8 +27,9 @@ from pydantic import Field, model_validator
 
 import hyperval
 from hyperval.campaign import Job, as_before, command_without_output, jobs_of, validate
+from hyperval.compare import row
 from hyperval.config import FILL_IN, Model, load_model
-from hyperval.errors import HypervalError, as_typed, reader, refuse
+from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
@@ -125,27 +126,10 @@ class Baseline(Model):
 
     def write(self, path: Path) -> None:
         """Write it: one number a line, so that a change reads as one."""
-        lines = [
-            f"# Accepted numbers of the {self.kind} {self.name}.  "
-            "`hyperval baseline accept` renews them; tolerances are set by hand.",
-            "schema: 1",
-            f"kind: {self.kind}",
-            *(f"{key}: {_text(getattr(self, key))}" for key in ("name", "reason", "date")),
-            f"versions: {{{', '.join(f'{key}: {_text(value)}' for key, value in self.versions.items())}}}",
-            "metrics:",
-            *(f"  {_text(key)}: {_line(item)}" for key, item in sorted(self.metrics.items())),
-        ]
-        write_text(path, "\n".join(lines) + "\n")
-
-
-def _line(item: Accepted) -> str:
-    entries = {"accepted": None} | item.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    plain = (value if isinstance(value, str) and value.isalpha() else _text(value) for value in entries.values())
-    return "{" + ", ".join(map("{}: {}".format, entries, plain)) + "}"
-
-
-def _text(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False)
+        items = sorted(self.metrics.items())
+        held = {key: item.model_dump(mode="json", exclude_none=True, exclude_defaults=True) for key, item in items}
+        text = partial(json.dumps, ensure_ascii=False)
+        write_text(path, worded("baseline/words.yaml", "file")(baseline=self, metrics=held, text=text) + "\n")
 
 
 def split_key(key: str) -> tuple[str, str, str, str]:
@@ -170,38 +154,26 @@ def load_baseline(path: Path) -> Baseline:
     return load_model(Baseline, path)
 
 
-# A planned row is often an absolute value or a verdict; these say which way and how far the two sides moved.
-BEHIND: Mapping[str, tuple[str, ...]] = {
-    "radiance": ("median_difference_ratio_*", "spectral_angle"),
-    "toa_reflectance": ("median_difference_ratio_*", "spectral_angle", "fraction_inside_stated*"),
-    "snr": ("median_difference_ratio_*",),
-    "reflectance": ("median_difference_ratio_*", "spectral_angle"),
-    "scores": ("score_mean_predicted", "score_mean_observed", "score_sd_ratio"),
-    "roc": ("pd_predicted@*", "pd_measured@*"),
-    "abundance": ("area_predicted", "area_observed", "area_ratio"),
-}
-
-
 def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
     """The numbers of one campaign that a baseline keeps, sorted by name.
 
     Every planned row that is not about a single band, whether it gates or informs, and for the subjects and
-    methods of those the rows of :data:`BEHIND`.  Of a row that several gates cover the worst outcome counts.
+    methods of those what stands :attr:`~hyperval.metrics.Metric.behind` it, as what is planned is often an absolute
+    value or a verdict.  Of a row that several gates cover the worst outcome counts.
     """
     whole = [row for row in rows if not row.per_band]
     planned = [row for row in whole if row.planned]
-    subjects = {(r.product, s.strip(), r.method) for r in planned for s in (r.subject, *r.subject.split(","))}
+    names = {(r.product, s.strip(), r.method) for r in planned for s in (r.subject, *r.subject.split(","))}
 
-    def is_behind(row: Result) -> bool:
-        planned_here = [named[1:] for named in subjects if named[0] == row.product]
-        return any(fnmatchcase(row.metric, metric) for metric in BEHIND.get(row.product, ())) and any(
-            fnmatchcase(row.subject, subject) and fnmatchcase(row.method, method) for subject, method in planned_here
-        )
+    def is_named(row: Result) -> bool:
+        own = row.product, row.subject, row.method
+        return any(all(map(fnmatchcase, own, patterns)) for patterns in names)
 
+    behind = [row for row in whole if row.product in metric_of(row.metric).behind and is_named(row)]
     metrics: dict[str, Result] = {}
-    for row in [*planned, *filter(is_behind, whole)]:
-        old = metrics.setdefault(row.key, row)
-        metrics[row.key] = replace(old, outcome=min(old.outcome, row.outcome, key=WORST_FIRST.index))
+    for new in [*planned, *behind]:
+        old = metrics.setdefault(new.key, new)
+        metrics[new.key] = replace(old, outcome=min(old.outcome, new.outcome, key=WORST_FIRST.index))
     return dict(sorted(metrics.items()))
 
 
@@ -228,8 +200,8 @@ def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Re
     return {row.key: row for row in sorted(rows, key=attrgetter("key"))}
 
 
-def _item(product: str, subject: str, metric: str, value: float, unit: str = "1") -> Result:
-    return Result("", product, subject, METHOD, metric, float(value), unit)
+def _item(product: str, subject: str, metric: str, value: float, **more: Any) -> Result:
+    return replace(row(metric, value, **more), product=product, subject=subject, method=METHOD)
 
 
 def _bands(axis: SpectralAxis) -> Iterator[Result]:
@@ -239,7 +211,7 @@ def _bands(axis: SpectralAxis) -> Iterator[Result]:
     for line in LINES_NM:
         at = _band_at(axis, line)
         if at is not None:
-            yield _item("bands", f"{line:g} nm", "reference_radiance", level[at], "uW cm-2 sr-1 nm-1")
+            yield _item("bands", f"{line:g} nm", "reference_radiance", level[at])
 
 
 def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
@@ -251,27 +223,26 @@ def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
 def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
     """Medians over each spectral region of signal, SNR and the terms of (3.15)-(3.19) that the sensor has."""
     level = sunlit_radiance(axis, MIDDLE)
-    parts, unit = noise.breakdown(level), "uW cm-2 sr-1 nm-1"
+    parts = noise.breakdown(level)
     floor = 1e-9 * parts.total  # the others are zero, or what rounding leaves
     variances = {f"noise_{term}": part for term, part in vars(parts).items() if np.any(np.abs(part) > floor)}
     if noise.constant is None:
         wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit").breakdown(level)
         variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
-    signal = noise.electrons_per_radiance  # (3.13)
-    spectra = {("noise", "", "electrons_per_radiance"): (signal, f"electrons per {unit}")}
-    spectra |= {("noise", "", name): (np.sqrt(np.abs(variance)), unit) for name, variance in variances.items()}
+    spectra = {("noise", "", name): np.sqrt(np.abs(variance)) for name, variance in variances.items()}
+    spectra["noise", "", "electrons_per_radiance"] = noise.electrons_per_radiance  # (3.13)
     for part in LEVELS:
         snr = noise.snr(sunlit_radiance(axis, part), calibration=False)  # (3.20)
-        spectra["snr", f"reflectance {part:g}, ", "snr"] = snr, "1"
+        spectra["snr", f"reflectance {part:g}, ", "snr"] = snr
     for region, here in summary_regions(axis).items():
-        for (product, level_of, metric), (values, unit_of) in spectra.items():
-            yield _item(product, f"{level_of}{region}", f"median_{metric}", np.median(values[here]), unit_of)
+        for (product, level_of, metric), values in spectra.items():
+            yield _item(product, f"{level_of}{region}", f"median_{metric}", np.median(values[here]))
 
 
 def _scenarios(check: SensorCheck) -> Iterator[Result]:
     for name, run in check.runs.items():
         if isinstance(run, HypervalError):
-            yield replace(_item("scenario", name, "runs", np.nan), outcome=Outcome.SKIPPED, reason=str(run))
+            yield _item("scenario", name, "runs", np.nan, outcome=Outcome.SKIPPED, reason=str(run))
     for name, (subject, detector, _), curve in check.curves:
         pd = float(detection_at(curve, FALSE_ALARM))
         yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
@@ -279,7 +250,7 @@ def _scenarios(check: SensorCheck) -> Iterator[Result]:
     for name, prediction in check.predictions.items():
         if "white panel" in prediction.radiance and oxygen is not None:
             subject, level = f"{name}, {LINES_NM[-1]:g} nm", prediction.radiance["white panel"].mean[oxygen]
-            yield _item("scenario", subject, "white_panel_radiance", level, "uW cm-2 sr-1 nm-1")
+            yield _item("scenario", subject, "white_panel_radiance", level)
 
 
 DEFAULT_FOLDER = Path("validation/baselines")

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Interval, difference_row, named, row, scientific, skipped
+from hyperval.compare.rows import Interval, difference_row, named, of_sides, row, said, scientific, skipped
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
@@ -97,19 +97,14 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
         ratio = false_alarm_ratio(predicted, observed, level)
         at, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
         beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
-        words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{ratio.predicted:.3g}, "
-        words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
-        words += f"; fitted law uncertain by a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
-        words += f", correlated with that of the pixels ({ratio.together:.2f})" if ratio.together else ""
-        factor = math.nan if observed.half_image is None else float(observed.half_image[at])
-        if observed.half_image is not None:
-            words += f"; halves of the image differ by a factor of {factor:.2g}"
+        halves = math.nan if observed.half_image is None else float(observed.half_image[at])
+        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
         if predicted.influence is not None:
             yield _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted.influence)
-        if np.isfinite(factor):
+        if np.isfinite(halves):
             why = f"of {round(measured * n)} alarms; median over random halves"
-            yield row(f"pfa_repeatability@{label}", factor, n=observed.n, reason=why)
+            yield row(f"pfa_repeatability@{label}", halves, n=observed.n, reason=why)
 
 
 def _without_part(metric: str, ratio: float, threshold: float, parts: Influence) -> Result:
@@ -118,12 +113,11 @@ def _without_part(metric: str, ratio: float, threshold: float, parts: Influence)
     pixels = np.bincount(number[number >= 0], minlength=alarms.size)
     without = np.where(pixels > 0, parts.at(threshold), np.inf)
     part = int(np.argmin(np.abs(np.log(without))))
-    ends = [(at.min(), at.max()) for at in np.nonzero(number == part)]
     far, rest = abs(math.log(ratio)), abs(math.log(without[part]))
-    words = "" if far > 2.0 * rest or far < math.log(1.25) else "no single part is responsible: "
-    words += f"without {pixels[part]} of {pixels.sum()} pixels (lines {ends[0][0]} to {ends[0][1]}, samples "
-    words += f"{ends[1][0]} to {ends[1][1]}), which hold {100.0 * alarms[part] / max(alarms.sum(), 1):.0f} % of the "
-    words += f"alarms, the ratio is {without[part]:.2f} in place of {ratio:.2f}"
+    responsible = far > 2.0 * rest or far < math.log(1.25)
+    places, held = np.nonzero(number == part), 100.0 * alarms[part] / max(alarms.sum(), 1)
+    numbers = {"places": places, "pixels": pixels, "held": held, "without": without[part], "ratio": ratio}
+    words = said("pfa_ratio_without", part=part, responsible=responsible, **numbers)
     return row(metric, float(without[part]), n=int(pixels[part]), reason=words)
 
 
@@ -148,8 +142,8 @@ def compare_classification(p: ClassificationError, o: ClassificationError) -> It
     words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
     left = row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
     right = row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
-    difference = difference_row("error_difference", left, right)
-    yield from (left, right, difference, _inside_row("error_inside_interval", difference, right))
+    yield from (rows := of_sides("error_{}".format, left, right))
+    yield _inside_row("error_inside_interval", rows[-1], right)
     yield row("error_approximation", p.approximation)
     yield row("distance_predicted", p.distance)
     yield row("distance_observed", o.distance, n=o.n)
@@ -487,7 +481,6 @@ def _area_errors(error: Array, model: Array, spread: Array) -> Iterator[Result]:
 
 
 AREA_UNKNOWN = "the ground area of the background is not known"
-_SIDES = ("predicted", "measured", "difference")
 
 
 def samples_per_km2(curve: RocCurve) -> float:
@@ -573,29 +566,27 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
     """
     density = samples_per_km2(observed)
     for point in observed.at_detection:
-        names = [f"far_{side}@pd{point.pd:g}" for side in _SIDES]
+        name = f"far_{{}}@pd{point.pd:g}".format
         if math.isnan(density):
-            yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names[1])
+            yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, name("measured"))
             continue
-        why = f"{point.alarms} alarms in {observed.background_area_km2:.4g} km2; with the threshold taken as exact "
-        why += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
-        if point.alarms == 0 and observed.n_background:
-            why += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
+        at_most = zero_count_upper_limit(observed.n_background) * density if observed.n_background else math.nan
+        why = said("far_measured", point=point, observed=observed, density=density, at_most=at_most)
         ends = point.pfa_lower * density, point.pfa_upper * density
-        measured = row(names[1], point.pfa * density, ends, n=observed.n_target, reason=why)
-        if predicted is None:
-            yield measured
-            continue
-        curves = (predicted.pd, predicted.pd_upper, predicted.pd_lower)
-        p, low, high = (10.0 ** log10_false_alarm_at(predicted, point.pd, y) for y in curves)
-        if math.isnan(p):
-            why = f"the predicted curve does not reach P_D {point.pd:g} within its range of P_FA"
-            (left,) = skipped(Cause.BEYOND_CURVE, why, names[0])
-        else:
-            # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
-            ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
-            left = row(names[0], p * density, (ends[0] * density, ends[1] * density))
-        yield from (left, measured, difference_row(names[2], left, measured))
+        measured = row(name("measured"), point.pfa * density, ends, n=observed.n_target, reason=why)
+        left = _predicted_alarms(name("predicted"), predicted, point.pd, density) if predicted else None
+        yield from of_sides(name, left, measured)
+
+
+def _predicted_alarms(metric: str, curve: RocCurve, pd: float, density: float) -> Result:
+    """Alarms per km2 where a predicted curve reaches P_D; its band bounds them."""
+    p, low, high = (10.0 ** log10_false_alarm_at(curve, pd, y) for y in (curve.pd, curve.pd_upper, curve.pd_lower))
+    if math.isnan(p):
+        why = f"the predicted curve does not reach P_D {pd:g} within its range of P_FA"
+        return skipped(Cause.BEYOND_CURVE, why, metric)[0]
+    # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
+    ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
+    return row(metric, p * density, (ends[0] * density, ends[1] * density))
 
 
 def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) -> Result:
@@ -632,18 +623,16 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
     ('log_auc_difference@1e-3..1e-1', 0.0)]
     """
     for full, area in AREAS.items():
-        name, at, span = full.partition("@")
-        names, sides = [f"{name}_{side}{at}{span}" for side in _SIDES], []
+        base, at, span = full.partition("@")
+        name, left = f"{base}_{{}}{at}{span}".format, None
         if predicted is not None:
             value, *limits = (curve_area(predicted, area, y) for y in (None, predicted.pd_lower, predicted.pd_upper))
-            ends = min(value, *limits), max(value, *limits)
-            why = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
-            sides += skipped(Cause.BEYOND_CURVE, why, names[0]) if math.isnan(value) else [row(names[0], value, ends)]
-        if observed is not None:
-            sides.append(_measured_area(names[1], observed, full, area))
-        yield from sides
-        if len(sides) == 2:
-            yield difference_row(names[2], *sides)
+            left = row(name("predicted"), value, (min(value, *limits), max(value, *limits)))
+            if math.isnan(value):
+                why = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
+                (left,) = skipped(Cause.BEYOND_CURVE, why, left.metric)
+        right = _measured_area(name("measured"), observed, full, area) if observed else None
+        yield from of_sides(name, left, right)
 
 
 ALWAYS = (1e-1, 1e-2, 1e-3)
@@ -731,9 +720,7 @@ def whole_curve_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator
     """
     yield from far_at_detection_rows(predicted, observed)
     if (first := observed.alarms_before_first) is not None:
-        why = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
-        why += "favours targets with many pixels or parts"
-        yield row("alarms_before_first", first, n=observed.n_target, reason=why)
+        yield row("alarms_before_first", first, n=observed.n_target, reason=said("alarms_before_first", curve=observed))
     yield from area_rows(predicted, observed)
 
 
@@ -742,8 +729,7 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
     names = [f"{m}@{label}" for m in (*METRICS, *(["pd_equivalence"] if margin is not None else []))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
-        why = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
-        why += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
+        why = said("pd.few_alarms", background=background, pfa=pfa, label=label, least=LEAST_EXPECTED_ALARMS)
         yield from skipped(Cause.FEW_ALARMS, why, *names)
         return
     (p, band), (o, (low, high)) = read_at(predicted, pfa), read_at(observed, pfa)
@@ -751,15 +737,12 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
         side = "predicted" if math.isnan(p) else "measured"
         yield from skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
         return
-    left = row(names[0], p, band)
     right = row(names[1], o, (low, high), n=n)
-    difference = difference_row(names[2], left, right)
-    yield from (left, right, difference)
+    yield from (rows := of_sides(f"pd_{{}}@{label}".format, row(names[0], p, band), right))
     if high - low > WIDEST_INTERVAL:
-        why = f"the measured interval {low:.2g} to {high:.2g}"
-        why += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
-        yield from skipped(Cause.VACUOUS, f"{why} accepts nearly any prediction", *names[3:])
+        yield from skipped(Cause.VACUOUS, said("pd.vacuous", low=low, high=high, curve=observed), *names[3:])
         return
+    difference = rows[-1]
     yield _inside_row(names[3], difference, right)
     # An unknown measured interval must not read as "outside": the verdict itself is unknown.
     known = math.nan if math.isnan(low + high) else 1.0

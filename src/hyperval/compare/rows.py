@@ -6,10 +6,11 @@ A comparison is a function of two sides that yields such rows; :func:`named` say
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from hyperval.errors import worded
 from hyperval.metrics import metric_of
 from hyperval.results import Cause, Outcome, Result
 
@@ -38,6 +39,11 @@ def skipped(cause: Cause, reason: str, *metrics: str) -> list[Result]:
     return [Result("", "", "", "", name, outcome=Outcome.SKIPPED, cause=cause, reason=reason) for name in names]
 
 
+def said(name: str, **values: Any) -> str:
+    """What a row says of its value, or of why it has none: the words of a name in ``words.yaml``."""
+    return worded("compare/words.yaml", name)(**values)
+
+
 def difference_row(metric: str, predicted: Result, measured: Result) -> Result:
     """Predicted less measured; SKIPPED where a side is, with the words of the measured one first."""
     for side in (measured, predicted):
@@ -45,6 +51,14 @@ def difference_row(metric: str, predicted: Result, measured: Result) -> Result:
             return replace(side, metric=metric, evidence=None)
     (a, *ends), (b, *others) = ((side.value, side.lower, side.upper) for side in (predicted, measured))
     return row(metric, a - b, difference_interval(a, ends, b, others), n=measured.n)
+
+
+def of_sides(name: Callable[[str], str], predicted: Result | None, measured: Result | None) -> list[Result]:
+    """Rows of the sides there are and, of both, of their difference, whose ``name`` is that of "difference"."""
+    sides = [side for side in (predicted, measured) if side is not None]
+    if predicted is not None and measured is not None:
+        sides.append(difference_row(name("difference"), predicted, measured))
+    return sides
 
 
 def named(rows: Iterable[Result], product: str, subject: str, method: str) -> Iterator[Result]:
