@@ -17,12 +17,12 @@ import numpy as np
 import scipy
 from pydantic import Field, model_validator
 
-from hyperval.compare.rows import COMPARISON
+from hyperval.compare.rows import COMPARISON, said
 from hyperval.config import Model
 from hyperval.errors import UsageError, refuse
 from hyperval.metrics import Kind, base_name, metric_of, product_words
 from hyperval.model.intervals import Z95, clopper_pearson
-from hyperval.results import EVERY, Cause, Outcome, Result, Role
+from hyperval.results import EVERY, Cause, Effect, Outcome, Result, Role
 
 _CHI2_SLIP = 100.0
 
@@ -112,9 +112,8 @@ class Gate(Model):
     def limit_text(self) -> str:
         """The limit in words."""
         low, high = self.limits
-        if self.within is not None:
-            return f"within {low:g} to {high:g}"
-        return f"at most {high:g}" if self.at_most is not None else f"at least {low:g}"
+        one_end = f"at least {low:g}" if math.isinf(high) else f"at most {high:g}"
+        return one_end if self.within is None else f"within {low:g} to {high:g}"
 
     @property
     def role(self) -> Role:
@@ -304,8 +303,7 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
             kept = kept or tail_probability(out[i]) >= part
             shares[i] = share
             if kept and out[i].outcome is Outcome.DISAGREES:
-                why = f"its share of the level is {part:.2g}, among {len(order)} criteria"
-                why = _joined(why, out[i].reason)
+                why = _joined(f"its share of the level is {part:.2g}, among {len(order)} criteria", out[i].reason)
                 out[i] = replace(out[i], outcome=Outcome.UNDECIDED, cause=Cause.MULTIPLICITY, reason=why)
     return [told_as_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]
 
@@ -314,7 +312,7 @@ def detectable_departure(row: Result, low: float, high: float) -> float:
     """The smaller of :func:`detectable_sides`; of a test the departure that it was asked about."""
     if metric_of(row.metric).kind is Kind.TEST:
         return row.detectable
-    return min((side for side in detectable_sides(row, low, high) if not math.isnan(side)), default=math.nan)
+    return float(np.fmin(*detectable_sides(row, low, high)))
 
 
 def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float]:
@@ -350,32 +348,34 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
     ----------
     level : of a test, its part of the campaign's level
     """
-    known, about = metric_of(row.metric), row.about
+    known, unit, about = metric_of(row.metric), metric_of(row.metric).effect, row.about
     row = replace(row, about=None, p_value=row.value if known.kind is Kind.TEST else math.nan)
-    unit = known.effect
     if unit is None or not row.planned or math.isnan(row.value):
         return row
-    if about is not None:
-        numbers, (below, above) = (about.value, about.lower, about.upper), about.detectable
-        tested = about.accepted is not None and (known.kind is not Kind.TEST or math.isfinite(level))
-        low, high = about.accepted(level) if about.accepted and tested else (math.nan, math.nan)
-    elif known.kind is Kind.QUANTITY:
-        numbers, (low, high) = (row.value, row.lower, row.upper), (row.limit_low, row.limit_high)
-        sides = detectable_sides(row, low, high)
-        below, above = known.agreement - sides[0], known.agreement + sides[1]
-        below = math.nan if below < known.low else below  # no value is that small
-    else:
+    if about is None and known.kind is Kind.QUANTITY:
+        about = _of_quantity(row)
+    if about is None:
         return row
-    beyond = about is not None and about.decides and (about.lower < low or about.upper > high)
+    tested = known.kind is not Kind.TEST or math.isfinite(level)
+    low, high = about.accepted(level) if about.accepted and tested else (math.nan, math.nan)
+    beyond = about.decides and (about.lower < low or about.upper > high)
     if beyond and row.outcome is Outcome.AGREES:
         row = replace(row, outcome=Outcome.UNDECIDED, cause=Cause.WIDE_INTERVAL)
-    effect, lower, upper = map(unit, numbers)
+    effect, lower, upper, below, above = map(unit, (about.value, about.lower, about.upper, *about.detectable))
     ideal = known.agreement if unit.ideal is None else unit.ideal
     return replace(
         row, effect=effect, effect_lower=lower, effect_upper=upper, ideal=unit(ideal),
         effect_unit=unit.unit.format(product=product_words(row.product)),
-        accepted_low=unit(low), accepted_high=unit(high), detectable_low=unit(below), detectable_high=unit(above),
+        accepted_low=unit(low), accepted_high=unit(high), detectable_low=below, detectable_high=above,
     )  # fmt: skip
+
+
+def _of_quantity(row: Result) -> Effect:
+    """A quantity as its own effect, which the range of its row has decided already."""
+    known, limits = metric_of(row.metric), (row.limit_low, row.limit_high)
+    below, above = detectable_sides(row, *limits)
+    below = math.nan if known.agreement - below < known.low else known.agreement - below  # no value is that small
+    return Effect(row.value, row.lower, row.upper, lambda _: limits, (below, known.agreement + above), decides=False)
 
 
 def detectable_share(n: int, least: float) -> float:
@@ -388,11 +388,10 @@ def detectable_share(n: int, least: float) -> float:
     >>> round(detectable_share(100, 0.9), 3)
     0.199
     """
-    good = np.arange(n + 1)
-    disagrees = [k for k in good if clopper_pearson(int(k), n)[1] < least]
-    if not disagrees:
-        return math.nan
-    return 1.0 - float(scipy.stats.beta.ppf(0.2, disagrees[-1] + 1, n - disagrees[-1])) if disagrees[-1] < n else 1.0
+    count = int(np.count_nonzero(clopper_pearson(np.arange(n + 1), n)[1] < least))  # the fewest good that would do
+    if count in (0, n + 1):
+        return 1.0 if count else math.nan
+    return 1.0 - float(scipy.stats.beta.ppf(0.2, count, n - count + 1))
 
 
 def _by_gate(row: Result, gate: Gate) -> Result:
@@ -455,11 +454,7 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     bad = [row for row, (outcome, _) in zip(matched, judgements, strict=True) if outcome in amiss]
     n, undecided = len(matched), len(matched) - good - len(bad)
     lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(bad), n)[1])
-    shown = ", ".join(_name(row) for row in bad[:5])
-    shown += f" and {len(bad) - 5} more" if len(bad) > 5 else ""
-    what = f"{good} of {n} rows {gate.limit_text}"
-    what += f", {undecided} without an outcome of their own" if undecided else ""
-    what += f"; outside: {shown}" if shown else ""
+    what = said("pooled", good=good, n=n, limit=gate.limit_text, undecided=undecided, bad=[_name(row) for row in bad])
     names = "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction"
     row = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, reason=what)
     least = gate.fraction_at_least
