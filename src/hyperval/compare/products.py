@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hyperval.compare import covariance, detection, joint, spectra
+from hyperval.compare import covariance, detection, spectra
 from hyperval.compare.rows import named, row, scientific, skipped
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95
@@ -132,10 +132,10 @@ def compare_products(
     rows: list[Result] = []
     for product in SPECTRA:
         rows += of(spectra.compare_spectra, product, product=product, axis=axis)
-    for subject, side in joint.groups(observed, fitted_on).items():
-        rows += named(joint.compare_jointly(predicted, side), "radiance", subject, method)
+    for subject, side in spectra.groups(observed, fitted_on).items():
+        rows += named(spectra.compare_jointly(predicted, side), "radiance", subject, method)
     shown = "radiance" if observed.radiance else "reflectance"
-    rows += named(spectra.shifted_rows(observed), shown, joint.ALL_SUBJECTS, method)
+    rows += named(spectra.shifted_rows(observed), shown, spectra.ALL_SUBJECTS, method)
     for quantity in SPREAD:
         for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
             spread = covariance.compare_covariance(predicted, observed, subject, quantity)
