@@ -96,7 +96,7 @@ def package_table(name: str) -> dict[str, Any]:
 def worded(table: str, name: str) -> Callable[..., str]:
     """The words of a name in a YAML file of the package, a template to be filled with values.
 
-    >>> worded("compare/words.yaml", "distance.few_pixels")(fewest=4.0, size=6)
+    >>> worded("compare/words.yaml", "few_pixels.distance")(fewest=4.0, size=6)
     '4 independent pixels for 6 directions'
     """
     from jinja2 import Environment, StrictUndefined  # of the few runs that need it

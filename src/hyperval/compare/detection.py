@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Interval, difference_row, named, of_sides, row, said, scientific, skipped
+from hyperval.compare.rows import Interval, difference_row, named, of_sides, row, said, scientific, without
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
@@ -33,7 +33,7 @@ from hyperval.products import (
     RocCurve,
     ScoreDistribution,
 )
-from hyperval.results import Cause, Effect, Result
+from hyperval.results import Effect, Result
 
 ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as small in one of a million images at most
 
@@ -67,8 +67,7 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
         ends = ratio * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
         yield row("score_sd_ratio", ratio, ends.tolist(), n=n)
     else:
-        why = "fewer than two observed scores, or no spread among them"
-        yield from skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
+        yield from without("few_pixels.scores", "score_sd_ratio")
 
 
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
@@ -91,8 +90,7 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
         label = scientific(level)
         if level * n < LEAST_EXPECTED_ALARMS:
             if level >= 1e-3:
-                why = f"{observed.n} background pixels expect {level * n:.3g} alarms"
-                yield from skipped(Cause.FEW_ALARMS, why, f"pfa_ratio@{label}")
+                yield from without("few_alarms.pfa", f"pfa_ratio@{label}", n=observed.n, alarms=level * n)
             continue
         ratio = false_alarm_ratio(predicted, observed, level)
         at, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
@@ -173,9 +171,7 @@ def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -
     The share is (below + 1/2) / (N + 1), so that no score is impossible to a finite number of draws.
     """
     at, ordered = np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None)
-    below = np.searchsorted(ordered, at, "left").astype(float)
-    equal = ordered[np.minimum(below.astype(int), ordered.size - 1)] == at
-    below[equal] = 0.5 * (below[equal] + np.searchsorted(ordered, at[equal], "right"))
+    below = 0.5 * (np.searchsorted(ordered, at, "left") + np.searchsorted(ordered, at, "right"))
     return np.asarray((below + 0.5) / (ordered.size + 1.0))
 
 
@@ -297,8 +293,7 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     """
     half, n = x.shape[0] // 2, z.size
     if n > MOST_JOINED:
-        why = f"{n} objects; the model's draws resolve the joint distribution of at most {MOST_JOINED}"
-        yield from skipped(Cause.FEW_PIXELS, why, "joint_distance_p_value")
+        yield from without("few_pixels.draws", "joint_distance_p_value", n=n, most=MOST_JOINED)
         return
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
@@ -372,7 +367,7 @@ def compare_object_scores(
     rows = (
         judged_together(predicted, common, f"; without {lost}" if lost else "")
         if common
-        else iter(skipped(Cause.NO_OBSERVATION, "no object has both sides", *OF_ALL))
+        else iter(without("no_observation.objects", *OF_ALL))
     )
     yield from named(rows, "scores", EVERY_OBJECT, method)
 
@@ -380,7 +375,7 @@ def compare_object_scores(
 def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
     """Rows of the objects of one subject, with their finite scores."""
     if scores.size == 0:
-        yield from skipped(Cause.NO_OBSERVATION, "no measured score", "object_score_pit", "object_score_inside_95")
+        yield from without("no_observation.score", "object_score_pit", "object_score_inside_95")
     elif scores.size > 1:
         yield from judged_together({"": model}, {"": scores})
     else:
@@ -421,12 +416,12 @@ def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Res
     if p > 0:
         yield row("area_ratio", o / p, half=Z95 * np.hypot(uo / p, o * up / p**2), n=n, evidence=evidence)
     else:
-        yield from skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio")
+        yield from without("not_positive.area", "area_ratio", side="predicted")
     if o > 0:
         half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
         yield row("area_difference_ratio", float(difference_ratio(p, o)), half=half, n=n, evidence=evidence)
     else:
-        yield from skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
+        yield from without("not_positive.area", "area_difference_ratio", side="observed")
     if (nominal := observed.nominal_m2) is not None:
         yield row("area_error_predicted", p - nominal, half=Z95 * up, n=predicted.n)
         yield row("area_error_observed", o - nominal, half=Z95 * uo, n=n)
@@ -436,7 +431,7 @@ def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Res
         yield row("area_z", (p - o) / u, evidence=evidence)
         yield row("area_inside_95", abs((p - o) / u) <= Z95, evidence=evidence)
     else:
-        yield from skipped(Cause.NO_UNCERTAINTY, "neither side states an uncertainty", "area_z", "area_inside_95")
+        yield from without("no_uncertainty.area", "area_z", "area_inside_95")
 
 
 def compare_area_errors(
@@ -480,9 +475,6 @@ def _area_errors(error: Array, model: Array, spread: Array) -> Iterator[Result]:
     yield row("area_rmse_predicted", np.sqrt(np.mean(model**2 + spread**2)), n=n)
 
 
-AREA_UNKNOWN = "the ground area of the background is not known"
-
-
 def samples_per_km2(curve: RocCurve) -> float:
     """Background samples on a square kilometre; NaN when the area is not known."""
     return (curve.n_background or math.nan) / (curve.background_area_km2 or math.nan)
@@ -517,7 +509,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     label, alarms, density = scientific(pfa), int(observed.alarms[at[-1]]), samples_per_km2(observed)
     counted = np.array([alarms, n]) / (1.0 if observed.design_effect is None else observed.design_effect[at[-1]])
     if math.isnan(density):
-        yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, f"far_measured@{label}")
+        yield from without("no_ground_area.background", f"far_measured@{label}")
     else:
         area = observed.background_area_km2 or math.nan
         ends = tuple(float(x) * density for x in clopper_pearson(*counted))
@@ -535,8 +527,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         return
     name = f"pd_inside_joint_region@{label}"
     if most - least > WIDEST_INTERVAL:
-        why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
-        yield from skipped(Cause.VACUOUS, why, name)
+        yield from without("vacuous.region", name, n=m, unit=observed.unit)
         return
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
     ends = tuple(0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in span)
@@ -568,7 +559,7 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
     for point in observed.at_detection:
         name = f"far_{{}}@pd{point.pd:g}".format
         if math.isnan(density):
-            yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, name("measured"))
+            yield from without("no_ground_area.background", name("measured"))
             continue
         at_most = zero_count_upper_limit(observed.n_background) * density if observed.n_background else math.nan
         why = said("far_measured", point=point, observed=observed, density=density, at_most=at_most)
@@ -582,8 +573,7 @@ def _predicted_alarms(metric: str, curve: RocCurve, pd: float, density: float) -
     """Alarms per km2 where a predicted curve reaches P_D; its band bounds them."""
     p, low, high = (10.0 ** log10_false_alarm_at(curve, pd, y) for y in (curve.pd, curve.pd_upper, curve.pd_lower))
     if math.isnan(p):
-        why = f"the predicted curve does not reach P_D {pd:g} within its range of P_FA"
-        return skipped(Cause.BEYOND_CURVE, why, metric)[0]
+        return without("beyond_curve.pd", metric, pd=pd)[0]
     # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
     ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
     return row(metric, p * density, (ends[0] * density, ends[1] * density))
@@ -595,10 +585,10 @@ def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) ->
     if found is not None:
         return row(metric, found.value, (found.lower, found.upper), n=observed.n_target, reason=found.method)
     if observed.areas and area.logarithmic and n is not None:
-        why = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {full.partition('@')[2]}"
-        return skipped(Cause.FEW_ALARMS, f"{why}; {LEAST_EXPECTED_ALARMS:g} are needed", metric)[0]
+        span, least = full.partition("@")[2], LEAST_EXPECTED_ALARMS
+        return without("few_alarms.area", metric, n=n, alarms=area.low * n, span=span, least=least)[0]
     if math.isnan(value := curve_area(observed, area)):
-        return skipped(Cause.BEYOND_CURVE, "the measured curve does not reach its range of P_FA", metric)[0]
+        return without("beyond_curve.measured_area", metric)[0]
     return row(metric, value, n=observed.n_target, reason="no interval: the scores behind the curve are not known")
 
 
@@ -629,8 +619,7 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
             value, *limits = (curve_area(predicted, area, y) for y in (None, predicted.pd_lower, predicted.pd_upper))
             left = row(name("predicted"), value, (min(value, *limits), max(value, *limits)))
             if math.isnan(value):
-                why = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
-                (left,) = skipped(Cause.BEYOND_CURVE, why, left.metric)
+                (left,) = without("beyond_curve.area", left.metric, span=span)
         right = _measured_area(name("measured"), observed, full, area) if observed else None
         yield from of_sides(name, left, right)
 
@@ -729,18 +718,18 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
     names = [f"{m}@{label}" for m in (*METRICS, *(["pd_equivalence"] if margin is not None else []))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
-        why = said("pd.few_alarms", background=background, pfa=pfa, label=label, least=LEAST_EXPECTED_ALARMS)
-        yield from skipped(Cause.FEW_ALARMS, why, *names)
+        values = {"background": background, "pfa": pfa, "label": label, "least": LEAST_EXPECTED_ALARMS}
+        yield from without("few_alarms.pd", *names, **values)
         return
     (p, band), (o, (low, high)) = read_at(predicted, pfa), read_at(observed, pfa)
     if math.isnan(p) or math.isnan(o):
         side = "predicted" if math.isnan(p) else "measured"
-        yield from skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
+        yield from without("beyond_curve.point", *names, side=side, label=label)
         return
     right = row(names[1], o, (low, high), n=n)
     yield from (rows := of_sides(f"pd_{{}}@{label}".format, row(names[0], p, band), right))
     if high - low > WIDEST_INTERVAL:
-        yield from skipped(Cause.VACUOUS, said("pd.vacuous", low=low, high=high, curve=observed), *names[3:])
+        yield from without("vacuous.interval", *names[3:], low=low, high=high, curve=observed)
         return
     difference = rows[-1]
     yield _inside_row(names[3], difference, right)

@@ -44,6 +44,11 @@ def said(name: str, **values: Any) -> str:
     return worded("compare/words.yaml", name)(**values)
 
 
+def without(name: str, *metrics: str, **values: Any) -> list[Result]:
+    """Rows :func:`skipped` for a cause and in words: those of a name in ``words.yaml`` that begins with the cause."""
+    return skipped(Cause[name.partition(".")[0].upper()], said(name, **values), *metrics)
+
+
 def difference_row(metric: str, predicted: Result, measured: Result) -> Result:
     """Predicted less measured; SKIPPED where a side is, with the words of the measured one first."""
     for side in (measured, predicted):

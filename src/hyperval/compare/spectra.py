@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Interval, row, skipped
+from hyperval.compare.rows import Interval, row, said, skipped, without
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
 from hyperval.metrics import Kind, metric_of
@@ -578,7 +578,7 @@ def compare_spectra(
     if window.any():
         yield from _consistency(predicted, observed, window, axis.centre_nm)
     else:
-        yield from skipped(Cause.NO_BANDS, "no comparable band in windows", *_TESTS, "spectral_angle")
+        yield from without("no_bands.region", *_TESTS, "spectral_angle", region="windows")
     if product == "radiance":
         yield from wavelength_rows(predicted, observed, axis)
 
@@ -609,7 +609,7 @@ _SUMMARIES = ("median_difference_ratio", "median_abs_difference_ratio", "max_abs
 def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterator[Result]:
     names = [f"{metric}_{name}" for metric in _SUMMARIES]
     if not bands.any():
-        yield from skipped(Cause.NO_BANDS, f"no comparable band in {name}", *names)
+        yield from without("no_bands.region", *names, region=name)
         return
     r, here = ratio[bands], covariance[np.ix_(bands, bands)]
     values, intervals = (np.median(r), np.median(np.abs(r)), np.max(np.abs(r))), size_intervals(r, here)
@@ -631,22 +631,17 @@ def _consistency(
     p, o = predicted.mean[window], observed.mean[window]
     r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[here]
     if not np.all(np.diag(cov) > (NUMERICAL * o) ** 2):
-        why = "neither side states an uncertainty beyond rounding in some bands"
-        yield from skipped(Cause.NO_UNCERTAINTY, why, *_TESTS)
+        yield from without("no_uncertainty.bands", *_TESTS)
     elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):  # such as a panel that a line of two panels goes through
-        why = "both sides are equal to rounding: one was derived from the other"
-        yield from skipped(Cause.CIRCULAR, why, *_TESTS)
+        yield from without("circular.equal", *_TESTS)
     else:
         tested = whitening(cov, [e.of_each(lambda c: c[here]) for e in (*predicted.estimated, *observed.estimated)])
         tilts, full = detectable_tilts(o, centre_nm[window], tested), chi_square_full(r, tested)
         parts = shares(predicted, observed, window)
-        known = f"covariance known by {full.covariance_dof:.0f} effective degrees of freedom"
-        why = "; ".join((
-            *([f"{full.dof} of {count} directions kept"] if full.dof < count else []),
-            *([known] if math.isfinite(full.covariance_dof) else []),
-            # A mixed pixel whose host varies more than the target shows tests the host.
-            *(f"{100.0 * share:.0f} % of the variance: {k}" for k, share in parts if share > 0.5),
-        ))  # fmt: skip
+        known = math.isfinite(full.covariance_dof)
+        # A mixed pixel whose host varies more than the target shows tests the host.
+        largest = [(name, 100.0 * share) for name, share in parts if share > 0.5]
+        why = said("test", test=full, count=count, known=known, largest=largest).removesuffix("; ")
         yield from _test_rows("diagonal", chi_square_diagonal(r, cov))
         yield from _test_rows("full", full, tilts[0], why)
         # A mean by the inverse covariance lies outside of all its data where shapes differ (Chiba & Smith 1991).
@@ -864,9 +859,8 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
     found, rows = joint.in_common(joint.of_piece), list[Result]()
     for label, pieces, own in _regions(joint):
         budget, d, n = joint.budget(found, pieces), own @ joint.difference, len(own)
-        shares = sorted(budget.items(), key=lambda item: -item[1])[:3]
-        why = f"with inputs as stated {np.expm1(d.min()):+.1%} to {np.expm1(d.max()):+.1%}; half width by source: "
-        why += ", ".join(f"{name} {Z95 * x:.1%}" for name, x in shares)
+        largest = {name: Z95 * x for name, x in sorted(budget.items(), key=lambda item: -item[1])[:3]}
+        why = said("joint", least=np.expm1(d.min()), most=np.expm1(d.max()), largest=largest)
         value, half = float(pieces @ found.value), Z95 * math.hypot(*budget.values())
         number, *ends = np.expm1([value, value - half, value + half]).tolist()
         rows.append(row(f"joint_difference_ratio@{label}", number, ends, n=n, reason=why))

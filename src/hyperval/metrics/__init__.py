@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from hyperval.errors import UsageError, package_table, worded
+from hyperval.errors import needed, package_table, worded
 
 
 class Evidence(StrEnum):
@@ -126,10 +126,6 @@ class Metric:
     products: Sequence[str] = ()
     behind: Sequence[str] = ()
 
-    def fits(self, base: str) -> bool:
-        """Whether this row is about a metric of that name."""
-        return fnmatchcase(base, self.name)
-
 
 def base_name(metric: str) -> str:
     """A metric's name without the point it is taken at."""
@@ -167,17 +163,11 @@ def metric_of(name: str) -> Metric:
         return known["*_change"]
     if base in known:
         return known[base]
-    row = next((m for m in known.values() if m.fits(base)), None)
+    row = next((m for m in known.values() if fnmatchcase(base, m.name)), None)
     if row is None and set(base) & set("*?"):
         row = next((m for m in known.values() if fnmatchcase(m.name, base)), None)
-    if row is None:
-        near = difflib.get_close_matches(base, known, n=1)
-        raise UsageError(
-            f"{name!r} is not a metric",
-            expected="one of those that hyperval metrics lists",
-            mend=f"did you mean {near[0]!r}?" if near else "",
-        )
-    return row
+    near = "" if row else "".join(difflib.get_close_matches(base, known, n=1))
+    return needed(row, "metric.near" if near else "metric.unknown", name=name, near=near)
 
 
 def _names(kind: str) -> dict[str, str]:
