@@ -303,25 +303,16 @@ def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Resu
 
 
 def _objection(metric: str, old: Accepted | None, new: Result | None) -> str:
-    if old is None:
-        return f"{metric} is not accepted: the baseline does not hold this number"
-    before = math.nan if old.accepted is None else old.accepted
-    if new is None:
-        return f"{metric} is missing: the run does not give this number (accepted {_number(before)})"
-    words, now = "", new.value if math.isfinite(new.value) else math.nan
-    if math.isnan(before) != math.isnan(now):
-        words = f"moved from {_number(before)} to {_number(now)}"
-    elif not math.isnan(now) and not old.range[0] <= now <= old.range[1]:
-        words = f"moved from {before:.6g} to {now:.6g}: {now - before:+.3g}, tolerance {old.width:.3g}"
-    if new.outcome != old.outcome:
-        reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
-        verdict = f"the outcome changed from {old.outcome} to {new.outcome}{reason}"
-        words = f"{words}; {verdict}" if words else verdict
-    return f"{metric} {words}" if words else ""
-
-
-def _number(value: float) -> str:
-    return "no value" if math.isnan(value) else f"{value:.6g}"
+    """What is wrong with a number, in words; none where it is as accepted."""
+    before = math.nan if old is None or old.accepted is None else old.accepted
+    now = new.value if new is not None and math.isfinite(new.value) else math.nan
+    none = math.isnan(before) and math.isnan(now)
+    moved = old is None or not (none or old.range[0] <= now <= old.range[1])
+    turned = old is None or new is None or new.outcome != old.outcome
+    if not (moved or turned):
+        return ""
+    numbers = {"before": before, "now": now, "moved": moved, "turned": turned}
+    return worded("baseline/words.yaml", "objection")(metric=metric, old=old, new=new, **numbers)
 
 
 ALL, RUNS = "all", "runs"

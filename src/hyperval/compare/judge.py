@@ -424,20 +424,16 @@ def _unmet(rows: Sequence[Result], met: Collection[str], gate: Gate) -> Iterator
     """An ERROR row for every subject pattern of a gate that none of the subjects is of which it covers rows."""
     for pattern in gate.subjects:
         if not any(fnmatchcase(subject, pattern) for subject in met):
-            why = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
-            why += f" and method {gate.method!r}" if gate.method != "*" else ""
-            yield gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, why + _nearest(rows, gate))
+            why = said("absent.planned", gate=gate, pattern=pattern, **_nearest(rows, gate))
+            yield gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, why)
 
 
-def _nearest(rows: Sequence[Result], gate: Gate) -> str:
+def _nearest(rows: Sequence[Result], gate: Gate) -> dict[str, list[str]]:
     """What comes near to what a gate names: subjects with that metric, else metrics of that name."""
     own = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
     anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
     near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in own if anywhere.covers(r)))
-    if near:
-        return "; rows with it: " + ", ".join(near[:_NAMED]) + (", ..." if len(near) > _NAMED else "")
-    close = difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    return {"near": near, "close": difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)}
 
 
 def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
