@@ -15,24 +15,10 @@ from hyperval.compare.rows import Interval, difference_row, named, of_sides, row
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
-from hyperval.model.intervals import (
-    Z95,
-    clopper_pearson,
-    difference_ratio,
-    difference_ratio_uncertainty,
-    zero_count_upper_limit,
-)
+from hyperval.model import Z95, clopper_pearson, difference_ratio, difference_ratio_uncertainty, zero_count_upper_limit
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at, log10_false_alarm_at
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
-from hyperval.products import (
-    Abundance,
-    ClassificationError,
-    ExceedanceCurve,
-    Influence,
-    ObjectScores,
-    RocCurve,
-    ScoreDistribution,
-)
+from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution
 from hyperval.results import Effect, Result
 
 ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as small in one of a million images at most
@@ -98,15 +84,16 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
         halves = math.nan if observed.half_image is None else float(observed.half_image[at])
         words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
-        if predicted.influence is not None:
-            yield _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted.influence)
+        yield from _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
         if np.isfinite(halves):
             why = f"of {round(measured * n)} alarms; median over random halves"
             yield row(f"pfa_repeatability@{label}", halves, n=observed.n, reason=why)
 
 
-def _without_part(metric: str, ratio: float, threshold: float, parts: Influence) -> Result:
-    """The ratio that is nearest to 1 of those without one part of the image, and which part that is."""
+def _without_part(metric: str, ratio: float, threshold: float, predicted: ExceedanceCurve) -> Iterator[Result]:
+    """The ratio nearest to 1 of those without one part of the image, where they are known, and which part that is."""
+    if (parts := predicted.influence) is None:
+        return
     number, alarms = parts.number, parts.alarms[:, np.argmin(np.abs(parts.threshold - threshold))]
     pixels = np.bincount(number[number >= 0], minlength=alarms.size)
     without = np.where(pixels > 0, parts.at(threshold), np.inf)
@@ -116,7 +103,7 @@ def _without_part(metric: str, ratio: float, threshold: float, parts: Influence)
     places, held = np.nonzero(number == part), 100.0 * alarms[part] / max(alarms.sum(), 1)
     numbers = {"places": places, "pixels": pixels, "held": held, "without": without[part], "ratio": ratio}
     words = said("pfa_ratio_without", part=part, responsible=responsible, **numbers)
-    return row(metric, float(without[part]), n=int(pixels[part]), reason=words)
+    yield row(metric, float(without[part]), n=int(pixels[part]), reason=words)
 
 
 def compare_classification(p: ClassificationError, o: ClassificationError) -> Iterator[Result]:
@@ -585,8 +572,7 @@ def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) ->
     if found is not None:
         return row(metric, found.value, (found.lower, found.upper), n=observed.n_target, reason=found.method)
     if observed.areas and area.logarithmic and n is not None:
-        span, least = full.partition("@")[2], LEAST_EXPECTED_ALARMS
-        return without("few_alarms.area", metric, n=n, alarms=area.low * n, span=span, least=least)[0]
+        return without("few_alarms.area", metric, n=n, name=full, low=area.low, least=LEAST_EXPECTED_ALARMS)[0]
     if math.isnan(value := curve_area(observed, area)):
         return without("beyond_curve.measured_area", metric)[0]
     return row(metric, value, n=observed.n_target, reason="no interval: the scores behind the curve are not known")
@@ -718,8 +704,7 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
     names = [f"{m}@{label}" for m in (*METRICS, *(["pd_equivalence"] if margin is not None else []))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
-        values = {"background": background, "pfa": pfa, "label": label, "least": LEAST_EXPECTED_ALARMS}
-        yield from without("few_alarms.pd", *names, **values)
+        yield from without("few_alarms.pd", *names, n=background, pfa=pfa, label=label, least=LEAST_EXPECTED_ALARMS)
         return
     (p, band), (o, (low, high)) = read_at(predicted, pfa), read_at(observed, pfa)
     if math.isnan(p) or math.isnan(o):

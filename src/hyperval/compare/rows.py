@@ -39,12 +39,12 @@ def skipped(cause: Cause, reason: str, *metrics: str) -> list[Result]:
     return [Result("", "", "", "", name, outcome=Outcome.SKIPPED, cause=cause, reason=reason) for name in names]
 
 
-def said(name: str, **values: Any) -> str:
+def said(name: str, /, **values: Any) -> str:
     """What a row says of its value, or of why it has none: the words of a name in ``words.yaml``."""
     return worded("compare/words.yaml", name)(**values)
 
 
-def without(name: str, *metrics: str, **values: Any) -> list[Result]:
+def without(name: str, /, *metrics: str, **values: Any) -> list[Result]:
     """Rows :func:`skipped` for a cause and in words: those of a name in ``words.yaml`` that begins with the cause."""
     return skipped(Cause[name.partition(".")[0].upper()], said(name, **values), *metrics)
 
