@@ -38,15 +38,7 @@ from hyperval.report.verdict import accepted_words
 from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import NoiseModel, Sensor, library_names, load_sensor
-from hyperval.sensor_check.suite import (
-    FALSE_ALARM,
-    LEVELS,
-    MIDDLE,
-    Engine,
-    SensorCheck,
-    summary_regions,
-    sunlit_radiance,
-)
+from hyperval.sensor_check import SensorCheck, suite, sunlit_radiance
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import RECORD, scratch_folder, sha256_of, whole_folder, write_text
 
@@ -75,14 +67,9 @@ class Accepted(Model):
     why: str | None = Field(None, min_length=1, description="needed where the tolerance is above the default")
 
     @property
-    def limit(self) -> Tolerance:
-        """The tolerance with what it is a part of."""
-        return Tolerance(self.tolerance, self.of)
-
-    @property
     def width(self) -> float:
         """Largest tolerated difference, in the metric's unit."""
-        return self.limit.width(self.accepted or 0.0, self.half_width)
+        return Tolerance(self.tolerance, self.of).width(self.accepted or 0.0, self.half_width)
 
     @property
     def range(self) -> tuple[float, float]:
@@ -184,7 +171,7 @@ LINES_NM = (430.0, 517.0, 656.0, 762.0)
 BIT_ERROR_RATE = 1e-9
 
 
-def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Result]:
+def sensor_metrics(sensor: Sensor, engine: suite.Engine | None = None) -> dict[str, Result]:
     """Every number of a sensor, sorted by name.
 
     Median SNR (without C_R) at the reference radiances, G, each noise term as a radiance, by spectral region; the
@@ -207,10 +194,9 @@ def _item(product: str, subject: str, metric: str, value: float, **more: Any) ->
 def _bands(axis: SpectralAxis) -> Iterator[Result]:
     yield _item("bands", "all", "band_count", len(axis))
     yield _item("bands", "good", "band_count", int(axis.good.sum()))
-    level = sunlit_radiance(axis, MIDDLE)
+    level = sunlit_radiance(axis, suite.MIDDLE)
     for line in LINES_NM:
-        at = _band_at(axis, line)
-        if at is not None:
+        if (at := _band_at(axis, line)) is not None:
             yield _item("bands", f"{line:g} nm", "reference_radiance", level[at])
 
 
@@ -222,7 +208,7 @@ def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
 
 def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
     """Medians over each spectral region of signal, SNR and the terms of (3.15)-(3.19) that the sensor has."""
-    level = sunlit_radiance(axis, MIDDLE)
+    level = sunlit_radiance(axis, suite.MIDDLE)
     parts = noise.breakdown(level)
     floor = 1e-9 * parts.total  # the others are zero, or what rounding leaves
     variances = {f"noise_{term}": part for term, part in vars(parts).items() if np.any(np.abs(part) > floor)}
@@ -231,10 +217,10 @@ def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
         variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
     spectra = {("noise", "", name): np.sqrt(np.abs(variance)) for name, variance in variances.items()}
     spectra["noise", "", "electrons_per_radiance"] = noise.electrons_per_radiance  # (3.13)
-    for part in LEVELS:
+    for part in suite.LEVELS:
         snr = noise.snr(sunlit_radiance(axis, part), calibration=False)  # (3.20)
         spectra["snr", f"reflectance {part:g}, ", "snr"] = snr
-    for region, here in summary_regions(axis).items():
+    for region, here in suite.summary_regions(axis).items():
         for (product, level_of, metric), values in spectra.items():
             yield _item(product, f"{level_of}{region}", f"median_{metric}", np.median(values[here]))
 
@@ -244,8 +230,8 @@ def _scenarios(check: SensorCheck) -> Iterator[Result]:
         if isinstance(run, HypervalError):
             yield _item("scenario", name, "runs", np.nan, outcome=Outcome.SKIPPED, reason=str(run))
     for name, (subject, detector, _), curve in check.curves:
-        pd = float(detection_at(curve, FALSE_ALARM))
-        yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
+        pd = float(detection_at(curve, suite.FALSE_ALARM))
+        yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{suite.FALSE_ALARM:g}", pd)
     oxygen = _band_at(check.axis, LINES_NM[-1])
     for name, prediction in check.predictions.items():
         if "white panel" in prediction.radiance and oxygen is not None:
@@ -267,7 +253,7 @@ def accepted_of(measured: Mapping[str, Result], before: Mapping[str, Accepted]) 
 def _accepted(new: Result, old: Accepted | None) -> Accepted:
     width = (new.upper - new.lower) / 2.0
     value, half = rounded(new.value), rounded(width) if width > 0 else None
-    limit = old.limit if old else default_tolerance(new.metric, half)
+    limit = Tolerance(old.tolerance, old.of) if old else default_tolerance(new.metric, half)
     if limit.of == "interval" and half is None:  # the interval is gone: its part of it means nothing any more
         limit = default_tolerance(new.metric)
     half = half if limit.of == "interval" else None
@@ -375,9 +361,9 @@ class RunNumbers:
         if not path.is_file():
             return None
         found = load_baseline(path)
-        own = self.kind, self.run.campaign
-        of = f"{found.kind} {found.name!r}"
-        refuse((found.kind, found.name) != own, "baseline.other", path, wanted=" ".join(own), of=of)
+        refuse(
+            (found.kind, found.name) != (self.kind, self.run.campaign), "baseline.other", path, found=found, own=self
+        )
         return found
 
     @property
@@ -406,8 +392,7 @@ class RunNumbers:
     @property
     def broken(self) -> list[str]:
         """Numbers that ended in an error: a disagreement is a result, an error is none."""
-        wrong = [(key, m) for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
-        return [f"{key} ({m.outcome}: {m.reason})" for key, m in wrong]
+        return [f"{key} ({m.outcome}: {m.reason})" for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
 
 
 def all_runs(
@@ -416,7 +401,7 @@ def all_runs(
     *,
     source: Path | None = None,
     keep: Path | None = None,
-    engine: Engine | None = None,
+    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """The numbers of campaigns and sensors.
 
@@ -474,7 +459,7 @@ def check(
     source: Path | None = None,
     output: Path | None = None,
     junit: Path | None = None,
-    engine: Engine | None = None,
+    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """Compare campaigns and sensors with what was accepted.
 
@@ -548,7 +533,7 @@ def accept(
     reason: str,
     baselines: Path,
     source: Path | None = None,
-    engine: Engine | None = None,
+    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """Store the numbers of campaigns and sensors as accepted, with the reason.
 
