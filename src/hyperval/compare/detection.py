@@ -96,14 +96,14 @@ def _without_part(metric: str, ratio: float, threshold: float, predicted: Exceed
         return
     number, alarms = parts.number, parts.alarms[:, np.argmin(np.abs(parts.threshold - threshold))]
     pixels = np.bincount(number[number >= 0], minlength=alarms.size)
-    without = np.where(pixels > 0, parts.at(threshold), np.inf)
-    part = int(np.argmin(np.abs(np.log(without))))
-    far, rest = abs(math.log(ratio)), abs(math.log(without[part]))
+    others = np.where(pixels > 0, parts.at(threshold), np.inf)
+    part = int(np.argmin(np.abs(np.log(others))))
+    far, rest = abs(math.log(ratio)), abs(math.log(others[part]))
     responsible = far > 2.0 * rest or far < math.log(1.25)
     places, held = np.nonzero(number == part), 100.0 * alarms[part] / max(alarms.sum(), 1)
-    numbers = {"places": places, "pixels": pixels, "held": held, "without": without[part], "ratio": ratio}
+    numbers = {"places": places, "pixels": pixels, "held": held, "without": others[part], "ratio": ratio}
     words = said("pfa_ratio_without", part=part, responsible=responsible, **numbers)
-    yield row(metric, float(without[part]), n=int(pixels[part]), reason=words)
+    yield row(metric, float(others[part]), n=int(pixels[part]), reason=words)
 
 
 def compare_classification(p: ClassificationError, o: ClassificationError) -> Iterator[Result]:
@@ -217,6 +217,9 @@ def judged_together(
     >>> [round(x, 2) for x in (wide.value, wide.lower, wide.upper)]
     [0.54, 0.29, 0.85]
     """
+    if not measured:
+        yield from without("no_observation.objects", *OF_ALL)
+        return
     rng = np.random.default_rng(_SEED)
     shared = rng.integers(len(predicted[next(iter(measured))].values), size=REPLICATES)[:, None]
     values, drawn, wider, strength = [], [], [], []
@@ -351,12 +354,8 @@ def compare_object_scores(
         yield from named(_of_subject(predicted[name], scores), "scores", name, method)
     lost = ", ".join(name for name, scores in found.items() if not scores.size)
     common = {name: scores for name, scores in found.items() if scores.size}
-    rows = (
-        judged_together(predicted, common, f"; without {lost}" if lost else "")
-        if common
-        else iter(without("no_observation.objects", *OF_ALL))
-    )
-    yield from named(rows, "scores", EVERY_OBJECT, method)
+    together = judged_together(predicted, common, f"; without {lost}" if lost else "")
+    yield from named(together, "scores", EVERY_OBJECT, method)
 
 
 def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:

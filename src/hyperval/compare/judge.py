@@ -450,7 +450,7 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     bad = [row for row, (outcome, _) in zip(matched, judgements, strict=True) if outcome in amiss]
     n, undecided = len(matched), len(matched) - good - len(bad)
     lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(bad), n)[1])
-    what = said("pooled", good=good, n=n, limit=gate.limit_text, undecided=undecided, bad=[_name(row) for row in bad])
+    what = said("pooled", good=good, n=n, limit=gate.limit_text, undecided=undecided, bad=bad, whole=COMPARISON)
     names = "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction"
     row = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, reason=what)
     least = gate.fraction_at_least
@@ -459,11 +459,6 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     if out.outcome is Outcome.UNDECIDED and float(clopper_pearson(n, n)[0]) < least:
         out = replace(out, cause=Cause.NEVER)
     return [replace(out, detectable=detectable_share(n, least))]
-
-
-def _name(row: Result) -> str:
-    name = row.subject if row.metric == COMPARISON else f"{row.subject} {row.metric}"
-    return f"{name} {row.band_nm:g} nm" if math.isfinite(row.band_nm) else name
 
 
 def _joined(*parts: str) -> str:

@@ -6,7 +6,7 @@ Rows of one side alone, where there is nothing to compare with.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -20,8 +20,6 @@ from hyperval.results import Cause, Outcome, Result
 
 # Quantities in which pixels of a class spread.
 SPREAD = ("radiance", "reflectance")
-
-K = TypeVar("K")
 
 
 def product_rows(products: Products, side: str) -> Iterator[Result]:
@@ -157,7 +155,7 @@ def compare_products(
     return [*rows, *detection.compare_area_errors(predicted.abundance, observed.abundance)]
 
 
-def _pairs(left: Mapping[K, Any], right: Mapping[K, Any]) -> Iterator[tuple[K, Any, Any]]:
+def _pairs(left: Mapping[Any, Any], right: Mapping[Any, Any]) -> Iterator[tuple[Any, Any, Any]]:
     """What either side has under each key, those of the observation first and in its order."""
     for key in dict.fromkeys([*right, *left]):
         yield key, left.get(key), right.get(key)

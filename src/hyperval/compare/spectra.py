@@ -982,12 +982,8 @@ def deciding(
         return math.sqrt(max(wanted**2 * total - (total - share), 0.0) / share)
 
     def known(names: Sequence[str]) -> str:
-        words, part = [], left(names)
-        for name in names:
-            size, unit = scales.get(name, (math.nan, ""))
-            to = f"to {part * size:.2g} {unit}".rstrip() + f" (now {size:.2g})"
-            words.append(f"{name} known " + (to if math.isfinite(size) else f"{1 / part:.2g} times better"))
-        return " and ".join(words)
+        sources = [(name, *scales.get(name, (math.nan, ""))) for name in names]
+        return said("known", sources=sources, part=left(names))
 
     out = [known([name]) for name in largest if left([name]) > _LEAST_LEFT][:3]
     some = [largest[:k] for k in range(2, len(largest) + 1) if left(largest[:k]) > _LEAST_LEFT]
