@@ -150,7 +150,7 @@ _SLACK = 1e-9  # of a value: rounding is no breach of its own interval
 INTERVALS = 0.05  # level of the intervals of all criteria together
 # A comparison that lacks one side altogether was planned for something that is not there: under a gate an error.
 _NOT_THERE = (Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS)
-Judgement = tuple[Outcome, Cause, str]
+Judgement = tuple[Outcome, Cause]
 
 
 def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
@@ -207,7 +207,7 @@ def against_range(lower: float, upper: float, low: float, high: float) -> Outcom
 
 
 def outcome_of(row: Result, low: float, high: float) -> Judgement:
-    """What a row concludes about the range ``low`` to ``high``, with the cause and words.
+    """What a row concludes about the range ``low`` to ``high``, with the cause.
 
     An interval inside the range agrees, outside it disagrees, else the comparison is undecided; a value without an
     interval is undecided, unless its metric has no sampling error.  A test disagrees below its level ``low`` and
@@ -215,32 +215,29 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
     """
     known = metric_of(row.metric)
     if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
-        return row.outcome, row.cause, row.reason
+        return row.outcome, row.cause
     if math.isnan(row.value):
-        return Outcome.ERROR, Cause.NOT_A_NUMBER, "the value is not a number"
-    if row.lower > row.upper:
-        return Outcome.ERROR, Cause.BAD_INTERVAL, f"the interval {row.lower:g} to {row.upper:g} is inverted"
+        return Outcome.ERROR, Cause.NOT_A_NUMBER
     slack = _SLACK * max(1.0, abs(row.value))
-    if row.value < row.lower - slack or row.value > row.upper + slack:
-        words = f"the value lies outside its interval {row.lower:g} to {row.upper:g}"
-        return Outcome.ERROR, Cause.BAD_INTERVAL, words
+    if row.lower > row.upper or row.value < row.lower - slack or row.value > row.upper + slack:
+        return Outcome.ERROR, Cause.BAD_INTERVAL
     if known.kind is Kind.TEST:
         return _of_test(row, low)
     if known.kind is Kind.STATISTIC:
-        return Outcome.UNDECIDED, Cause.NOT_JUDGED, ""
+        return Outcome.UNDECIDED, Cause.NOT_JUDGED
     if known.kind is Kind.EQUIVALENCE:
         codes = {1.0: Outcome.AGREES, -1.0: Outcome.DISAGREES}
-        return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE, ""
+        return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE
     ends = (row.lower, row.upper) if known.kind is Kind.QUANTITY else (row.value, row.value)
     if any(map(math.isnan, ends)):
-        return Outcome.UNDECIDED, Cause.NO_INTERVAL, ""
+        return Outcome.UNDECIDED, Cause.NO_INTERVAL
     outcome = against_range(*ends, low, high)
     if known.kind is Kind.COVERAGE and outcome is Outcome.AGREES:
-        return Outcome.UNDECIDED, Cause.COVERAGE, ""
+        return Outcome.UNDECIDED, Cause.COVERAGE
     if outcome is not Outcome.UNDECIDED:
-        return outcome, Cause.NONE, ""
+        return outcome, Cause.NONE
     never = replace(row, limit_low=low, limit_high=high).shortfall > 1.0
-    return Outcome.UNDECIDED, Cause.NEVER if never else Cause.WIDE_INTERVAL, ""
+    return Outcome.UNDECIDED, Cause.NEVER if never else Cause.WIDE_INTERVAL
 
 
 def tail_probability(row: Result) -> float:
@@ -271,10 +268,10 @@ def _of_test(row: Result, level: float) -> Judgement:
     known = metric_of(row.metric)
     if tail_probability(row) < level:
         wide = known.two_sided and row.value > 0.5
-        return Outcome.DISAGREES, Cause.TOO_WIDE if wide else Cause.NONE, ""
+        return Outcome.DISAGREES, Cause.TOO_WIDE if wide else Cause.NONE
     if not row.detectable <= known.alternative:
-        return Outcome.UNDECIDED, Cause.NO_POWER, f"no 80 % power against {known.departure}" if known.departure else ""
-    return Outcome.AGREES, Cause.NONE, ""
+        return Outcome.UNDECIDED, Cause.NO_POWER
+    return Outcome.AGREES, Cause.NONE
 
 
 def shared_levels(rows: Sequence[Result]) -> list[Result]:
@@ -402,7 +399,8 @@ def _by_gate(row: Result, gate: Gate) -> Result:
 
 def _concluded(row: Result, limits: tuple[float, float], *reasons: str) -> Result:
     """The row with its outcome by a range."""
-    outcome, cause, words = outcome_of(row, *limits)
+    outcome, cause = outcome_of(row, *limits)
+    words = said("concluded", row=row, cause=cause.name, departure=metric_of(row.metric).departure)
     low, high = (limit if math.isfinite(limit) else math.nan for limit in limits)
     return replace(
         row, outcome=outcome, cause=cause, limit_low=low, limit_high=high,
@@ -443,7 +441,7 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     """
     if not matched or gate.fraction_at_least is None:
         return []
-    judgements = [outcome_of(row, *gate.limits)[:2] for row in matched]
+    judgements = [outcome_of(row, *gate.limits) for row in matched]
     # Of 1 or 0 by an interval the value counts: their share is the coverage of these intervals.
     good = sum(outcome is Outcome.AGREES or cause is Cause.COVERAGE for outcome, cause in judgements)
     amiss = (Outcome.DISAGREES, Outcome.ERROR)

@@ -637,11 +637,9 @@ def _consistency(
     else:
         tested = whitening(cov, [e.of_each(lambda c: c[here]) for e in (*predicted.estimated, *observed.estimated)])
         tilts, full = detectable_tilts(o, centre_nm[window], tested), chi_square_full(r, tested)
-        parts = shares(predicted, observed, window)
-        known = math.isfinite(full.covariance_dof)
         # A mixed pixel whose host varies more than the target shows tests the host.
-        largest = [(name, 100.0 * share) for name, share in parts if share > 0.5]
-        why = said("test", test=full, count=count, known=known, largest=largest).removesuffix("; ")
+        largest = [(name, 100.0 * part) for name, part in shares(predicted, observed, window) if part > 0.5]
+        why = said("test", test=full, count=count, largest=largest).removesuffix("; ")
         yield from _test_rows("diagonal", chi_square_diagonal(r, cov))
         yield from _test_rows("full", full, tilts[0], why)
         # A mean by the inverse covariance lies outside of all its data where shapes differ (Chiba & Smith 1991).
