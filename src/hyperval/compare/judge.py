@@ -349,8 +349,7 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
     row = replace(row, about=None, p_value=row.value if known.kind is Kind.TEST else math.nan)
     if unit is None or not row.planned or math.isnan(row.value):
         return row
-    if about is None and known.kind is Kind.QUANTITY:
-        about = _of_quantity(row)
+    about = about or (_of_quantity(row) if known.kind is Kind.QUANTITY else None)
     if about is None:
         return row
     tested = known.kind is not Kind.TEST or math.isfinite(level)
