@@ -361,9 +361,8 @@ class RunNumbers:
         if not path.is_file():
             return None
         found = load_baseline(path)
-        refuse(
-            (found.kind, found.name) != (self.kind, self.run.campaign), "baseline.other", path, found=found, own=self
-        )
+        own, of = (self.kind, self.run.campaign), f"{found.kind} {found.name!r}"
+        refuse((found.kind, found.name) != own, "baseline.other", path, wanted=" ".join(own), of=of)
         return found
 
     @property

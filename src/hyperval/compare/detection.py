@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Interval, difference_row, named, of_sides, row, said, scientific, without
+from hyperval.compare.rows import Interval, named, of_sides, row, said, scientific, without
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
@@ -753,5 +753,5 @@ def _preset_rows(predicted: RocCurve, pfa: float, swept: float, measured: Result
         why = f"(3.32) at the preset, without (3.33): {swept:.3g} with it, measured {measured.value:.3g}"
         preset = row(f"pd_predicted_preset@{scientific(pfa)}", value, ends, reason=why)
         yield preset
-        difference = difference_row("pd_difference", preset, measured)
+        *_, difference = of_sides("pd_{}".format, preset, measured)
         yield _inside_row(f"pd_inside_interval_preset@{scientific(pfa)}", difference, measured, why)

@@ -40,7 +40,12 @@ def skipped(cause: Cause, reason: str, *metrics: str) -> list[Result]:
 
 
 def said(name: str, /, **values: Any) -> str:
-    """What a row says of its value, or of why it has none: the words of a name in ``words.yaml``."""
+    """What a row says of its value, or of why it has none: the words of a name in ``words.yaml``.
+
+    >>> from hyperval.errors import package_table
+    >>> all(worded("compare/words.yaml", name) for name in package_table("compare/words.yaml"))
+    True
+    """
     return worded("compare/words.yaml", name)(**values)
 
 
@@ -49,21 +54,19 @@ def without(name: str, /, *metrics: str, **values: Any) -> list[Result]:
     return skipped(Cause[name.partition(".")[0].upper()], said(name, **values), *metrics)
 
 
-def difference_row(metric: str, predicted: Result, measured: Result) -> Result:
-    """Predicted less measured; SKIPPED where a side is, with the words of the measured one first."""
+def of_sides(name: Callable[[str], str], predicted: Result | None, measured: Result | None) -> list[Result]:
+    """Rows of the sides there are and, of both, of predicted less measured, whose ``name`` is that of "difference".
+
+    That one is SKIPPED where a side is, with the words of the measured one first.
+    """
+    if predicted is None or measured is None:
+        return [side for side in (predicted, measured) if side is not None]
     for side in (measured, predicted):
         if side.outcome is Outcome.SKIPPED:
-            return replace(side, metric=metric, evidence=None)
+            return [predicted, measured, replace(side, metric=name("difference"), evidence=None)]
     (a, *ends), (b, *others) = ((side.value, side.lower, side.upper) for side in (predicted, measured))
-    return row(metric, a - b, difference_interval(a, ends, b, others), n=measured.n)
-
-
-def of_sides(name: Callable[[str], str], predicted: Result | None, measured: Result | None) -> list[Result]:
-    """Rows of the sides there are and, of both, of their difference, whose ``name`` is that of "difference"."""
-    sides = [side for side in (predicted, measured) if side is not None]
-    if predicted is not None and measured is not None:
-        sides.append(difference_row(name("difference"), predicted, measured))
-    return sides
+    difference = row(name("difference"), a - b, difference_interval(a, ends, b, others), n=measured.n)
+    return [predicted, measured, difference]
 
 
 def named(rows: Iterable[Result], product: str, subject: str, method: str) -> Iterator[Result]:
