@@ -477,8 +477,7 @@ def check(
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
     with whole_folder(output) if output is not None else nullcontext() as folder:
-        keep = folder / RUNS if folder is not None else None
-        runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine)
+        runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS, engine=engine)
         runs = [_against(run, baselines) for run in runs]
         if folder is not None:
             _write(runs, baselines, folder)

@@ -503,9 +503,8 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     if not m:
         return
     detected = round(float(observed.pd[at[-1]]) * m)
-    span, (least, most) = (
-        tuple(map(float, clopper_pearson(k, of, math.sqrt(0.95)))) for k, of in (counted, (detected, m))
-    )
+    both, level = (counted, (detected, m)), math.sqrt(0.95)
+    span, (least, most) = (tuple(map(float, clopper_pearson(k, of, level))) for k, of in both)
     why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
     yield row(f"joint_pfa@{label}", alarms / n, span, n=n, reason=why)
     yield row(f"joint_pd@{label}", detected / m, (least, most), n=m, reason=why)
@@ -707,8 +706,7 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
         return
     (p, band), (o, (low, high)) = read_at(predicted, pfa), read_at(observed, pfa)
     if math.isnan(p) or math.isnan(o):
-        side = "predicted" if math.isnan(p) else "measured"
-        yield from without("beyond_curve.point", *names, side=side, label=label)
+        yield from without("beyond_curve.point", *names, side="predicted" if math.isnan(p) else "measured", label=label)
         return
     right = row(names[1], o, (low, high), n=n)
     yield from (rows := of_sides(f"pd_{{}}@{label}".format, row(names[0], p, band), right))
