@@ -37,7 +37,7 @@ from hyperval.report import write_index, write_outputs
 from hyperval.report.verdict import accepted_words
 from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
-from hyperval.sensor import NoiseModel, Sensor, library_names, load_sensor
+from hyperval.sensor import Sensor, library_names, load_sensor
 from hyperval.sensor_check import SensorCheck, suite, sunlit_radiance
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import RECORD, scratch_folder, sha256_of, whole_folder, write_text
@@ -183,7 +183,7 @@ def sensor_metrics(sensor: Sensor, engine: suite.Engine | None = None) -> dict[s
     engine : stands in for the atmosphere engine
     """
     check = SensorCheck(sensor, engine=engine)
-    rows = [*_bands(check.axis), *_noise(check.axis, check.noise), *_scenarios(check)]
+    rows = [*_bands(check.axis), *_noise(check), *_scenarios(check)]
     return {row.key: row for row in sorted(rows, key=attrgetter("key"))}
 
 
@@ -206,23 +206,22 @@ def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
     return at if abs(axis.centre_nm[at] - wavelength_nm) <= axis.fwhm_nm[at] else None
 
 
-def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
+def _noise(check: SensorCheck) -> Iterator[Result]:
     """Medians over each spectral region of signal, SNR and the terms of (3.15)-(3.19) that the sensor has."""
-    level = sunlit_radiance(axis, suite.MIDDLE)
+    noise, level = check.noise, sunlit_radiance(check.axis, suite.MIDDLE)
     parts = noise.breakdown(level)
     floor = 1e-9 * parts.total  # the others are zero, or what rounding leaves
     variances = {f"noise_{term}": part for term, part in vars(parts).items() if np.any(np.abs(part) > floor)}
     if noise.constant is None:
         wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit").breakdown(level)
         variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
-    spectra = {("noise", "", name): np.sqrt(np.abs(variance)) for name, variance in variances.items()}
-    spectra["noise", "", "electrons_per_radiance"] = noise.electrons_per_radiance  # (3.13)
-    for part in suite.LEVELS:
-        snr = noise.snr(sunlit_radiance(axis, part), calibration=False)  # (3.20)
-        spectra["snr", f"reflectance {part:g}, ", "snr"] = snr
-    for region, here in suite.summary_regions(axis).items():
-        for (product, level_of, metric), values in spectra.items():
-            yield _item(product, f"{level_of}{region}", f"median_{metric}", np.median(values[here]))
+    spectra = {name: np.sqrt(np.abs(variance)) for name, variance in variances.items()}
+    spectra["electrons_per_radiance"] = noise.electrons_per_radiance  # (3.13)
+    for region, here in suite.summary_regions(check.axis).items():
+        for metric, values in spectra.items():
+            yield _item("noise", region, f"median_{metric}", np.median(values[here]))
+    for found in suite.median_snr(check):  # (3.20)
+        yield _item("snr", found.subject, "median_snr", found.value)
 
 
 def _scenarios(check: SensorCheck) -> Iterator[Result]:
