@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -638,9 +638,7 @@ def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     return (-1.0, "different") if apart else (0.0, "undecided")
 
 
-def compare_roc(
-    predicted: RocCurve, observed: RocCurve, pfa: Sequence[float] | None = None, equivalence_margin: float | None = None
-) -> Iterator[Result]:
+def compare_roc(predicted: RocCurve, observed: RocCurve, equivalence_margin: float | None = None) -> Iterator[Result]:
     """Rows at each false-alarm probability, named METRIC@1e-2 and the like.
 
     ``pd_predicted`` and ``pd_measured`` with their intervals, ``pd_difference`` (predicted - measured) with its
@@ -655,7 +653,7 @@ def compare_roc(
     ``pd_predicted_preset`` and ``pd_inside_interval_preset`` read the predicted curve at the preset P_FA of (3.30),
     that of the worst class alone, where that differs from the P_FA of the whole background (3.33).
 
-    Default probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
+    Probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
     expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
     The verdicts (but not the values) are SKIPPED too where the measured interval is wider than 0.9, as with a
     single target object: a test that nothing can fail is no test.
@@ -666,14 +664,15 @@ def compare_roc(
     >>> pfa = np.array([1e-3, 1e-2, 1e-1, 1.0])
     >>> predicted = RocCurve(pfa, pfa**0.2, pfa**0.25, pfa**0.15, -pfa, preset_pfa=pfa / 2.0)
     >>> observed = RocCurve(pfa, pfa**0.3, pfa**0.4, pfa**0.25, -pfa, "pixel", 40, 10_000)
-    >>> [(r.metric, round(r.value, 3)) for r in compare_roc(predicted, observed, [1e-2]) if r.metric.startswith("pd")]
+    >>> rows = [r for r in compare_roc(predicted, observed) if r.metric.startswith("pd") and r.metric.endswith("@1e-2")]
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('pd_predicted@1e-2', 0.398), ('pd_measured@1e-2', 0.251), ('pd_difference@1e-2', 0.147),
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
     background = observed.n_background
     rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
-    for level in pfa or (*ALWAYS, *rare):
+    for level in (*ALWAYS, *rare):
         yield from _at(predicted, observed, level, equivalence_margin)
         yield from alarm_rows(predicted, observed, level)
     yield from whole_curve_rows(predicted, observed)
