@@ -92,6 +92,20 @@ def package_table(name: str) -> dict[str, Any]:
     return found
 
 
+@cache
+def worded(table: str, name: str) -> Callable[..., str]:
+    """The words of a name in a YAML file of the package, a template to be filled with values.
+
+    >>> worded("compare/words.yaml", "few_pixels.distance")(fewest=4.0, size=6)
+    '4 independent pixels for 6 directions'
+    """
+    from jinja2 import Environment, StrictUndefined  # of the few runs that need it
+
+    environment = Environment(undefined=StrictUndefined)  # noqa: S701 - plain text
+    environment.filters["f"] = format
+    return environment.from_string(package_table(table)[name]).render
+
+
 def refuse(wrong: object, name: str, where: object = None, /, **values: object) -> None:
     """Raise the error of a name in ``refusals.yaml`` where something is wrong."""
     if wrong:

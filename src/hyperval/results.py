@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -173,9 +173,8 @@ class Result:
     about: Effect | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        metric = metric_of(self.metric)
-        if self.evidence is None:
-            object.__setattr__(self, "evidence", metric.evidence)
+        usual = metric_of(self.metric).evidence
+        object.__setattr__(self, "evidence", self.evidence or usual)
 
     @property
     def key(self) -> str:
@@ -231,7 +230,7 @@ class Result:
 
 _NAMES = [f.name for f in fields(Result) if f.compare and f.name != "band_nm"]
 COLUMNS = (*_NAMES[:4], "band_nm", *_NAMES[4:])
-_WORDS = ("role", "evidence", "outcome", "cause")
+_KINDS = {"n": "Int64", "role": str, "evidence": str, "outcome": str, "cause": str}
 
 
 def of_campaign(rows: Iterable[Result], campaign: str) -> list[Result]:
@@ -250,11 +249,7 @@ class ResultTable(list[Result]):
         """The table in the column order of the output contract."""
         import pandas as pd  # 70 MB, not wanted before the results are there
 
-        frame = pd.DataFrame([attrgetter(*COLUMNS)(r) for r in self], columns=list(COLUMNS))
-        frame["n"] = frame["n"].astype("Int64")
-        for name in _WORDS:
-            frame[name] = frame[name].astype(str)
-        return frame
+        return pd.DataFrame([attrgetter(*COLUMNS)(r) for r in self], columns=list(COLUMNS)).astype(_KINDS)
 
     def exit_code(self, *, strict: bool = False) -> int:
         """The exit code of the contract: 1 a gate disagrees or is in error, 5 no gate was decided, 0 otherwise.
@@ -289,9 +284,7 @@ class Pair:
     @property
     def either(self) -> Result:
         """The row of one of them, for its names."""
-        row = self.a or self.b
-        assert row is not None  # noqa: S101 - a pair is made from at least one row
-        return row
+        return self.a or cast(Result, self.b)  # a pair is made from at least one row
 
     @property
     def name(self) -> str:

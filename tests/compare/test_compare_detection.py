@@ -61,7 +61,7 @@ def measured_curve(separation, seed=1, targets=30, background=20_000, area=KM2):
 
 def test_overlapping_intervals_are_not_enough():
     observed = curve([0.01, 1.0], [0.62, 1.0], 0.1)
-    overlaps, nearer = (roc(curve([0.01, 1.0], [pd, 1.0], 0.1), observed, pfa=[0.01]) for pd in (0.8, 0.74))
+    overlaps, nearer = (roc(curve([0.01, 1.0], [pd, 1.0], 0.1), observed) for pd in (0.8, 0.74))
     assert overlaps["pd_inside_interval@1e-2"].value == 0.0
     assert nearer["pd_inside_interval@1e-2"].value == 1.0
     assert nearer["pd_inside_measured_interval@1e-2"].value == 0.0  # the width of the prediction was needed
@@ -87,10 +87,10 @@ def test_points_that_the_background_or_a_curve_does_not_reach():
     large = roc(model_curve(3.0), measured_curve(3.0, background=200_000))
     assert large["pd_difference@1e-4"].outcome is Outcome.NONE
     assert not {"pd_difference@1e-4"} & set(small) | {"pd_difference@1e-5"} & set(large)
-    short = roc(model_curve(2.0), curve([0.05, 1.0], [0.5, 1.0], 0.1), pfa=[1e-2])
+    short = roc(model_curve(2.0), curve([0.05, 1.0], [0.5, 1.0], 0.1))
     assert short["pd_measured@1e-2"].reason == "the measured curve has no point at P_FA 1e-2"
     bare = curve([1e-3, 1.0], [0.5, 1.0], np.nan)
-    assert np.isnan(roc(model_curve(2.0), bare, pfa=[1e-2])["pd_inside_interval@1e-2"].value)  # neither in nor out
+    assert np.isnan(roc(model_curve(2.0), bare)["pd_inside_interval@1e-2"].value)  # neither in nor out
 
 
 def test_one_object_gives_values_but_no_verdict():

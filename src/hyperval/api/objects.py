@@ -167,6 +167,11 @@ def _card(head: str, facts: Mapping[str, Iterable[object]]) -> str:
     return "\n".join(lines)
 
 
+def _counted(column: pandas.Series[Any]) -> list[str]:
+    """How often each value of a column stands in it, in words."""
+    return [f"{n} {value}" for value, n in column.value_counts(sort=False).items()]
+
+
 class _Tables(_Shown):
     """Tables of the sides of a run, or of one side.
 
@@ -316,10 +321,7 @@ class Results(_Shown, ResultTable):
     def __repr__(self) -> str:
         """Number of rows by product and by outcome."""
         frame = self.frame()
-        counts = {
-            name: [f"{n} {value}" for value, n in frame[name].value_counts(sort=False).items()]
-            for name in ("product", "outcome", "cause")
-        }
+        counts = {name: _counted(frame[name]) for name in ("product", "outcome", "cause")}
         return _card(f"Results of {len(frame)} rows", {"campaigns": frame["campaign"].unique(), **counts})
 
     def to_dataframe(self) -> pandas.DataFrame:
@@ -385,8 +387,7 @@ class Validation(_Tables):
 
     def __repr__(self) -> str:
         """The campaign, and its rows by outcome."""
-        counts = self.results.frame()["outcome"].value_counts(sort=False)
-        rows = [f"{n} {value}" for value, n in counts.items()]
+        rows = _counted(self.results.frame()["outcome"])
         subjects = {name: side.radiance or side.reflectance for name, side in self.both.items()}
         return _card(f"Run of {self.name}", {"rows": rows, "sides": self.both, **subjects})
 
@@ -545,8 +546,7 @@ class Metrics(_Shown):
 
     def __repr__(self) -> str:
         """Number of metrics by kind."""
-        kinds = self.to_dataframe()["kind"].value_counts(sort=False)
-        return _card(f"Metrics: {len(self.rows)}", {"kinds": [f"{n} {kind}" for kind, n in kinds.items()]})
+        return _card(f"Metrics: {len(self.rows)}", {"kinds": _counted(self.to_dataframe()["kind"])})
 
     def to_dataframe(self) -> pandas.DataFrame:
         """A row for each metric, by name."""

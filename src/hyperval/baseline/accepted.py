@@ -16,7 +16,7 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import metadata
 from operator import attrgetter
 from pathlib import Path
@@ -27,8 +27,9 @@ from pydantic import Field, model_validator
 
 import hyperval
 from hyperval.campaign import Job, as_before, command_without_output, jobs_of, validate
+from hyperval.compare import row
 from hyperval.config import FILL_IN, Model, load_model
-from hyperval.errors import HypervalError, as_typed, reader, refuse
+from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
@@ -36,16 +37,8 @@ from hyperval.report import write_index, write_outputs
 from hyperval.report.verdict import accepted_words
 from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
-from hyperval.sensor import NoiseModel, Sensor, library_names, load_sensor
-from hyperval.sensor_check.suite import (
-    FALSE_ALARM,
-    LEVELS,
-    MIDDLE,
-    Engine,
-    SensorCheck,
-    summary_regions,
-    sunlit_radiance,
-)
+from hyperval.sensor import Sensor, library_names, load_sensor
+from hyperval.sensor_check import SensorCheck, suite, sunlit_radiance
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import RECORD, scratch_folder, sha256_of, whole_folder, write_text
 
@@ -74,14 +67,9 @@ class Accepted(Model):
     why: str | None = Field(None, min_length=1, description="needed where the tolerance is above the default")
 
     @property
-    def limit(self) -> Tolerance:
-        """The tolerance with what it is a part of."""
-        return Tolerance(self.tolerance, self.of)
-
-    @property
     def width(self) -> float:
         """Largest tolerated difference, in the metric's unit."""
-        return self.limit.width(self.accepted or 0.0, self.half_width)
+        return Tolerance(self.tolerance, self.of).width(self.accepted or 0.0, self.half_width)
 
     @property
     def range(self) -> tuple[float, float]:
@@ -125,27 +113,10 @@ class Baseline(Model):
 
     def write(self, path: Path) -> None:
         """Write it: one number a line, so that a change reads as one."""
-        lines = [
-            f"# Accepted numbers of the {self.kind} {self.name}.  "
-            "`hyperval baseline accept` renews them; tolerances are set by hand.",
-            "schema: 1",
-            f"kind: {self.kind}",
-            *(f"{key}: {_text(getattr(self, key))}" for key in ("name", "reason", "date")),
-            f"versions: {{{', '.join(f'{key}: {_text(value)}' for key, value in self.versions.items())}}}",
-            "metrics:",
-            *(f"  {_text(key)}: {_line(item)}" for key, item in sorted(self.metrics.items())),
-        ]
-        write_text(path, "\n".join(lines) + "\n")
-
-
-def _line(item: Accepted) -> str:
-    entries = {"accepted": None} | item.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-    plain = (value if isinstance(value, str) and value.isalpha() else _text(value) for value in entries.values())
-    return "{" + ", ".join(map("{}: {}".format, entries, plain)) + "}"
-
-
-def _text(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False)
+        items = sorted(self.metrics.items())
+        held = {key: item.model_dump(mode="json", exclude_none=True, exclude_defaults=True) for key, item in items}
+        text = partial(json.dumps, ensure_ascii=False)
+        write_text(path, worded("baseline/words.yaml", "file")(baseline=self, metrics=held, text=text) + "\n")
 
 
 def split_key(key: str) -> tuple[str, str, str, str]:
@@ -170,38 +141,26 @@ def load_baseline(path: Path) -> Baseline:
     return load_model(Baseline, path)
 
 
-# A planned row is often an absolute value or a verdict; these say which way and how far the two sides moved.
-BEHIND: Mapping[str, tuple[str, ...]] = {
-    "radiance": ("median_difference_ratio_*", "spectral_angle"),
-    "toa_reflectance": ("median_difference_ratio_*", "spectral_angle", "fraction_inside_stated*"),
-    "snr": ("median_difference_ratio_*",),
-    "reflectance": ("median_difference_ratio_*", "spectral_angle"),
-    "scores": ("score_mean_predicted", "score_mean_observed", "score_sd_ratio"),
-    "roc": ("pd_predicted@*", "pd_measured@*"),
-    "abundance": ("area_predicted", "area_observed", "area_ratio"),
-}
-
-
 def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
     """The numbers of one campaign that a baseline keeps, sorted by name.
 
     Every planned row that is not about a single band, whether it gates or informs, and for the subjects and
-    methods of those the rows of :data:`BEHIND`.  Of a row that several gates cover the worst outcome counts.
+    methods of those what stands :attr:`~hyperval.metrics.Metric.behind` it, as what is planned is often an absolute
+    value or a verdict.  Of a row that several gates cover the worst outcome counts.
     """
     whole = [row for row in rows if not row.per_band]
     planned = [row for row in whole if row.planned]
-    subjects = {(r.product, s.strip(), r.method) for r in planned for s in (r.subject, *r.subject.split(","))}
+    names = {(r.product, s.strip(), r.method) for r in planned for s in (r.subject, *r.subject.split(","))}
 
-    def is_behind(row: Result) -> bool:
-        planned_here = [named[1:] for named in subjects if named[0] == row.product]
-        return any(fnmatchcase(row.metric, metric) for metric in BEHIND.get(row.product, ())) and any(
-            fnmatchcase(row.subject, subject) and fnmatchcase(row.method, method) for subject, method in planned_here
-        )
+    def is_named(row: Result) -> bool:
+        own = row.product, row.subject, row.method
+        return any(all(map(fnmatchcase, own, patterns)) for patterns in names)
 
+    behind = [row for row in whole if row.product in metric_of(row.metric).behind and is_named(row)]
     metrics: dict[str, Result] = {}
-    for row in [*planned, *filter(is_behind, whole)]:
-        old = metrics.setdefault(row.key, row)
-        metrics[row.key] = replace(old, outcome=min(old.outcome, row.outcome, key=WORST_FIRST.index))
+    for new in [*planned, *behind]:
+        old = metrics.setdefault(new.key, new)
+        metrics[new.key] = replace(old, outcome=min(old.outcome, new.outcome, key=WORST_FIRST.index))
     return dict(sorted(metrics.items()))
 
 
@@ -212,7 +171,7 @@ LINES_NM = (430.0, 517.0, 656.0, 762.0)
 BIT_ERROR_RATE = 1e-9
 
 
-def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Result]:
+def sensor_metrics(sensor: Sensor, engine: suite.Engine | None = None) -> dict[str, Result]:
     """Every number of a sensor, sorted by name.
 
     Median SNR (without C_R) at the reference radiances, G, each noise term as a radiance, by spectral region; the
@@ -224,22 +183,21 @@ def sensor_metrics(sensor: Sensor, engine: Engine | None = None) -> dict[str, Re
     engine : stands in for the atmosphere engine
     """
     check = SensorCheck(sensor, engine=engine)
-    rows = [*_bands(check.axis), *_noise(check.axis, check.noise), *_scenarios(check)]
+    rows = [*_bands(check.axis), *_noise(check), *_scenarios(check)]
     return {row.key: row for row in sorted(rows, key=attrgetter("key"))}
 
 
-def _item(product: str, subject: str, metric: str, value: float, unit: str = "1") -> Result:
-    return Result("", product, subject, METHOD, metric, float(value), unit)
+def _item(product: str, subject: str, metric: str, value: float, **more: Any) -> Result:
+    return replace(row(metric, value, **more), product=product, subject=subject, method=METHOD)
 
 
 def _bands(axis: SpectralAxis) -> Iterator[Result]:
     yield _item("bands", "all", "band_count", len(axis))
     yield _item("bands", "good", "band_count", int(axis.good.sum()))
-    level = sunlit_radiance(axis, MIDDLE)
+    level = sunlit_radiance(axis, suite.MIDDLE)
     for line in LINES_NM:
-        at = _band_at(axis, line)
-        if at is not None:
-            yield _item("bands", f"{line:g} nm", "reference_radiance", level[at], "uW cm-2 sr-1 nm-1")
+        if (at := _band_at(axis, line)) is not None:
+            yield _item("bands", f"{line:g} nm", "reference_radiance", level[at])
 
 
 def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
@@ -248,38 +206,36 @@ def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
     return at if abs(axis.centre_nm[at] - wavelength_nm) <= axis.fwhm_nm[at] else None
 
 
-def _noise(axis: SpectralAxis, noise: NoiseModel) -> Iterator[Result]:
+def _noise(check: SensorCheck) -> Iterator[Result]:
     """Medians over each spectral region of signal, SNR and the terms of (3.15)-(3.19) that the sensor has."""
-    level = sunlit_radiance(axis, MIDDLE)
-    parts, unit = noise.breakdown(level), "uW cm-2 sr-1 nm-1"
+    noise, level = check.noise, sunlit_radiance(check.axis, suite.MIDDLE)
+    parts = noise.breakdown(level)
     floor = 1e-9 * parts.total  # the others are zero, or what rounding leaves
     variances = {f"noise_{term}": part for term, part in vars(parts).items() if np.any(np.abs(part) > floor)}
     if noise.constant is None:
         wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit").breakdown(level)
         variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
-    signal = noise.electrons_per_radiance  # (3.13)
-    spectra = {("noise", "", "electrons_per_radiance"): (signal, f"electrons per {unit}")}
-    spectra |= {("noise", "", name): (np.sqrt(np.abs(variance)), unit) for name, variance in variances.items()}
-    for part in LEVELS:
-        snr = noise.snr(sunlit_radiance(axis, part), calibration=False)  # (3.20)
-        spectra["snr", f"reflectance {part:g}, ", "snr"] = snr, "1"
-    for region, here in summary_regions(axis).items():
-        for (product, level_of, metric), (values, unit_of) in spectra.items():
-            yield _item(product, f"{level_of}{region}", f"median_{metric}", np.median(values[here]), unit_of)
+    spectra = {name: np.sqrt(np.abs(variance)) for name, variance in variances.items()}
+    spectra["electrons_per_radiance"] = noise.electrons_per_radiance  # (3.13)
+    for region, here in suite.summary_regions(check.axis).items():
+        for metric, values in spectra.items():
+            yield _item("noise", region, f"median_{metric}", np.median(values[here]))
+    for found in suite.median_snr(check):  # (3.20)
+        yield _item("snr", found.subject, "median_snr", found.value)
 
 
 def _scenarios(check: SensorCheck) -> Iterator[Result]:
     for name, run in check.runs.items():
         if isinstance(run, HypervalError):
-            yield replace(_item("scenario", name, "runs", np.nan), outcome=Outcome.SKIPPED, reason=str(run))
+            yield _item("scenario", name, "runs", np.nan, outcome=Outcome.SKIPPED, reason=str(run))
     for name, (subject, detector, _), curve in check.curves:
-        pd = float(detection_at(curve, FALSE_ALARM))
-        yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{FALSE_ALARM:g}", pd)
+        pd = float(detection_at(curve, suite.FALSE_ALARM))
+        yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{suite.FALSE_ALARM:g}", pd)
     oxygen = _band_at(check.axis, LINES_NM[-1])
     for name, prediction in check.predictions.items():
         if "white panel" in prediction.radiance and oxygen is not None:
             subject, level = f"{name}, {LINES_NM[-1]:g} nm", prediction.radiance["white panel"].mean[oxygen]
-            yield _item("scenario", subject, "white_panel_radiance", level, "uW cm-2 sr-1 nm-1")
+            yield _item("scenario", subject, "white_panel_radiance", level)
 
 
 DEFAULT_FOLDER = Path("validation/baselines")
@@ -296,7 +252,7 @@ def accepted_of(measured: Mapping[str, Result], before: Mapping[str, Accepted]) 
 def _accepted(new: Result, old: Accepted | None) -> Accepted:
     width = (new.upper - new.lower) / 2.0
     value, half = rounded(new.value), rounded(width) if width > 0 else None
-    limit = old.limit if old else default_tolerance(new.metric, half)
+    limit = Tolerance(old.tolerance, old.of) if old else default_tolerance(new.metric, half)
     if limit.of == "interval" and half is None:  # the interval is gone: its part of it means nothing any more
         limit = default_tolerance(new.metric)
     half = half if limit.of == "interval" else None
@@ -332,25 +288,16 @@ def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Resu
 
 
 def _objection(metric: str, old: Accepted | None, new: Result | None) -> str:
-    if old is None:
-        return f"{metric} is not accepted: the baseline does not hold this number"
-    before = math.nan if old.accepted is None else old.accepted
-    if new is None:
-        return f"{metric} is missing: the run does not give this number (accepted {_number(before)})"
-    words, now = "", new.value if math.isfinite(new.value) else math.nan
-    if math.isnan(before) != math.isnan(now):
-        words = f"moved from {_number(before)} to {_number(now)}"
-    elif not math.isnan(now) and not old.range[0] <= now <= old.range[1]:
-        words = f"moved from {before:.6g} to {now:.6g}: {now - before:+.3g}, tolerance {old.width:.3g}"
-    if new.outcome != old.outcome:
-        reason = f" ({new.reason})" if new.reason and new.outcome is not Outcome.NONE else ""
-        verdict = f"the outcome changed from {old.outcome} to {new.outcome}{reason}"
-        words = f"{words}; {verdict}" if words else verdict
-    return f"{metric} {words}" if words else ""
-
-
-def _number(value: float) -> str:
-    return "no value" if math.isnan(value) else f"{value:.6g}"
+    """What is wrong with a number, in words; none where it is as accepted."""
+    before = math.nan if old is None or old.accepted is None else old.accepted
+    now = new.value if new is not None and math.isfinite(new.value) else math.nan
+    none = math.isnan(before) and math.isnan(now)
+    moved = old is None or not (none or old.range[0] <= now <= old.range[1])
+    turned = old is None or new is None or new.outcome != old.outcome
+    if not (moved or turned):
+        return ""
+    numbers = {"before": before, "now": now, "moved": moved, "turned": turned}
+    return worded("baseline/words.yaml", "objection")(metric=metric, old=old, new=new, **numbers)
 
 
 ALL, RUNS = "all", "runs"
@@ -413,8 +360,7 @@ class RunNumbers:
         if not path.is_file():
             return None
         found = load_baseline(path)
-        own = self.kind, self.run.campaign
-        of = f"{found.kind} {found.name!r}"
+        own, of = (self.kind, self.run.campaign), f"{found.kind} {found.name!r}"
         refuse((found.kind, found.name) != own, "baseline.other", path, wanted=" ".join(own), of=of)
         return found
 
@@ -444,8 +390,7 @@ class RunNumbers:
     @property
     def broken(self) -> list[str]:
         """Numbers that ended in an error: a disagreement is a result, an error is none."""
-        wrong = [(key, m) for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
-        return [f"{key} ({m.outcome}: {m.reason})" for key, m in wrong]
+        return [f"{key} ({m.outcome}: {m.reason})" for key, m in self.metrics.items() if m.outcome is Outcome.ERROR]
 
 
 def all_runs(
@@ -454,7 +399,7 @@ def all_runs(
     *,
     source: Path | None = None,
     keep: Path | None = None,
-    engine: Engine | None = None,
+    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """The numbers of campaigns and sensors.
 
@@ -512,7 +457,7 @@ def check(
     source: Path | None = None,
     output: Path | None = None,
     junit: Path | None = None,
-    engine: Engine | None = None,
+    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """Compare campaigns and sensors with what was accepted.
 
@@ -531,8 +476,7 @@ def check(
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
     with whole_folder(output) if output is not None else nullcontext() as folder:
-        keep = folder / RUNS if folder is not None else None
-        runs = all_runs(campaigns, sensors, source=source, keep=keep, engine=engine)
+        runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS, engine=engine)
         runs = [_against(run, baselines) for run in runs]
         if folder is not None:
             _write(runs, baselines, folder)
@@ -586,7 +530,7 @@ def accept(
     reason: str,
     baselines: Path,
     source: Path | None = None,
-    engine: Engine | None = None,
+    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """Store the numbers of campaigns and sensors as accepted, with the reason.
 

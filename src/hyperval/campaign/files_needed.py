@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from hyperval.campaign.schema import Campaign, DayScenarios, Job, Reference, read_jobs, scenarios_of
-from hyperval.compare.joint import TOGETHER
 from hyperval.compare.judge import Gate
+from hyperval.compare.spectra import TOGETHER
 from hyperval.config import Location, load_yaml
 from hyperval.datasets import SIMULATED, check_copy, how_to_get, resolve, set_on_request
 from hyperval.envi_header import header_beside

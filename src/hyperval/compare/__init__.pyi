@@ -18,7 +18,6 @@ from .detection import (
     probability_integral_transform,
     transforms_of_draws,
 )
-from .joint import compare_jointly, would_decide
 from .judge import (
     Gate,
     against_range,
@@ -37,6 +36,7 @@ from .spectra import (
     chi_square_full,
     chi_square_shape,
     comparable_bands,
+    compare_jointly,
     compare_spectra,
     covariance_dof,
     detectable_tilts,
@@ -47,6 +47,7 @@ from .spectra import (
     size_intervals,
     spectral_angle_degrees,
     whitening,
+    would_decide,
     z_scores,
 )
 

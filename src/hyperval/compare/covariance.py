@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperval import pixels
-from hyperval.compare.rows import row, skipped
+from hyperval.compare.rows import row, said, skipped, without
 from hyperval.data import Array, Mask
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
@@ -187,8 +187,8 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     """The distance of the two normal laws, and what of it is the covariance's beyond sampling."""
     found, drawn = float(sample.measured.distance), sample.band.distance
     if math.isnan(found):
-        why = f"{sample.fewest:.0f} independent pixels for {sample.size} directions"
-        yield from skipped(Cause.FEW_PIXELS, why, "bhattacharyya_distance", "bhattacharyya_covariance_excess")
+        metrics = "bhattacharyya_distance", "bhattacharyya_covariance_excess"
+        yield from without("few_pixels.distance", *metrics, fewest=sample.fewest, size=sample.size)
         return
     (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
     yield row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
@@ -220,7 +220,7 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     )
     low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
-        yield from skipped(Cause.FEW_PIXELS, "noise and texture cannot be separated in these pixels", "noise_ratio")
+        yield from without("few_pixels.noise", "noise_ratio")
         return
     why = f"noise is {np.median(noise / np.diag(first)):.2g} of the predicted variance (median over bands)"
     yield row("noise_ratio", factor**-0.5, (high**-0.5, low**-0.5), n=sample.n, reason=why)
@@ -250,9 +250,7 @@ def compare_distribution(predicted: PixelDistribution | None, observed: PixelDis
     if observed is None:
         return
     o, dof, ends = observed, observed.leading_tail_dof, (observed.leading_lower, observed.leading_upper)
-    p = math.nan if predicted is None else predicted.tail_dof
-    note = "predicted normal pixels" if math.isinf(p) else f"predicted {p:.3g} degrees of freedom"
-    note = "no predicted law to compare with" if predicted is None else note
+    note = said("tails", law=predicted)
     why = f"{note}; in {o.dimension} bands"
     yield row("background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n, reason=why)
     if not math.isnan(dof):

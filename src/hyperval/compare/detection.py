@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -11,29 +11,15 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from hyperval.compare.rows import Interval, difference_row, named, row, scientific, skipped
+from hyperval.compare.rows import Interval, named, of_sides, row, said, scientific, without
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
-from hyperval.model.intervals import (
-    Z95,
-    clopper_pearson,
-    difference_ratio,
-    difference_ratio_uncertainty,
-    zero_count_upper_limit,
-)
+from hyperval.model import Z95, clopper_pearson, difference_ratio, difference_ratio_uncertainty, zero_count_upper_limit
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at, log10_false_alarm_at
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
-from hyperval.products import (
-    Abundance,
-    ClassificationError,
-    ExceedanceCurve,
-    Influence,
-    ObjectScores,
-    RocCurve,
-    ScoreDistribution,
-)
-from hyperval.results import Cause, Effect, Result
+from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution
+from hyperval.results import Effect, Result
 
 ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as small in one of a million images at most
 
@@ -67,8 +53,7 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
         ends = ratio * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
         yield row("score_sd_ratio", ratio, ends.tolist(), n=n)
     else:
-        why = "fewer than two observed scores, or no spread among them"
-        yield from skipped(Cause.FEW_PIXELS, why, "score_sd_ratio")
+        yield from without("few_pixels.scores", "score_sd_ratio")
 
 
 LEVELS = (1e-1, 1e-2, 1e-3, 1e-4)
@@ -91,40 +76,34 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
         label = scientific(level)
         if level * n < LEAST_EXPECTED_ALARMS:
             if level >= 1e-3:
-                why = f"{observed.n} background pixels expect {level * n:.3g} alarms"
-                yield from skipped(Cause.FEW_ALARMS, why, f"pfa_ratio@{label}")
+                yield from without("few_alarms.pfa", f"pfa_ratio@{label}", n=observed.n, alarms=level * n)
             continue
         ratio = false_alarm_ratio(predicted, observed, level)
         at, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
         beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
-        words = f"threshold {threshold:.4g}: predicted {'at most ' if beyond else ''}{ratio.predicted:.3g}, "
-        words += f"measured {measured:.3g} ({observed.lower[at]:.2g} to {observed.upper[at]:.2g})"
-        words += f"; fitted law uncertain by a factor of {ratio.law_factor:.2g}" if ratio.law_factor > 1.0 else ""
-        words += f", correlated with that of the pixels ({ratio.together:.2f})" if ratio.together else ""
-        factor = math.nan if observed.half_image is None else float(observed.half_image[at])
-        if observed.half_image is not None:
-            words += f"; halves of the image differ by a factor of {factor:.2g}"
+        halves = math.nan if observed.half_image is None else float(observed.half_image[at])
+        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
-        if predicted.influence is not None:
-            yield _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted.influence)
-        if np.isfinite(factor):
+        yield from _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
+        if np.isfinite(halves):
             why = f"of {round(measured * n)} alarms; median over random halves"
-            yield row(f"pfa_repeatability@{label}", factor, n=observed.n, reason=why)
+            yield row(f"pfa_repeatability@{label}", halves, n=observed.n, reason=why)
 
 
-def _without_part(metric: str, ratio: float, threshold: float, parts: Influence) -> Result:
-    """The ratio that is nearest to 1 of those without one part of the image, and which part that is."""
+def _without_part(metric: str, ratio: float, threshold: float, predicted: ExceedanceCurve) -> Iterator[Result]:
+    """The ratio nearest to 1 of those without one part of the image, where they are known, and which part that is."""
+    if (parts := predicted.influence) is None:
+        return
     number, alarms = parts.number, parts.alarms[:, np.argmin(np.abs(parts.threshold - threshold))]
     pixels = np.bincount(number[number >= 0], minlength=alarms.size)
-    without = np.where(pixels > 0, parts.at(threshold), np.inf)
-    part = int(np.argmin(np.abs(np.log(without))))
-    ends = [(at.min(), at.max()) for at in np.nonzero(number == part)]
-    far, rest = abs(math.log(ratio)), abs(math.log(without[part]))
-    words = "" if far > 2.0 * rest or far < math.log(1.25) else "no single part is responsible: "
-    words += f"without {pixels[part]} of {pixels.sum()} pixels (lines {ends[0][0]} to {ends[0][1]}, samples "
-    words += f"{ends[1][0]} to {ends[1][1]}), which hold {100.0 * alarms[part] / max(alarms.sum(), 1):.0f} % of the "
-    words += f"alarms, the ratio is {without[part]:.2f} in place of {ratio:.2f}"
-    return row(metric, float(without[part]), n=int(pixels[part]), reason=words)
+    others = np.where(pixels > 0, parts.at(threshold), np.inf)
+    part = int(np.argmin(np.abs(np.log(others))))
+    far, rest = abs(math.log(ratio)), abs(math.log(others[part]))
+    responsible = far > 2.0 * rest or far < math.log(1.25)
+    places, held = np.nonzero(number == part), 100.0 * alarms[part] / max(alarms.sum(), 1)
+    numbers = {"places": places, "pixels": pixels, "held": held, "without": others[part], "ratio": ratio}
+    words = said("pfa_ratio_without", part=part, responsible=responsible, **numbers)
+    yield row(metric, float(others[part]), n=int(pixels[part]), reason=words)
 
 
 def compare_classification(p: ClassificationError, o: ClassificationError) -> Iterator[Result]:
@@ -148,8 +127,8 @@ def compare_classification(p: ClassificationError, o: ClassificationError) -> It
     words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
     left = row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
     right = row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
-    difference = difference_row("error_difference", left, right)
-    yield from (left, right, difference, _inside_row("error_inside_interval", difference, right))
+    yield from (rows := of_sides("error_{}".format, left, right))
+    yield _inside_row("error_inside_interval", rows[-1], right)
     yield row("error_approximation", p.approximation)
     yield row("distance_predicted", p.distance)
     yield row("distance_observed", o.distance, n=o.n)
@@ -179,9 +158,7 @@ def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -
     The share is (below + 1/2) / (N + 1), so that no score is impossible to a finite number of draws.
     """
     at, ordered = np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None)
-    below = np.searchsorted(ordered, at, "left").astype(float)
-    equal = ordered[np.minimum(below.astype(int), ordered.size - 1)] == at
-    below[equal] = 0.5 * (below[equal] + np.searchsorted(ordered, at[equal], "right"))
+    below = 0.5 * (np.searchsorted(ordered, at, "left") + np.searchsorted(ordered, at, "right"))
     return np.asarray((below + 0.5) / (ordered.size + 1.0))
 
 
@@ -240,6 +217,9 @@ def judged_together(
     >>> [round(x, 2) for x in (wide.value, wide.lower, wide.upper)]
     [0.54, 0.29, 0.85]
     """
+    if not measured:
+        yield from without("no_observation.objects", *OF_ALL)
+        return
     rng = np.random.default_rng(_SEED)
     shared = rng.integers(len(predicted[next(iter(measured))].values), size=REPLICATES)[:, None]
     values, drawn, wider, strength = [], [], [], []
@@ -303,8 +283,7 @@ def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Resu
     """
     half, n = x.shape[0] // 2, z.size
     if n > MOST_JOINED:
-        why = f"{n} objects; the model's draws resolve the joint distribution of at most {MOST_JOINED}"
-        yield from skipped(Cause.FEW_PIXELS, why, "joint_distance_p_value")
+        yield from without("few_pixels.draws", "joint_distance_p_value", n=n, most=MOST_JOINED)
         return
     inverse = np.linalg.pinv(np.atleast_2d(np.cov(x[:half], rowvar=False)))
 
@@ -375,18 +354,14 @@ def compare_object_scores(
         yield from named(_of_subject(predicted[name], scores), "scores", name, method)
     lost = ", ".join(name for name, scores in found.items() if not scores.size)
     common = {name: scores for name, scores in found.items() if scores.size}
-    rows = (
-        judged_together(predicted, common, f"; without {lost}" if lost else "")
-        if common
-        else iter(skipped(Cause.NO_OBSERVATION, "no object has both sides", *OF_ALL))
-    )
-    yield from named(rows, "scores", EVERY_OBJECT, method)
+    together = judged_together(predicted, common, f"; without {lost}" if lost else "")
+    yield from named(together, "scores", EVERY_OBJECT, method)
 
 
 def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
     """Rows of the objects of one subject, with their finite scores."""
     if scores.size == 0:
-        yield from skipped(Cause.NO_OBSERVATION, "no measured score", "object_score_pit", "object_score_inside_95")
+        yield from without("no_observation.score", "object_score_pit", "object_score_inside_95")
     elif scores.size > 1:
         yield from judged_together({"": model}, {"": scores})
     else:
@@ -427,12 +402,12 @@ def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Res
     if p > 0:
         yield row("area_ratio", o / p, half=Z95 * np.hypot(uo / p, o * up / p**2), n=n, evidence=evidence)
     else:
-        yield from skipped(Cause.NOT_POSITIVE, "the predicted area is not positive", "area_ratio")
+        yield from without("not_positive.area", "area_ratio", side="predicted")
     if o > 0:
         half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
         yield row("area_difference_ratio", float(difference_ratio(p, o)), half=half, n=n, evidence=evidence)
     else:
-        yield from skipped(Cause.NOT_POSITIVE, "the observed area is not positive", "area_difference_ratio")
+        yield from without("not_positive.area", "area_difference_ratio", side="observed")
     if (nominal := observed.nominal_m2) is not None:
         yield row("area_error_predicted", p - nominal, half=Z95 * up, n=predicted.n)
         yield row("area_error_observed", o - nominal, half=Z95 * uo, n=n)
@@ -442,7 +417,7 @@ def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Res
         yield row("area_z", (p - o) / u, evidence=evidence)
         yield row("area_inside_95", abs((p - o) / u) <= Z95, evidence=evidence)
     else:
-        yield from skipped(Cause.NO_UNCERTAINTY, "neither side states an uncertainty", "area_z", "area_inside_95")
+        yield from without("no_uncertainty.area", "area_z", "area_inside_95")
 
 
 def compare_area_errors(
@@ -486,10 +461,6 @@ def _area_errors(error: Array, model: Array, spread: Array) -> Iterator[Result]:
     yield row("area_rmse_predicted", np.sqrt(np.mean(model**2 + spread**2)), n=n)
 
 
-AREA_UNKNOWN = "the ground area of the background is not known"
-_SIDES = ("predicted", "measured", "difference")
-
-
 def samples_per_km2(curve: RocCurve) -> float:
     """Background samples on a square kilometre; NaN when the area is not known."""
     return (curve.n_background or math.nan) / (curve.background_area_km2 or math.nan)
@@ -524,7 +495,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     label, alarms, density = scientific(pfa), int(observed.alarms[at[-1]]), samples_per_km2(observed)
     counted = np.array([alarms, n]) / (1.0 if observed.design_effect is None else observed.design_effect[at[-1]])
     if math.isnan(density):
-        yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, f"far_measured@{label}")
+        yield from without("no_ground_area.background", f"far_measured@{label}")
     else:
         area = observed.background_area_km2 or math.nan
         ends = tuple(float(x) * density for x in clopper_pearson(*counted))
@@ -532,9 +503,8 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     if not m:
         return
     detected = round(float(observed.pd[at[-1]]) * m)
-    span, (least, most) = (
-        tuple(map(float, clopper_pearson(k, of, math.sqrt(0.95)))) for k, of in (counted, (detected, m))
-    )
+    both, level = (counted, (detected, m)), math.sqrt(0.95)
+    span, (least, most) = (tuple(map(float, clopper_pearson(k, of, level))) for k, of in both)
     why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
     yield row(f"joint_pfa@{label}", alarms / n, span, n=n, reason=why)
     yield row(f"joint_pd@{label}", detected / m, (least, most), n=m, reason=why)
@@ -542,8 +512,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         return
     name = f"pd_inside_joint_region@{label}"
     if most - least > WIDEST_INTERVAL:
-        why = f"the region of {m} {observed.unit}{'' if m == 1 else 's'} accepts nearly any prediction"
-        yield from skipped(Cause.VACUOUS, why, name)
+        yield from without("vacuous.region", name, n=m, unit=observed.unit)
         return
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
     ends = tuple(0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in span)
@@ -573,29 +542,26 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
     """
     density = samples_per_km2(observed)
     for point in observed.at_detection:
-        names = [f"far_{side}@pd{point.pd:g}" for side in _SIDES]
+        name = f"far_{{}}@pd{point.pd:g}".format
         if math.isnan(density):
-            yield from skipped(Cause.NO_GROUND_AREA, AREA_UNKNOWN, names[1])
+            yield from without("no_ground_area.background", name("measured"))
             continue
-        why = f"{point.alarms} alarms in {observed.background_area_km2:.4g} km2; with the threshold taken as exact "
-        why += f"{point.fixed_lower * density:.4g} to {point.fixed_upper * density:.4g}"
-        if point.alarms == 0 and observed.n_background:
-            why += f" (at most {zero_count_upper_limit(observed.n_background) * density:.4g}, one-sided)"
+        at_most = zero_count_upper_limit(observed.n_background) * density if observed.n_background else math.nan
+        why = said("far_measured", point=point, observed=observed, density=density, at_most=at_most)
         ends = point.pfa_lower * density, point.pfa_upper * density
-        measured = row(names[1], point.pfa * density, ends, n=observed.n_target, reason=why)
-        if predicted is None:
-            yield measured
-            continue
-        curves = (predicted.pd, predicted.pd_upper, predicted.pd_lower)
-        p, low, high = (10.0 ** log10_false_alarm_at(predicted, point.pd, y) for y in curves)
-        if math.isnan(p):
-            why = f"the predicted curve does not reach P_D {point.pd:g} within its range of P_FA"
-            (left,) = skipped(Cause.BEYOND_CURVE, why, names[0])
-        else:
-            # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
-            ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
-            left = row(names[0], p * density, (ends[0] * density, ends[1] * density))
-        yield from (left, measured, difference_row(names[2], left, measured))
+        measured = row(name("measured"), point.pfa * density, ends, n=observed.n_target, reason=why)
+        left = _predicted_alarms(name("predicted"), predicted, point.pd, density) if predicted else None
+        yield from of_sides(name, left, measured)
+
+
+def _predicted_alarms(metric: str, curve: RocCurve, pd: float, density: float) -> Result:
+    """Alarms per km2 where a predicted curve reaches P_D; its band bounds them."""
+    p, low, high = (10.0 ** log10_false_alarm_at(curve, pd, y) for y in (curve.pd, curve.pd_upper, curve.pd_lower))
+    if math.isnan(p):
+        return without("beyond_curve.pd", metric, pd=pd)[0]
+    # Where a limit of the band lies wholly above or below that P_D, its end of the range bounds P_FA.
+    ends = 0.0 if math.isnan(low) else min(low, p), 1.0 if math.isnan(high) else max(high, p)
+    return row(metric, p * density, (ends[0] * density, ends[1] * density))
 
 
 def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) -> Result:
@@ -604,10 +570,9 @@ def _measured_area(metric: str, observed: RocCurve, full: str, area: RocArea) ->
     if found is not None:
         return row(metric, found.value, (found.lower, found.upper), n=observed.n_target, reason=found.method)
     if observed.areas and area.logarithmic and n is not None:
-        why = f"{n} background samples expect {area.low * n:.3g} alarms at the low end of {full.partition('@')[2]}"
-        return skipped(Cause.FEW_ALARMS, f"{why}; {LEAST_EXPECTED_ALARMS:g} are needed", metric)[0]
+        return without("few_alarms.area", metric, n=n, name=full, low=area.low, least=LEAST_EXPECTED_ALARMS)[0]
     if math.isnan(value := curve_area(observed, area)):
-        return skipped(Cause.BEYOND_CURVE, "the measured curve does not reach its range of P_FA", metric)[0]
+        return without("beyond_curve.measured_area", metric)[0]
     return row(metric, value, n=observed.n_target, reason="no interval: the scores behind the curve are not known")
 
 
@@ -632,18 +597,15 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
     ('log_auc_difference@1e-3..1e-1', 0.0)]
     """
     for full, area in AREAS.items():
-        name, at, span = full.partition("@")
-        names, sides = [f"{name}_{side}{at}{span}" for side in _SIDES], []
+        base, at, span = full.partition("@")
+        name, left = f"{base}_{{}}{at}{span}".format, None
         if predicted is not None:
             value, *limits = (curve_area(predicted, area, y) for y in (None, predicted.pd_lower, predicted.pd_upper))
-            ends = min(value, *limits), max(value, *limits)
-            why = f"the predicted curve does not reach the range P_FA {span or '0..1'}"
-            sides += skipped(Cause.BEYOND_CURVE, why, names[0]) if math.isnan(value) else [row(names[0], value, ends)]
-        if observed is not None:
-            sides.append(_measured_area(names[1], observed, full, area))
-        yield from sides
-        if len(sides) == 2:
-            yield difference_row(names[2], *sides)
+            left = row(name("predicted"), value, (min(value, *limits), max(value, *limits)))
+            if math.isnan(value):
+                (left,) = without("beyond_curve.area", left.metric, span=span)
+        right = _measured_area(name("measured"), observed, full, area) if observed else None
+        yield from of_sides(name, left, right)
 
 
 ALWAYS = (1e-1, 1e-2, 1e-3)
@@ -676,9 +638,7 @@ def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     return (-1.0, "different") if apart else (0.0, "undecided")
 
 
-def compare_roc(
-    predicted: RocCurve, observed: RocCurve, pfa: Sequence[float] | None = None, equivalence_margin: float | None = None
-) -> Iterator[Result]:
+def compare_roc(predicted: RocCurve, observed: RocCurve, equivalence_margin: float | None = None) -> Iterator[Result]:
     """Rows at each false-alarm probability, named METRIC@1e-2 and the like.
 
     ``pd_predicted`` and ``pd_measured`` with their intervals, ``pd_difference`` (predicted - measured) with its
@@ -693,7 +653,7 @@ def compare_roc(
     ``pd_predicted_preset`` and ``pd_inside_interval_preset`` read the predicted curve at the preset P_FA of (3.30),
     that of the worst class alone, where that differs from the P_FA of the whole background (3.33).
 
-    Default probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
+    Probabilities: 1e-1, 1e-2, 1e-3 always, and 1e-4 to 1e-6 where the background is large enough to
     expect 10 alarms.  A probability that the background or a curve does not reach gives SKIPPED rows.
     The verdicts (but not the values) are SKIPPED too where the measured interval is wider than 0.9, as with a
     single target object: a test that nothing can fail is no test.
@@ -704,14 +664,15 @@ def compare_roc(
     >>> pfa = np.array([1e-3, 1e-2, 1e-1, 1.0])
     >>> predicted = RocCurve(pfa, pfa**0.2, pfa**0.25, pfa**0.15, -pfa, preset_pfa=pfa / 2.0)
     >>> observed = RocCurve(pfa, pfa**0.3, pfa**0.4, pfa**0.25, -pfa, "pixel", 40, 10_000)
-    >>> [(r.metric, round(r.value, 3)) for r in compare_roc(predicted, observed, [1e-2]) if r.metric.startswith("pd")]
+    >>> rows = [r for r in compare_roc(predicted, observed) if r.metric.startswith("pd") and r.metric.endswith("@1e-2")]
+    >>> [(r.metric, round(r.value, 3)) for r in rows]
     [('pd_predicted@1e-2', 0.398), ('pd_measured@1e-2', 0.251), ('pd_difference@1e-2', 0.147),
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
     background = observed.n_background
     rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
-    for level in pfa or (*ALWAYS, *rare):
+    for level in (*ALWAYS, *rare):
         yield from _at(predicted, observed, level, equivalence_margin)
         yield from alarm_rows(predicted, observed, level)
     yield from whole_curve_rows(predicted, observed)
@@ -731,9 +692,7 @@ def whole_curve_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator
     """
     yield from far_at_detection_rows(predicted, observed)
     if (first := observed.alarms_before_first) is not None:
-        why = f"of {observed.n_background} background pixels, up to the best pixel of {observed.n_target} objects; "
-        why += "favours targets with many pixels or parts"
-        yield row("alarms_before_first", first, n=observed.n_target, reason=why)
+        yield row("alarms_before_first", first, n=observed.n_target, reason=said("alarms_before_first", curve=observed))
     yield from area_rows(predicted, observed)
 
 
@@ -742,24 +701,18 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
     names = [f"{m}@{label}" for m in (*METRICS, *(["pd_equivalence"] if margin is not None else []))]
     n, background = observed.n_target, observed.n_background
     if background is not None and pfa * background < LEAST_EXPECTED_ALARMS:
-        why = f"{background} background samples expect {pfa * background:.3g} alarms at P_FA {label}; "
-        why += f"{LEAST_EXPECTED_ALARMS:g} are needed to place the threshold"
-        yield from skipped(Cause.FEW_ALARMS, why, *names)
+        yield from without("few_alarms.pd", *names, n=background, pfa=pfa, label=label, least=LEAST_EXPECTED_ALARMS)
         return
     (p, band), (o, (low, high)) = read_at(predicted, pfa), read_at(observed, pfa)
     if math.isnan(p) or math.isnan(o):
-        side = "predicted" if math.isnan(p) else "measured"
-        yield from skipped(Cause.BEYOND_CURVE, f"the {side} curve has no point at P_FA {label}", *names)
+        yield from without("beyond_curve.point", *names, side="predicted" if math.isnan(p) else "measured", label=label)
         return
-    left = row(names[0], p, band)
     right = row(names[1], o, (low, high), n=n)
-    difference = difference_row(names[2], left, right)
-    yield from (left, right, difference)
+    yield from (rows := of_sides(f"pd_{{}}@{label}".format, row(names[0], p, band), right))
     if high - low > WIDEST_INTERVAL:
-        why = f"the measured interval {low:.2g} to {high:.2g}"
-        why += f" from {n} {observed.unit}{'' if n == 1 else 's'}" if n is not None else ""
-        yield from skipped(Cause.VACUOUS, f"{why} accepts nearly any prediction", *names[3:])
+        yield from without("vacuous.interval", *names[3:], low=low, high=high, curve=observed)
         return
+    difference = rows[-1]
     yield _inside_row(names[3], difference, right)
     # An unknown measured interval must not read as "outside": the verdict itself is unknown.
     known = math.nan if math.isnan(low + high) else 1.0
@@ -797,5 +750,5 @@ def _preset_rows(predicted: RocCurve, pfa: float, swept: float, measured: Result
         why = f"(3.32) at the preset, without (3.33): {swept:.3g} with it, measured {measured.value:.3g}"
         preset = row(f"pd_predicted_preset@{scientific(pfa)}", value, ends, reason=why)
         yield preset
-        difference = difference_row("pd_difference", preset, measured)
+        *_, difference = of_sides("pd_{}".format, preset, measured)
         yield _inside_row(f"pd_inside_interval_preset@{scientific(pfa)}", difference, measured, why)

@@ -17,12 +17,12 @@ import numpy as np
 import scipy
 from pydantic import Field, model_validator
 
-from hyperval.compare.rows import COMPARISON
+from hyperval.compare.rows import COMPARISON, said
 from hyperval.config import Model
 from hyperval.errors import UsageError, refuse
 from hyperval.metrics import Kind, base_name, metric_of, product_words
 from hyperval.model.intervals import Z95, clopper_pearson
-from hyperval.results import EVERY, Cause, Outcome, Result, Role
+from hyperval.results import EVERY, Cause, Effect, Outcome, Result, Role
 
 _CHI2_SLIP = 100.0
 
@@ -112,9 +112,8 @@ class Gate(Model):
     def limit_text(self) -> str:
         """The limit in words."""
         low, high = self.limits
-        if self.within is not None:
-            return f"within {low:g} to {high:g}"
-        return f"at most {high:g}" if self.at_most is not None else f"at least {low:g}"
+        one_end = f"at least {low:g}" if math.isinf(high) else f"at most {high:g}"
+        return one_end if self.within is None else f"within {low:g} to {high:g}"
 
     @property
     def role(self) -> Role:
@@ -151,7 +150,7 @@ _SLACK = 1e-9  # of a value: rounding is no breach of its own interval
 INTERVALS = 0.05  # level of the intervals of all criteria together
 # A comparison that lacks one side altogether was planned for something that is not there: under a gate an error.
 _NOT_THERE = (Cause.NO_PREDICTION, Cause.NO_OBSERVATION, Cause.NO_BANDS)
-Judgement = tuple[Outcome, Cause, str]
+Judgement = tuple[Outcome, Cause]
 
 
 def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
@@ -208,7 +207,7 @@ def against_range(lower: float, upper: float, low: float, high: float) -> Outcom
 
 
 def outcome_of(row: Result, low: float, high: float) -> Judgement:
-    """What a row concludes about the range ``low`` to ``high``, with the cause and words.
+    """What a row concludes about the range ``low`` to ``high``, with the cause.
 
     An interval inside the range agrees, outside it disagrees, else the comparison is undecided; a value without an
     interval is undecided, unless its metric has no sampling error.  A test disagrees below its level ``low`` and
@@ -216,32 +215,29 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
     """
     known = metric_of(row.metric)
     if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
-        return row.outcome, row.cause, row.reason
+        return row.outcome, row.cause
     if math.isnan(row.value):
-        return Outcome.ERROR, Cause.NOT_A_NUMBER, "the value is not a number"
-    if row.lower > row.upper:
-        return Outcome.ERROR, Cause.BAD_INTERVAL, f"the interval {row.lower:g} to {row.upper:g} is inverted"
+        return Outcome.ERROR, Cause.NOT_A_NUMBER
     slack = _SLACK * max(1.0, abs(row.value))
-    if row.value < row.lower - slack or row.value > row.upper + slack:
-        words = f"the value lies outside its interval {row.lower:g} to {row.upper:g}"
-        return Outcome.ERROR, Cause.BAD_INTERVAL, words
+    if row.lower > row.upper or row.value < row.lower - slack or row.value > row.upper + slack:
+        return Outcome.ERROR, Cause.BAD_INTERVAL
     if known.kind is Kind.TEST:
         return _of_test(row, low)
     if known.kind is Kind.STATISTIC:
-        return Outcome.UNDECIDED, Cause.NOT_JUDGED, ""
+        return Outcome.UNDECIDED, Cause.NOT_JUDGED
     if known.kind is Kind.EQUIVALENCE:
         codes = {1.0: Outcome.AGREES, -1.0: Outcome.DISAGREES}
-        return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE, ""
+        return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE
     ends = (row.lower, row.upper) if known.kind is Kind.QUANTITY else (row.value, row.value)
     if any(map(math.isnan, ends)):
-        return Outcome.UNDECIDED, Cause.NO_INTERVAL, ""
+        return Outcome.UNDECIDED, Cause.NO_INTERVAL
     outcome = against_range(*ends, low, high)
     if known.kind is Kind.COVERAGE and outcome is Outcome.AGREES:
-        return Outcome.UNDECIDED, Cause.COVERAGE, ""
+        return Outcome.UNDECIDED, Cause.COVERAGE
     if outcome is not Outcome.UNDECIDED:
-        return outcome, Cause.NONE, ""
+        return outcome, Cause.NONE
     never = replace(row, limit_low=low, limit_high=high).shortfall > 1.0
-    return Outcome.UNDECIDED, Cause.NEVER if never else Cause.WIDE_INTERVAL, ""
+    return Outcome.UNDECIDED, Cause.NEVER if never else Cause.WIDE_INTERVAL
 
 
 def tail_probability(row: Result) -> float:
@@ -272,10 +268,10 @@ def _of_test(row: Result, level: float) -> Judgement:
     known = metric_of(row.metric)
     if tail_probability(row) < level:
         wide = known.two_sided and row.value > 0.5
-        return Outcome.DISAGREES, Cause.TOO_WIDE if wide else Cause.NONE, ""
+        return Outcome.DISAGREES, Cause.TOO_WIDE if wide else Cause.NONE
     if not row.detectable <= known.alternative:
-        return Outcome.UNDECIDED, Cause.NO_POWER, f"no 80 % power against {known.departure}" if known.departure else ""
-    return Outcome.AGREES, Cause.NONE, ""
+        return Outcome.UNDECIDED, Cause.NO_POWER
+    return Outcome.AGREES, Cause.NONE
 
 
 def shared_levels(rows: Sequence[Result]) -> list[Result]:
@@ -304,8 +300,7 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
             kept = kept or tail_probability(out[i]) >= part
             shares[i] = share
             if kept and out[i].outcome is Outcome.DISAGREES:
-                why = f"its share of the level is {part:.2g}, among {len(order)} criteria"
-                why = _joined(why, out[i].reason)
+                why = _joined(f"its share of the level is {part:.2g}, among {len(order)} criteria", out[i].reason)
                 out[i] = replace(out[i], outcome=Outcome.UNDECIDED, cause=Cause.MULTIPLICITY, reason=why)
     return [told_as_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]
 
@@ -314,7 +309,7 @@ def detectable_departure(row: Result, low: float, high: float) -> float:
     """The smaller of :func:`detectable_sides`; of a test the departure that it was asked about."""
     if metric_of(row.metric).kind is Kind.TEST:
         return row.detectable
-    return min((side for side in detectable_sides(row, low, high) if not math.isnan(side)), default=math.nan)
+    return float(np.fmin(*detectable_sides(row, low, high)))
 
 
 def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float]:
@@ -350,32 +345,33 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
     ----------
     level : of a test, its part of the campaign's level
     """
-    known, about = metric_of(row.metric), row.about
+    known, unit, about = metric_of(row.metric), metric_of(row.metric).effect, row.about
     row = replace(row, about=None, p_value=row.value if known.kind is Kind.TEST else math.nan)
-    unit = known.effect
     if unit is None or not row.planned or math.isnan(row.value):
         return row
-    if about is not None:
-        numbers, (below, above) = (about.value, about.lower, about.upper), about.detectable
-        tested = about.accepted is not None and (known.kind is not Kind.TEST or math.isfinite(level))
-        low, high = about.accepted(level) if about.accepted and tested else (math.nan, math.nan)
-    elif known.kind is Kind.QUANTITY:
-        numbers, (low, high) = (row.value, row.lower, row.upper), (row.limit_low, row.limit_high)
-        sides = detectable_sides(row, low, high)
-        below, above = known.agreement - sides[0], known.agreement + sides[1]
-        below = math.nan if below < known.low else below  # no value is that small
-    else:
+    about = about or (_of_quantity(row) if known.kind is Kind.QUANTITY else None)
+    if about is None:
         return row
-    beyond = about is not None and about.decides and (about.lower < low or about.upper > high)
+    tested = known.kind is not Kind.TEST or math.isfinite(level)
+    low, high = about.accepted(level) if about.accepted and tested else (math.nan, math.nan)
+    beyond = about.decides and (about.lower < low or about.upper > high)
     if beyond and row.outcome is Outcome.AGREES:
         row = replace(row, outcome=Outcome.UNDECIDED, cause=Cause.WIDE_INTERVAL)
-    effect, lower, upper = map(unit, numbers)
+    effect, lower, upper, below, above = map(unit, (about.value, about.lower, about.upper, *about.detectable))
     ideal = known.agreement if unit.ideal is None else unit.ideal
     return replace(
         row, effect=effect, effect_lower=lower, effect_upper=upper, ideal=unit(ideal),
         effect_unit=unit.unit.format(product=product_words(row.product)),
-        accepted_low=unit(low), accepted_high=unit(high), detectable_low=unit(below), detectable_high=unit(above),
+        accepted_low=unit(low), accepted_high=unit(high), detectable_low=below, detectable_high=above,
     )  # fmt: skip
+
+
+def _of_quantity(row: Result) -> Effect:
+    """A quantity as its own effect, which the range of its row has decided already."""
+    known, limits = metric_of(row.metric), (row.limit_low, row.limit_high)
+    below, above = detectable_sides(row, *limits)
+    below = math.nan if known.agreement - below < known.low else known.agreement - below  # no value is that small
+    return Effect(row.value, row.lower, row.upper, lambda _: limits, (below, known.agreement + above), decides=False)
 
 
 def detectable_share(n: int, least: float) -> float:
@@ -388,11 +384,10 @@ def detectable_share(n: int, least: float) -> float:
     >>> round(detectable_share(100, 0.9), 3)
     0.199
     """
-    good = np.arange(n + 1)
-    disagrees = [k for k in good if clopper_pearson(int(k), n)[1] < least]
-    if not disagrees:
-        return math.nan
-    return 1.0 - float(scipy.stats.beta.ppf(0.2, disagrees[-1] + 1, n - disagrees[-1])) if disagrees[-1] < n else 1.0
+    count = int(np.count_nonzero(clopper_pearson(np.arange(n + 1), n)[1] < least))  # the fewest good that would do
+    if count in (0, n + 1):
+        return 1.0 if count else math.nan
+    return 1.0 - float(scipy.stats.beta.ppf(0.2, count, n - count + 1))
 
 
 def _by_gate(row: Result, gate: Gate) -> Result:
@@ -403,7 +398,8 @@ def _by_gate(row: Result, gate: Gate) -> Result:
 
 def _concluded(row: Result, limits: tuple[float, float], *reasons: str) -> Result:
     """The row with its outcome by a range."""
-    outcome, cause, words = outcome_of(row, *limits)
+    outcome, cause = outcome_of(row, *limits)
+    words = said("concluded", row=row, cause=cause.name, departure=metric_of(row.metric).departure)
     low, high = (limit if math.isfinite(limit) else math.nan for limit in limits)
     return replace(
         row, outcome=outcome, cause=cause, limit_low=low, limit_high=high,
@@ -425,20 +421,16 @@ def _unmet(rows: Sequence[Result], met: Collection[str], gate: Gate) -> Iterator
     """An ERROR row for every subject pattern of a gate that none of the subjects is of which it covers rows."""
     for pattern in gate.subjects:
         if not any(fnmatchcase(subject, pattern) for subject in met):
-            why = f"planned but absent: no {gate.product} row of subject {pattern!r} has metric {gate.metric!r}"
-            why += f" and method {gate.method!r}" if gate.method != "*" else ""
-            yield gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, why + _nearest(rows, gate))
+            why = said("absent.planned", gate=gate, pattern=pattern, **_nearest(rows, gate))
+            yield gate.unmade(pattern, Outcome.ERROR, Cause.ABSENT, why)
 
 
-def _nearest(rows: Sequence[Result], gate: Gate) -> str:
+def _nearest(rows: Sequence[Result], gate: Gate) -> dict[str, list[str]]:
     """What comes near to what a gate names: subjects with that metric, else metrics of that name."""
     own = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
     anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
     near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in own if anywhere.covers(r)))
-    if near:
-        return "; rows with it: " + ", ".join(near[:_NAMED]) + (", ..." if len(near) > _NAMED else "")
-    close = difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)
-    return f"; did you mean {close[0]!r}?" if close else ""
+    return {"near": near, "close": difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)}
 
 
 def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
@@ -448,18 +440,14 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     """
     if not matched or gate.fraction_at_least is None:
         return []
-    judgements = [outcome_of(row, *gate.limits)[:2] for row in matched]
+    judgements = [outcome_of(row, *gate.limits) for row in matched]
     # Of 1 or 0 by an interval the value counts: their share is the coverage of these intervals.
     good = sum(outcome is Outcome.AGREES or cause is Cause.COVERAGE for outcome, cause in judgements)
     amiss = (Outcome.DISAGREES, Outcome.ERROR)
     bad = [row for row, (outcome, _) in zip(matched, judgements, strict=True) if outcome in amiss]
     n, undecided = len(matched), len(matched) - good - len(bad)
     lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(bad), n)[1])
-    shown = ", ".join(_name(row) for row in bad[:5])
-    shown += f" and {len(bad) - 5} more" if len(bad) > 5 else ""
-    what = f"{good} of {n} rows {gate.limit_text}"
-    what += f", {undecided} without an outcome of their own" if undecided else ""
-    what += f"; outside: {shown}" if shown else ""
+    what = said("pooled", good=good, n=n, limit=gate.limit_text, undecided=undecided, bad=bad, whole=COMPARISON)
     names = "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction"
     row = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, reason=what)
     least = gate.fraction_at_least
@@ -468,11 +456,6 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     if out.outcome is Outcome.UNDECIDED and float(clopper_pearson(n, n)[0]) < least:
         out = replace(out, cause=Cause.NEVER)
     return [replace(out, detectable=detectable_share(n, least))]
-
-
-def _name(row: Result) -> str:
-    name = row.subject if row.metric == COMPARISON else f"{row.subject} {row.metric}"
-    return f"{name} {row.band_nm:g} nm" if math.isfinite(row.band_nm) else name
 
 
 def _joined(*parts: str) -> str:

@@ -6,12 +6,12 @@ Rows of one side alone, where there is nothing to compare with.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from hyperval.compare import covariance, detection, joint, spectra
-from hyperval.compare.rows import named, row, scientific, skipped
+from hyperval.compare import covariance, detection, spectra
+from hyperval.compare.rows import named, row, said, scientific, skipped
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS, nearest_point
@@ -20,9 +20,6 @@ from hyperval.results import Cause, Outcome, Result
 
 # Quantities in which pixels of a class spread.
 SPREAD = ("radiance", "reflectance")
-MOST_NAMED = 6
-
-K = TypeVar("K")
 
 
 def product_rows(products: Products, side: str) -> Iterator[Result]:
@@ -123,19 +120,21 @@ def compare_products(
             yield from named(rows, field, subject, name)
 
     def absent(product: str, subject: str, p: Any, o: Any) -> list[Result]:
-        """The row of what a side lacks; of a curve with what that side has in its place."""
-        missing = [name for name, side in (("prediction", p), ("observation", o)) if side is None]
-        more = _alternatives(predicted if p is None else observed, subject) if product == "roc" else ""
-        why = f"no {product} of {subject} in the {' and in the '.join(missing)}{more}"
+        """The row of what a side lacks; of a curve with what that side has in its place: detectors, else subjects."""
+        curves = (predicted if p is None else observed).roc
+        detectors = list(dict.fromkeys(detector for s, detector, _ in curves if s == subject))
+        others = list(dict.fromkeys(repr(s) for s, *_ in curves))
+        sides = {"missing": [n for n, side in (("prediction", p), ("observation", o)) if side is None]}
+        why = said("absent", product=product, subject=subject, detectors=detectors, others=others, **sides)
         return skipped(Cause.NO_PREDICTION if p is None else Cause.NO_OBSERVATION, why)
 
     rows: list[Result] = []
     for product in SPECTRA:
         rows += of(spectra.compare_spectra, product, product=product, axis=axis)
-    for subject, side in joint.groups(observed, fitted_on).items():
-        rows += named(joint.compare_jointly(predicted, side), "radiance", subject, method)
+    for subject, side in spectra.groups(observed, fitted_on).items():
+        rows += named(spectra.compare_jointly(predicted, side), "radiance", subject, method)
     shown = "radiance" if observed.radiance else "reflectance"
-    rows += named(spectra.shifted_rows(observed), shown, joint.ALL_SUBJECTS, method)
+    rows += named(spectra.shifted_rows(observed), shown, spectra.ALL_SUBJECTS, method)
     for quantity in SPREAD:
         for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
             spread = covariance.compare_covariance(predicted, observed, subject, quantity)
@@ -156,19 +155,7 @@ def compare_products(
     return [*rows, *detection.compare_area_errors(predicted.abundance, observed.abundance)]
 
 
-def _alternatives(side: Products, subject: str) -> str:
-    """What a side has that lacks a curve: other detectors of the subject, else other subjects."""
-    detectors = list(dict.fromkeys(d for s, d, _ in side.roc if s == subject))
-    if detectors:
-        return ", which has it by " + ", ".join(detectors)
-    subjects = list(dict.fromkeys(s for s, _, _ in side.roc))
-    if not subjects:
-        return ", which has no roc at all"
-    more = f" and {len(subjects) - MOST_NAMED} more" if len(subjects) > MOST_NAMED else ""
-    return ", which has " + ", ".join(repr(s) for s in subjects[:MOST_NAMED]) + more
-
-
-def _pairs(left: Mapping[K, Any], right: Mapping[K, Any]) -> Iterator[tuple[K, Any, Any]]:
+def _pairs(left: Mapping[Any, Any], right: Mapping[Any, Any]) -> Iterator[tuple[Any, Any, Any]]:
     """What either side has under each key, those of the observation first and in its order."""
     for key in dict.fromkeys([*right, *left]):
         yield key, left.get(key), right.get(key)

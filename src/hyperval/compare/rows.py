@@ -6,10 +6,11 @@ A comparison is a function of two sides that yields such rows; :func:`named` say
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from hyperval.errors import worded
 from hyperval.metrics import metric_of
 from hyperval.results import Cause, Outcome, Result
 
@@ -38,13 +39,34 @@ def skipped(cause: Cause, reason: str, *metrics: str) -> list[Result]:
     return [Result("", "", "", "", name, outcome=Outcome.SKIPPED, cause=cause, reason=reason) for name in names]
 
 
-def difference_row(metric: str, predicted: Result, measured: Result) -> Result:
-    """Predicted less measured; SKIPPED where a side is, with the words of the measured one first."""
+def said(name: str, /, **values: Any) -> str:
+    """What a row says of its value, or of why it has none: the words of a name in ``words.yaml``.
+
+    >>> from hyperval.errors import package_table
+    >>> all(worded("compare/words.yaml", name) for name in package_table("compare/words.yaml"))
+    True
+    """
+    return worded("compare/words.yaml", name)(**values)
+
+
+def without(name: str, /, *metrics: str, **values: Any) -> list[Result]:
+    """Rows :func:`skipped` for a cause and in words: those of a name in ``words.yaml`` that begins with the cause."""
+    return skipped(Cause[name.partition(".")[0].upper()], said(name, **values), *metrics)
+
+
+def of_sides(name: Callable[[str], str], predicted: Result | None, measured: Result | None) -> list[Result]:
+    """Rows of the sides there are and, of both, of predicted less measured, whose ``name`` is that of "difference".
+
+    That one is SKIPPED where a side is, with the words of the measured one first.
+    """
+    if predicted is None or measured is None:
+        return [side for side in (predicted, measured) if side is not None]
     for side in (measured, predicted):
         if side.outcome is Outcome.SKIPPED:
-            return replace(side, metric=metric, evidence=None)
+            return [predicted, measured, replace(side, metric=name("difference"), evidence=None)]
     (a, *ends), (b, *others) = ((side.value, side.lower, side.upper) for side in (predicted, measured))
-    return row(metric, a - b, difference_interval(a, ends, b, others), n=measured.n)
+    difference = row(name("difference"), a - b, difference_interval(a, ends, b, others), n=measured.n)
+    return [predicted, measured, difference]
 
 
 def named(rows: Iterable[Result], product: str, subject: str, method: str) -> Iterator[Result]:

@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from hyperval.errors import UsageError
+from hyperval.errors import needed, package_table, worded
 
 
 class Evidence(StrEnum):
@@ -77,6 +77,7 @@ class Metric:
     section : of the table: spectral, detection, other, sensors
     name : as in the table without what follows "@"; ``*`` stands for what varies (a region, another metric)
     products : of a comparison that have it; none where it is no metric of one, or of any
+    behind : products of which it tells, beside what is planned, which way and how far the two sides moved
     words : what it is, for a reader of a page
     function : what computes it, within the package
     formula : in plain text
@@ -123,10 +124,7 @@ class Metric:
     effect: FieldUnit | None = None
     short: str = ""
     products: Sequence[str] = ()
-
-    def fits(self, base: str) -> bool:
-        """Whether this row is about a metric of that name."""
-        return fnmatchcase(base, self.name)
+    behind: Sequence[str] = ()
 
 
 def base_name(metric: str) -> str:
@@ -165,28 +163,15 @@ def metric_of(name: str) -> Metric:
         return known["*_change"]
     if base in known:
         return known[base]
-    row = next((m for m in known.values() if m.fits(base)), None)
+    row = next((m for m in known.values() if fnmatchcase(base, m.name)), None)
     if row is None and set(base) & set("*?"):
         row = next((m for m in known.values() if fnmatchcase(m.name, base)), None)
-    if row is None:
-        near = difflib.get_close_matches(base, known, n=1)
-        raise UsageError(
-            f"{name!r} is not a metric",
-            expected="one of those that hyperval metrics lists",
-            mend=f"did you mean {near[0]!r}?" if near else "",
-        )
-    return row
+    near = "" if row else "".join(difflib.get_close_matches(base, known, n=1))
+    return needed(row, "metric.near" if near else "metric.unknown", name=name, near=near)
 
 
-_PART_WORDS = {
-    "vnir": " in the VNIR", "swir1": " in SWIR 1", "swir2": " in SWIR 2", "absorption": " in absorption bands"
-}  # fmt: skip
-
-
-_PRODUCT_WORDS = {
-    "toa_reflectance": "top-of-atmosphere reflectance", "snr": "signal-to-noise ratio", "roc": "detection",
-    "scores": "detector scores", "abundance": "target area",
-}  # fmt: skip
+def _names(kind: str) -> dict[str, str]:
+    return dict(package_table("metrics/names.yaml")[kind])
 
 
 def product_words(product: str) -> str:
@@ -197,7 +182,7 @@ def product_words(product: str) -> str:
     >>> product_words("toa_reflectance")
     'top-of-atmosphere reflectance'
     """
-    return _PRODUCT_WORDS.get(product, product)
+    return _names("products").get(product, product)
 
 
 def plain_words(metric: str, product: str) -> str:
@@ -208,13 +193,9 @@ def plain_words(metric: str, product: str) -> str:
     >>> plain_words("p_value_shape", "radiance")
     'shape of the radiance'
     """
-    base = base_name(metric)
-    short = metric_of(metric).short
-    product = product_words(product)
-    return short.format(product=product, part=_PART_WORDS.get(base.rpartition("_")[2], "")) or f"{product} {base}"
-
-
-_PARTS = ("windows", "vnir", "swir1", "swir2", "absorption")
+    base, product = base_name(metric), product_words(product)
+    part = _names("parts").get(base.rpartition("_")[2], "")
+    return metric_of(metric).short.format(product=product, part=part) or f"{product} {base}"
 
 
 def foreign(name: str, product: str) -> str:
@@ -233,8 +214,9 @@ def foreign(name: str, product: str) -> str:
     row = metric_of(name)
     if row.products and product not in row.products:
         return f"{base!r} is a metric of {' or '.join(row.products)}, not of {product}"
-    part = base.removeprefix(row.name.removesuffix("*")) if row.name.endswith("_ratio_*") else _PARTS[0]
-    return "" if part in _PARTS else f"no part of the spectrum is {part!r}; one of {', '.join(_PARTS)}"
+    parts, part = _names("parts"), base.removeprefix(row.name.removesuffix("*"))
+    known = part in parts or not row.name.endswith("_ratio_*")
+    return "" if known else f"no part of the spectrum is {part!r}; one of {', '.join(parts)}"
 
 
 def explained(names: Iterable[str]) -> list[tuple[str, str]]:
@@ -243,32 +225,14 @@ def explained(names: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def facts(m: Metric) -> dict[str, str]:
-    """What the table says of a metric, in words; empty where it says nothing.
+    """What the table says of a metric, in the words of ``facts.yaml``; empty where it says nothing.
 
     Examples
     --------
     >>> facts(metric_of("pd_difference"))["range"], facts(metric_of("z"))["range"]
     ('-1 to 1', '')
     """
-    value = f"`{m.example}`" if math.isnan(m.gives) else f"`{m.example}` is {m.gives:.6g}"
-    parts = {"value": " of the value", "interval": " of half the interval", "unit": ""}
-    return {
-        "formula": f"`{m.formula}`" if m.formula else "",
-        "computed by": f"`hyperval.{m.function}`",
-        "unit": m.unit,
-        "range": _span(m.low, m.high),
-        "when both sides are equal": "" if math.isnan(m.agreement) else f"{m.agreement:g}",
-        "better": m.better,
-        "judged as": m.kind,
-        "95 % interval": "" if m.interval == "none" else m.interval,
-        "effect in": m.effect.unit if m.effect else "",
-        "default range": _span(*m.usual) if m.usual else "",
-        "80 % power against": m.departure,
-        "moves with": "the prediction" if m.evidence == "model" else "the pipeline only",
-        "tolerance": ", without one ".join(f"{n:g}{parts[of]}" for of, n in m.tolerance.items()),
-        "reference": m.reference,
-        "example": value if m.example else f"in the docstring of `hyperval.{m.function}`",
-    }
+    return {name: worded("metrics/facts.yaml", name)(m=m, span=_span) for name in package_table("metrics/facts.yaml")}
 
 
 _LISTED = ("unit", "range", "when both sides are equal", "judged as", "95 % interval", "moves with", "tolerance")
