@@ -330,7 +330,7 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
                 near = difflib.get_close_matches(own, _keys_of(model), n=1) if few else []
                 hints = (" here; it belongs elsewhere" if k == own else f"; did you mean {k!r}?" for k in near)
                 text = f"this key is gone; {GONE[own]}" if own in GONE else "".join(("unknown key", *hints))
-            problems.append((line, f"{name}:{line}: {key}: {text}"))
+            problems.append((line, ": ".join(filter(None, (f"{name}:{line}", key, text)))))
         problems.sort()
         if not problems:
             raise UsageError(f"{name}: {error}") from error

@@ -489,7 +489,7 @@ class Scenario(FileModel):
     uncertainty: Uncertainty = Uncertainty()
 
     refused: ClassVar = {
-        "a scenario with an atmosphere needs a sensor, save for mean spectra above it": lambda s: (
+        "an atmosphere needs a sensor, unless sensor_altitude_km is 100 or more and there is no target": lambda s: (
             s.atmosphere and not s.sensor and (s.scene.targets or not s.is_of_space)
         ),
         "sensor_operation needs a sensor": lambda s: s.sensor_operation and not s.sensor,

@@ -317,6 +317,9 @@ _LEAST_ABOVE, _LEAST_ABOVE_INFRARED = 0.0015, 0.012
 _GREATEST_STAND_IN = 0.5
 _TRACE, _TRACE_NM = 0.002, (412.5, 552.5)  # the least aerosol that changes how 6S treats the molecules, and where
 _SCALE_HEIGHT_KM = 2.0  # of 6S's own aerosol, and of the trace
+# With more of the aerosol below a sensor at 1 to 5 km it takes the share of its own profile beyond 700 nm (path
+# reflectance down to a sixth), or prints no number.
+_MOST_BELOW = 0.985
 _GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
 LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
 
@@ -552,12 +555,19 @@ def trusted_stand_ins(
 
     Optical depth at 550 nm, ``within`` limits, and its share below the sensor; the state's whole depth, and its depth
     below the sensor, over those.
+
+    Examples
+    --------
+    >>> where = {"sensor_altitude_km": 5.0, "solar_zenith_deg": 35.0, "solar_azimuth_deg": 0.0, "day_of_year": 210}
+    >>> used, share, _, below = trusted_stand_ins(AtmosphericState(aot550=0.15, aerosol_share_below=1.0, **where), 5.0)
+    >>> [set(values.round(9).tolist()) for values in (used[:1], share, used * share * below)]
+    [{0.15}, {0.985}, {0.15}]
     """
     typed, fraction = depths_as_typed(state), state.aerosol_fraction_below
     used, share = np.clip(typed, *within), np.ones_like(typed)
     if height_km is not None:  # from space nothing is split, and nothing goes wrong
         lowest = 1.0 - np.exp(-height_km / _GREATEST_SCALE_HEIGHT_KM)
-        most = max(fraction, lowest * (1.0 + 1e-6) + 1e-6)
+        most = max(min(fraction, _MOST_BELOW), lowest * (1.0 + 1e-6) + 1e-6)
         above = np.where(NODES_NM < _INFRARED_NM, _LEAST_ABOVE, _LEAST_ABOVE_INFRARED)
         used = np.maximum(np.maximum(used, _LEAST_DEPTH), np.minimum(above / max(1.0 - most, 1e-9), _GREATEST_STAND_IN))
         share = np.minimum(most, 1.0 - _LEAST_ABOVE / used)

@@ -403,15 +403,26 @@ def _geometry(target: Target, p: TargetSubject) -> str:
 
 
 def exchanged_entries(worlds: Sequence[World], looked_for: Mapping[str, Any]) -> list[Candidate]:
-    """Spectra of targets in the file, which move what the model's filters look for as well."""
-    entries: dict[str, list[Truth]] = {}
+    """Spectra of targets and of classes in the file, which move what goes with them: what the model's filters look for,
+    covariances.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read
+    >>> scenario = load_scenario("yellow-planks-asphalt")
+    >>> (classes,) = exchanged_entries([read(scenario)], {})
+    >>> classes.labels[0], classes.at(0, 0.0)[0]
+    ('asphalt: that of grass', {'scene.classes.[asphalt].spectrum': {'builtin': 'grass'}})
+    """
+    found: dict[str, dict[str, list[Truth]]] = {"targets": {}, "classes": {}}
     for number, world in enumerate(worlds):
-        targets = world.stated.scenario.scene.targets
-        own = {t.name: t.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for t in targets}
-        for words, changed in others_in_place(own, looked_for, "looked for").items():
-            truth = {f"scene.targets.[{name}].spectrum": entry for name, entry in changed.items()}
-            entries[words] = _alone(number, len(worlds), truth)
-    return [_one_of("spectra of targets in the file", "scene", entries)] if entries else []
+        for kind, entries in found.items():
+            items = getattr(world.stated.scenario.scene, kind)
+            own = {x.name: x.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for x in items}
+            others = looked_for if kind == "targets" else {}
+            for words, changed in others_in_place(own, others, "looked for").items():
+                truth = {f"scene.{kind}.[{name}].spectrum": entry for name, entry in changed.items()}
+                entries[words] = _alone(number, len(worlds), truth)
+    return [_one_of(f"spectra of {kind} in the file", "scene", each) for kind, each in found.items() if each]
 
 
 def others_in_place(own: Mapping[str, Any], others: Mapping[str, Any], what: str) -> dict[str, dict[str, Any]]:
@@ -478,6 +489,8 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     ('yellow plank in full light', {}, [1.0, 1.0])
     >>> entries.at(0, spread)
     [{}, {'scene.classes.[asphalt].covariance': {'builtin': 'grass'}}]
+    >>> both["host of the targets"].labels, both["host of the targets"].at(0, 0.0)[1]
+    (('yellow plank on grass', 'yellow plank on soil'), {'scene.targets.[yellow plank].host': 'grass'})
     >>> arm = both["electrons per radiance of 942-2470 nm"]
     >>> [truth["sensor.electrons"].round(9).ravel()[[0, -1]].tolist() for truth in arm.at(0, 2.0)]
     [[1.0, 1.1], [1.0, 1.1]]
@@ -500,7 +513,8 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> both["standard atmosphere"].labels[0], both["standard atmosphere"].at(0, 0.0)
     ('tropical', [{'atmosphere.model': 'tropical'}, {'atmosphere.model': 'tropical'}])
     """
-    out, entries, pixels = list[Candidate](), dict[str, list[Truth]](), [dict[str, Any]() for _ in worlds]
+    out, pixels = list[Candidate](), [dict[str, Any]() for _ in worlds]
+    entries, hosts = dict[str, list[Truth]](), dict[str, list[Truth]]()
     levels = defaultdict[str, list[dict[str, Array]]](lambda: [{} for _ in worlds])
 
     def stretched(units: float) -> list[Truth]:
@@ -527,10 +541,15 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
             light = _part(world, f"light of {t.name}", "scene", f"{path}.beam", 0.1)
             out.append(_in_one(light, number, len(worlds), (-9.0, -4.0, 7.0)))
             entries[f"{t.name} in full light"] = alone({f"{path}.beam": 1.0, f"{path}.sky_view": 1.0})
+        for c in scene.classes:
+            there = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
+            hosts |= {f"{name} on {c.name}": alone(truth) for name, truth in there.items()}
+            if len(there) > 1:
+                hosts[f"all targets on {c.name}"] = alone({k: v for truth in there.values() for k, v in truth.items()})
     classes = [world.stated.scenario.scene.classes for world in worlds]
     for i, j in combinations(range(max(map(len, classes))), 2):
-        there = [n for n, own in enumerate(classes) if len(own) > j]
-        for where in dict.fromkeys([tuple(there), *((n,) for n in there)]):
+        all_of = tuple(n for n, own in enumerate(classes) if len(own) > j)
+        for where in dict.fromkeys([all_of, *((n,) for n in all_of)]):
             name = f"fraction of {classes[where[0]][i].name} for {classes[where[0]][j].name}"
             traded = partial(_traded, [(own[i], own[j]) if n in where else () for n, own in enumerate(classes)])
             name += f" and of {len(where) - 1} more" * (len(where) > 1)
@@ -549,8 +568,8 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
         out.append(_one_of("bits of a recorded number", "sensor", words))
     out.append(Candidate("wavelength scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), moved=stretched))
     out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
-    if entries:
-        out.append(_one_of("entry of a surface", "scene", entries))
+    named = {"entry of a surface": entries, "host of the targets": hosts}
+    out += [_one_of(name, "scene", each) for name, each in named.items() if each]
     is_engine = all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds)
     return [*out, *(_of_atmosphere(worlds) if is_engine else ())]
 

@@ -493,9 +493,15 @@ class Reasoner:
 
     >>> tilt = Candidate("tilt", "sensor", "1 %", False)
     >>> two = Reasoner({offset: one[:, :1], tilt: one[:, 1:2]}, one[:, 4:], noisy=False)
-    >>> found = two.posterior("all", 5.0 * one[0] + 99.0 * one[1]).hypotheses
-    >>> {tuple(f.name for f in h.causes) for h in found if len(h.causes) == 2}
-    {('tilt', 'offset')}
+    >>> found = two.posterior("all", 20.0 * one[0] + 99.0 * one[1]).hypotheses
+    >>> sorted({tuple(f.name for f in h.causes) for h in found if len(h.causes) == 2})
+    [('tilt', 'none of these'), ('tilt', 'offset')]
+
+    And it alone where it suffices.
+
+    >>> tilted = Reasoner({offset: one[:, :1], tilt: np.ones((40, 1))}, one[:, 4:], noisy=False)
+    >>> [cause.name for cause in tilted.posterior("all", np.linspace(19.0, 21.0, 40)).best.causes]
+    ['tilt']
 
     Nor is a cause named that makes less than half of a change.
 
@@ -600,20 +606,28 @@ class Reasoner:
 
     def _ordered(self, h: Hypothesis, e: Array) -> Hypothesis:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
-        change, what explains most before the rest.
+        change, what explains most by itself, and after it no more than is needed.
         """
-        rank = [not f.candidate.is_shared for f in h.causes] if self.noisy else np.diff([float(e @ e), *h.left])
-        order = [f for _, f in sorted(zip(rank, h.causes, strict=False), key=lambda pair: float(pair[0]))]
+        rank = [not f.candidate.is_shared if self.noisy else self._alone(f.candidate, e) for f in h.causes]
+        order = [f for _, f in sorted(zip(rank, h.causes, strict=True), key=lambda pair: float(pair[0]))]
         if not order or order[0] is h.causes[0]:
             return h
         causes, left = tuple[Fit, ...](), [float(e @ e)]
         for cause in order:
-            rest, columns = self._without(causes, e)
-            causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
-            rest = _after(causes[-1], rest - causes[-1].made)
-            left.append(float(rest @ rest))
+            if self.noisy or special.chdtrc(e.size, left[-1]) <= SUFFICES:
+                rest, columns = self._without(causes, e)
+                causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
+                rest = _after(causes[-1], rest - causes[-1].made)
+                left.append(float(rest @ rest))
         good = left[0] - left[1] > GOOD_PART * (left[0] - h.left[-1]) and not causes[0].limited
         return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
+
+    def _alone(self, candidate: Candidate, e: Array) -> float:
+        """Chi-square that a cause leaves by itself; what no candidate describes comes last."""
+        if candidate is UNKNOWN:
+            return np.inf
+        fit = effect_of(candidate, self.columns[candidate]).fit(e)
+        return float(np.sum(_after(fit, e - fit.made) ** 2))
 
     def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float]) -> tuple[str, ...]:
         """Candidates whose odds are near those of the first, or whose effect has its pattern.

@@ -92,15 +92,19 @@ def say_verdicts(output: Path) -> None:
     """
     outcomes = hyperval.results.Outcome
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
-    for name, own in groupby(rows, lambda row: row.campaign):
-        note(f"{name}: {hyperval.report.first_screen(list(own)).words}")
+    for name, group in groupby(rows, lambda row: row.campaign):
+        own = list(group)
+        if any(row.outcome is not outcomes.SKIPPED for row in own):  # else the reason, below, says all
+            note(f"{name}: {hyperval.report.first_screen(own).words}")
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
-        concerned: dict[str, dict[str, None]] = {}
+        concerned: dict[str, list[hyperval.results.Result]] = {}
         for row in rows:
-            if row.outcome is outcome and row.reason:
-                concerned.setdefault(row.reason, {})[row.campaign] = None
-        for reason, campaigns in concerned.items():
-            line = f"{', '.join(campaigns)}: {outcome}: {reason}"
+            if row.outcome is outcome and row.reason:  # those that differ in measured numbers alone are one
+                concerned.setdefault(re.sub(r"(?<= )[\d.]+\b", "", row.reason), []).append(row)
+        for alike in concerned.values():
+            more = len({row.reason for row in alike}) - 1
+            names = ", ".join(dict.fromkeys(row.campaign for row in alike))
+            line = f"{names}: {outcome}: {alike[0].reason}" + (f" (and {more} more like it)" if more else "")
             print(line, file=sys.stderr) if outcome is outcomes.ERROR else note(line)
     if rows:
         note(hyperval.report.last_line(rows))

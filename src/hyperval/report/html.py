@@ -23,7 +23,7 @@ from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
 from hyperval.figures.spec import Drawing, Figure, base64_of, data_uri, statement
-from hyperval.metrics import Evidence, explained
+from hyperval.metrics import Evidence, explained, plain_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
@@ -213,7 +213,7 @@ def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | Non
     for figure in figures:
         if figure.section != row.product or any(part.y.names for view in figure.views for part in view.parts):
             continue
-        own = [view for view in figure.views if view.subject.startswith(row.subject)]
+        own = [view for view in figure.views if re.match(rf"{re.escape(row.subject)}($|[,:]| \()", view.subject)]
         own = own or (list(figure.views) if row.subject in ("all", "all objects", "*") else [])
         if own:
             parts = own[0].parts[-1:] if figure.section in SPECTRA else own[0].parts[:1]
@@ -280,7 +280,7 @@ def environment() -> jinja2.Environment:
         interval=v.interval_text,
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
-        row_name=row_name,
+        about=lambda row: plain_words(row.metric, row.product),
         outcome=lambda word: OUTCOMES[Outcome(word)].word,
         subject=_subject_text,
         anchor=anchor,
