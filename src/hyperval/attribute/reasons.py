@@ -491,8 +491,8 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     ...     return causes_of(model, seen, [world] * lines, seen)
     >>> [[c.name for c in causes(n).rarer[1]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
-    >>> [one.labels for one in causes(1).of_files()]
-    [('green plank: that looked for',)]
+    >>> [one.labels[0] for one in causes(1).of_files()]
+    ['green plank: that looked for', 'asphalt: that of grass']
 
     What is measured again with another setting is a number by its steps or one of several, as it is stated; what
     cannot be measured, such as an empty region, is none of them.  An offset of one arm moves that arm.
