@@ -284,7 +284,7 @@ def test_an_index_joins_campaigns_and_sets_computed_and_simulated_references_apa
         Run(ResultTable([dataclasses.replace(failed, campaign=n)]), campaign=n, title=n, computed=n == "network")
         for n in ("second <b>", "network")
     )
-    runs = {"invented": run, "second_b_": second, "network": network}
+    runs = {"invented": dataclasses.replace(run, computed=True), "second_b_": second, "network": network}
     for name, one in runs.items():
         written(one, tmp_path / name)
     report.write_index(list(runs.values()), tmp_path)

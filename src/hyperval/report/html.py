@@ -239,7 +239,7 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     pages = {name: f"{folder}/report.html" for name, folder in folders.items()}
     groups = []
     for heading, kind in _GROUPS:
-        own = [run for run in runs if not run.remedy and (run.simulated, run.computed) == kind]
+        own = [r for r in runs if not r.remedy and (r.simulated, r.computed and not r.simulated) == kind]
         if not own:
             continue
         together = [row for run in own for row in run.table]
