@@ -196,14 +196,8 @@ def _bands(axis: SpectralAxis) -> Iterator[Result]:
     yield _item("bands", "good", "band_count", int(axis.good.sum()))
     level = sunlit_radiance(axis, suite.MIDDLE)
     for line in LINES_NM:
-        if (at := _band_at(axis, line)) is not None:
+        if (at := axis.nearest(line)) is not None:
             yield _item("bands", f"{line:g} nm", "reference_radiance", level[at])
-
-
-def _band_at(axis: SpectralAxis, wavelength_nm: float) -> int | None:
-    """The band nearest a wavelength, None where it is further off than its width."""
-    at = int(np.argmin(np.abs(axis.centre_nm - wavelength_nm)))
-    return at if abs(axis.centre_nm[at] - wavelength_nm) <= axis.fwhm_nm[at] else None
 
 
 def _noise(check: SensorCheck) -> Iterator[Result]:
@@ -231,7 +225,7 @@ def _scenarios(check: SensorCheck) -> Iterator[Result]:
     for name, (subject, detector, _), curve in check.curves:
         pd = float(detection_at(curve, suite.FALSE_ALARM))
         yield _item("scenario", f"{name}, {subject}, {detector}", f"pd_at_pfa_{suite.FALSE_ALARM:g}", pd)
-    oxygen = _band_at(check.axis, LINES_NM[-1])
+    oxygen = check.axis.nearest(LINES_NM[-1])
     for name, prediction in check.predictions.items():
         if "white panel" in prediction.radiance and oxygen is not None:
             subject, level = f"{name}, {LINES_NM[-1]:g} nm", prediction.radiance["white panel"].mean[oxygen]

@@ -301,9 +301,8 @@ class SensorCheck:
             level = published_radiance(axis, item, self.engine)
             snr = self.noise.snr(level, calibration=False)
             for wavelength, published in item.table:
-                at = int(np.argmin(np.abs(axis.centre_nm - wavelength)))
-                near = abs(axis.centre_nm[at] - wavelength) <= axis.fwhm_nm[at]
-                found = (float(snr[at]), float(level[at])) if near else (math.nan, math.nan)
+                at = axis.nearest(wavelength)
+                found = (math.nan, math.nan) if at is None else (float(snr[at]), float(level[at]))
                 points.append(SnrPoint(wavelength, published, *found, item))
         return points
 

@@ -99,6 +99,16 @@ class SpectralAxis:
         """The axis of the bands that ``keep`` (mask or indices) names."""
         return SpectralAxis(self.centre_nm[keep], self.fwhm_nm[keep], self.good[keep])
 
+    def nearest(self, wavelength_nm: float, widths: float = 1.0) -> int | None:
+        """Number of the band nearest a wavelength; None where it is further off than so many of its widths.
+
+        >>> axis = SpectralAxis(np.array([500.0, 520.0]), np.array([5.0, 10.0]))
+        >>> axis.nearest(511.0), axis.nearest(509.0), axis.nearest(509.0, widths=2.0)
+        (1, None, 0)
+        """
+        at = int(np.argmin(np.abs(self.centre_nm - wavelength_nm)))
+        return at if abs(self.centre_nm[at] - wavelength_nm) <= widths * self.fwhm_nm[at] else None
+
     def matches(self, other: SpectralAxis, tolerance_nm: float = 0.05) -> bool:
         """True when both axes have the same band centres to ``tolerance_nm``."""
         return len(self) == len(other) and bool(np.all(np.abs(self.centre_nm - other.centre_nm) <= tolerance_nm))

@@ -137,8 +137,8 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
     """
     w = axis.centre_nm
     if output.band_nm is not None:
-        at = int(np.argmin(np.abs(w - output.band_nm)))
-        if abs(w[at] - output.band_nm) > 2.0 * axis.fwhm_nm[at]:
+        at = axis.nearest(output.band_nm, widths=2.0)
+        if at is None:
             raise UsageError(f"output {output.name!r}: no band at {output.band_nm:g} nm")
         return np.array([at])
     low, high = output.range_nm or (0.0, np.inf)
