@@ -301,7 +301,15 @@ def unfilled(entries: list[Placeholder]) -> UsageError:
 
 
 def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -> M:
-    """Turn plain data into ``model``; every mistake is listed with its file and line at once."""
+    """Turn plain data into ``model``; every mistake is listed with its file and line at once.
+
+    >>> class Ends(Model):
+    ...     low: float
+    ...     refused: ClassVar = {"low is 0 or more": lambda ends: ends.low < 0.0}
+    >>> validate(Ends, {"low": -1.0}, {}, "a.yaml")
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: a.yaml:1: low is 0 or more
+    """
     to_fill_in = placeholders(data, lines, name)
     if to_fill_in:
         raise unfilled(to_fill_in)

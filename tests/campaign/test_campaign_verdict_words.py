@@ -113,7 +113,7 @@ def test_criteria_that_can_never_be_met_are_named_with_what_they_would_take(site
     assert "4 acceptance criteria can never be met" in err
     words = sites.first_screen(path)
     assert "4 of the inconclusive criteria can never be met" in words
-    assert "What would decide the 4 inconclusive acceptance criteria" in words
+    assert "What would decide the 4 inconclusive acceptance criteria level of the radiance, dark (sixs): " in words
 
 
 def test_a_criterion_that_chance_alone_leaves_open_may_be_met(sites, capsys):

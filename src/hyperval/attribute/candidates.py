@@ -491,6 +491,12 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     [{}, {'scene.classes.[asphalt].covariance': {'builtin': 'grass'}}]
     >>> both["host of the targets"].labels, both["host of the targets"].at(0, 0.0)[1]
     (('yellow plank on grass', 'yellow plank on soil'), {'scene.targets.[yellow plank].host': 'grass'})
+    >>> plank = {"spectrum": {"builtin": "yellow-paint-plank"}, "host": "asphalt", "fill": {"fixed": 0.1}}
+    >>> two = [{"name": name, **plank} for name in "ab"]
+    >>> several = rarer_candidates([read(stated.with_values({"scene.targets": two}))])
+    >>> hosts = next(c for c in several if c.name == "host of the targets")
+    >>> hosts.labels[:3], sorted(hosts.at(0, 2.0)[0].values())
+    (('a on grass', 'b on grass', 'all targets on grass'), ['grass', 'grass'])
     >>> arm = both["electrons per radiance of 942-2470 nm"]
     >>> [truth["sensor.electrons"].round(9).ravel()[[0, -1]].tolist() for truth in arm.at(0, 2.0)]
     [[1.0, 1.1], [1.0, 1.1]]

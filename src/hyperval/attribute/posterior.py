@@ -499,8 +499,9 @@ class Reasoner:
 
     And it alone where it suffices.
 
-    >>> tilted = Reasoner({offset: one[:, :1], tilt: np.ones((40, 1))}, one[:, 4:], noisy=False)
-    >>> [cause.name for cause in tilted.posterior("all", np.linspace(19.0, 21.0, 40)).best.causes]
+    >>> beside = {offset: one[:, :1] + 0.4 * one[:, 1:2], tilt: one[:, :1]}
+    >>> tilted = Reasoner(beside, one[:, 4:], noisy=False).posterior("all", 99.0 * one[0] + 6.0 * one[1])
+    >>> [cause.name for cause in tilted.best.causes]
     ['tilt']
 
     Nor is a cause named that makes less than half of a change.
@@ -623,7 +624,13 @@ class Reasoner:
         return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
 
     def _alone(self, candidate: Candidate, e: Array) -> float:
-        """Chi-square that a cause leaves by itself; what no candidate describes comes last."""
+        """Chi-square that a cause leaves by itself; what no candidate describes comes last.
+
+        >>> tilt = Candidate("tilt", "sensor", "1 %", False)
+        >>> known = Reasoner({tilt: np.eye(3)[:, :1]}, np.eye(3), noisy=False)
+        >>> [round(known._alone(one, np.array([9.0, 0.0, 4.0])), 1) for one in (tilt, UNKNOWN)]
+        [18.0, inf]
+        """
         if candidate is UNKNOWN:
             return np.inf
         fit = effect_of(candidate, self.columns[candidate]).fit(e)

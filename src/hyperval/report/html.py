@@ -207,7 +207,14 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
 
 
 def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | None:
-    """What shows the worst criterion, small: the difference of its spectrum, its curve, the scores of its objects."""
+    """What shows the worst criterion, small: the difference of its spectrum, its curve, the scores of its objects.
+
+    >>> from hyperval.figures.spec import Axis, Panels, Part
+    >>> views = tuple(Panels(Axis("nm"), (Part(Axis("y"), ()),), name) for name in ("grass 2", "grass (n = 9)"))
+    >>> row = Result("", "roc", "grass", "cem", "pd_difference", 0.1, "1")
+    >>> _worst_figure(row, [Figure("roc", "roc", "", "", views)]).views[0].subject
+    'grass (n = 9)'
+    """
     if row is None:
         return None
     for figure in figures:
