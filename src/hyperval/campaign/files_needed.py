@@ -13,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hyperval.campaign.products import undecided_by
 from hyperval.campaign.schema import Campaign, DayScenarios, Job, Reference, read_jobs, scenarios_of
 from hyperval.compare.judge import Gate
 from hyperval.compare.spectra import TOGETHER
@@ -160,8 +161,6 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
         rows = (row for row in read_rows(finished, every=False) if row.campaign == campaign.name and row.gates)
         found = [(row, f"in {finished}: {row.reason}") for row in rows if row.outcome is Outcome.UNDECIDED]
     elif campaign.collection.cube is None and campaign.scenarios and any(g.gate for g in campaign.comparisons):
-        from hyperval.campaign.run import undecided_by
-
         found = [(row, f"to decide it: {words}") for row, words in undecided_by(job)]
     for row, words in found:
         state = NEVER_MET if row.never_met else INCONCLUSIVE

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -27,6 +27,7 @@ from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
 from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
+from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
@@ -72,8 +73,7 @@ class StarterSources:
     key: str | None = None
 
 
-@dataclass(frozen=True)
-class RecordedSpectrum:
+class RecordedSpectrum(NamedTuple):
     """A field spectrum that a name of the scene may go with.
 
     Attributes
@@ -128,6 +128,8 @@ class Draft:
     ----------
     folder : where it will stand
     raster : the image
+    collection : the section of its collection
+    quantity : what the image holds, where that is known
     """
 
     sources: StarterSources
@@ -135,6 +137,8 @@ class Draft:
     raster: Raster
     name: str
     content: Entry = field(default_factory=dict)
+    collection: Entry = field(default_factory=dict)
+    quantity: str | None = None
     guesses: dict[tuple[str, ...], str] = field(default_factory=dict)
 
     def complete(self) -> list[str]:
@@ -142,39 +146,26 @@ class Draft:
         sources, about = self.sources, self.raster.description
         numbered = about.listed() is None
         silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
-        quantity = sources.quantity or ("counts" if silent else stated_quantity(self.raster))
+        self.quantity = quantity = sources.quantity or ("counts" if silent else stated_quantity(self.raster))
         lines, samples, bands = self.raster.size
         cube = {"path": self.reference(sources.cube)}
         cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
         cube |= {"header": self.reference(sources.header)} if sources.header else {}
         cube |= {"variable": sources.key} if sources.key else {}
+        self.collection |= {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]}
+        what = f"{quantity or 'unknown'} image of {lines} lines, {samples} samples and {bands} bands"
         self.content = {
-            "schema": 1,
-            "name": self.name,
-            "title": f"{self.name}: {quantity or 'unknown'} of {sources.cube.name}",
-            "description": f"{(quantity or 'unknown').capitalize()} image of {lines} lines, {samples} samples "
-            f"and {bands} bands; drafted from its files, not yet reviewed.",
-            "assumptions": [],
-            "collection": {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]},
-        }
+            "schema": 1, "name": self.name, "title": f"{self.name}: {quantity or 'unknown'} of {sources.cube.name}",
+            "description": f"{what[0].upper()}{what[1:]}; drafted from its files, not yet reviewed.",
+            "assumptions": [], "collection": self.collection,
+        }  # fmt: skip
         if numbered or quantity == "counts":
             self._by_objects()
         else:
-            self._by_wavelength(quantity)
+            self._by_wavelength()
         guesses = [f"{'.'.join(at)}: {because}" for at, because in self.guesses.items()]
         self.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
         return guesses
-
-    @property
-    def collection(self) -> Entry:
-        """Its section of the collection."""
-        section: Entry = self.content["collection"]
-        return section
-
-    @property
-    def quantity(self) -> str:
-        """What the image holds."""
-        return str(self.collection["cube"]["quantity"])
 
     def reference(self, path: Path) -> str:
         """A file as the campaign names it: relative to the campaign's own folder."""
@@ -187,12 +178,8 @@ class Draft:
 
     def opened(self, **parts: Any) -> Place:
         """The collection as it stands, with only these parts beside its cube."""
-
-        def resolve(reference: str) -> Path:
-            return Path(os.path.normpath(self.folder.resolve() / reference))
-
         section = CollectionSection.model_validate({"cube": self.collection["cube"], **parts})
-        return open_place(section, resolve)
+        return open_place(section, lambda name: Path(os.path.normpath(self.folder.resolve() / name)))
 
     def text(self) -> str:
         """The campaign file: what was guessed has a comment before it."""
@@ -212,8 +199,8 @@ class Draft:
 
     # An image with wavelengths ----------------------------------------------------------------------------------------
 
-    def _by_wavelength(self, quantity: str | None) -> None:
-        collection, sources, stated = self.collection, self.sources, self.raster.description
+    def _by_wavelength(self) -> None:
+        collection, quantity, sources, stated = self.collection, self.quantity, self.sources, self.raster.description
         if quantity and sources.quantity is None and stated.quantity is None:
             self.guess("quantity", quantity=quantity)
         if quantity == "radiance":
@@ -248,8 +235,7 @@ class Draft:
         try:
             model = self._scenario(place, panels, matched)
             self._add_targets(place, model)
-            self.content["scenarios"] = [model]
-            self.content["comparisons"] = usual_comparisons(self.content)
+            self._compare(model)
             names = ", ".join([*place.regions, *dict.fromkeys(target.material for target in place.targets)])
             refuse(not self.content["comparisons"], "starter.nothing", names=names)
         except UsageError as error:
@@ -419,6 +405,23 @@ class Draft:
             scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
             self.guess("field spectra")
 
+    def _compare(self, scenario: Entry) -> None:
+        """Add a scenario, and the usual comparisons of the subjects that it and the collection have."""
+        scene, lit = scenario["scene"], "atmosphere" in scenario
+        panels = [panel["name"] for panel in scene.get("panels", [])] if lit else []
+        known = [c["name"] for c in scene["classes"] if "measured" not in c["spectrum"]]
+        reflects = "empirical_line" in self.collection or self.quantity == "reflectance"
+        targets = scene.get("targets", [])
+        subjects = {
+            "RADIANCE": [*known, *panels] if lit else [],
+            "PANELS": panels if panels == self.collection.get("snr_regions") else [],
+            "REFLECTANCE": known if reflects else [],
+            "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
+            "BACKGROUNDS": [background_of(target["name"]) for target in targets],
+        }
+        usual = [{**entry, "subjects": subjects[entry["subjects"]]} for entry in _templates()["comparisons"]]
+        self.content |= {"scenarios": [scenario], "comparisons": [entry for entry in usual if entry["subjects"]]}
+
     # Counts, or an image without wavelengths: a map of objects, and what they stand before ----------------------------
 
     def _by_objects(self) -> None:
@@ -448,10 +451,9 @@ class Draft:
         if pixels < _FEW:
             scene = {**scene, "targets": [{**scene["targets"][0], "covariance": {"relative_sd": 0.05}}]}
         model = {"schema": 1, "name": self.name, "scene": scene, "processing": usual["processing"]}
-        self.content["scenarios"] = [model]
         self.guess("objects", why=why, scored=len(scored), pixels=pixels)
         self.guess("objects filled")
-        self.content["comparisons"] = usual_comparisons(self.content)
+        self._compare(model)
 
     def _object_masks(self) -> tuple[list[Mask], str]:
         """The objects of the map, the largest first, and words on them."""
@@ -465,26 +467,6 @@ class Draft:
                 raise
             return [], f"{none}: {error.what}"
         return groups_by_size(np.logical_or.reduce([region.mask for region in regions.values()]))
-
-
-def usual_comparisons(content: Mapping[str, Any]) -> list[Entry]:
-    """Comparisons for the content of a campaign file, as that file states them: those of the subjects that it has."""
-    collection, scenario = content["collection"], content["scenarios"][0]
-    scene = scenario["scene"]
-    panels = [panel["name"] for panel in scene.get("panels", [])]
-    known = [c["name"] for c in scene["classes"] if "measured" not in c["spectrum"]]
-    lit = "atmosphere" in scenario
-    reflects = "empirical_line" in collection or collection["cube"]["quantity"] == "reflectance"
-    targets = scene.get("targets", [])
-    subjects = {
-        "RADIANCE": [*known, *panels] if lit else [],
-        "PANELS": panels if lit and panels == collection.get("snr_regions") else [],
-        "REFLECTANCE": known if reflects else [],
-        "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
-        "BACKGROUNDS": [background_of(target["name"]) for target in targets],
-    }
-    usual = [{**entry, "subjects": subjects[entry["subjects"]]} for entry in _templates()["comparisons"]]
-    return [entry for entry in usual if entry["subjects"]]
 
 
 def _words(name: str) -> frozenset[str]:
@@ -577,7 +559,4 @@ def _stated_unit(raster: Raster) -> str | None:
 
 def _is_list(path: Path) -> bool:
     """Whether a file is a list of target centres: a table with a column of materials."""
-    if path.suffix.lower() != ".csv":
-        return False
-    with path.open("r", encoding="utf-8-sig", errors="replace") as file:
-        return "material" in file.readline(4096).lower()
+    return path.suffix.lower() == ".csv" and b"material" in head_of(path, 4096).partition(b"\n")[0].lower()
