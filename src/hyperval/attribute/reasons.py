@@ -622,11 +622,11 @@ def attribute(
     observed: Products,
     worlds: Sequence[World],
     options: AttributionOptions,
+    accepted: Mapping[str, Sequence[str]] | None,
+    accepted_chi_square: float,
     *,
     budgeted: Products,
-    accepted: Mapping[str, Sequence[str]] | None = None,
-    accepted_chi_square: float = 0.0,
-    simulated: bool = False,
+    simulated: bool,
 ) -> list[Result]:
     """Move every input, run every what-if, say how likely each is the reason.
 

@@ -137,16 +137,12 @@ def centre_of(place: observe.Place) -> tuple[float, float] | None:
     """Latitude and longitude of the middle of the cube [degrees], by its map or its table; None without."""
     raster, table = place.cube.raster, place.table
     crs = table.crs if table is not None else raster.crs
-    if crs is None:
+    of_map = raster.transform and raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
+    middle = table.middle if table is not None else of_map
+    if crs is None or middle is None:
         return None
-    if table is not None:
-        x, y = table.middle
-    elif raster.transform is None:
-        return None
-    else:
-        x, y = raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
-    longitude, latitude = reproject(crs, CRS.from_epsg(4326), [x], [y])[:2]
-    return (latitude[0], longitude[0]) if math.isfinite(latitude[0]) and math.isfinite(longitude[0]) else None
+    longitude, latitude = (x[0] for x in reproject(crs, CRS.from_epsg(4326), *([x] for x in middle))[:2])
+    return (latitude, longitude) if math.isfinite(latitude) and math.isfinite(longitude) else None
 
 
 def _differences(

@@ -88,23 +88,18 @@ def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextM
 def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
     """What both sides say, compared and judged; what the collection says where nothing was predicted."""
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
-    more: dict[str, Any] = {"kind": "Collection of campaign"}
-    prediction = power = None
+    prediction, power, deciding = None, None, list[tuple[Result, str]]()
     if predicted:
-        power = accepted_table(campaign.name, side.inputs.base)
-        prediction = predicted_side(side, predicted)
+        power, prediction = accepted_table(campaign.name, side.inputs.base), predicted_side(side, predicted)
         rows = outcomes(side, prediction)
         deciding = undecided(side, rows, prediction)
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         if campaign.attribution is not None:  # why the two sides differ
-            accepted = power and power.reasons
-            rows += attribute(
-                *asked_again(side), campaign.attribution, budgeted=prediction, simulated=bool(campaign.simulated),
-                accepted=accepted.sides if accepted else {},
-                accepted_chi_square=accepted.reduced_chi_square if accepted else 0.0,
-            )  # fmt: skip
-        more = {"kind": "Campaign", "deciding": deciding}
+            known = power.reasons if power else None
+            own = *asked_again(side), campaign.attribution
+            since = (known.sides, known.reduced_chi_square) if known else (None, 0.0)
+            rows += attribute(*own, *since, budgeted=prediction, simulated=bool(campaign.simulated))
     else:
         rows = list(product_rows(observed.observation, "observed"))
     notes = [
@@ -114,22 +109,17 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         *doubts(observed.place, campaign.detection, scenarios),
         *(prediction.notes if prediction else ()),
     ]
-    both = [observed.observation, *predicted]
-    provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both)
+    sides = [observed.observation, *predicted]
+    provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, sides)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     return report_of(
-        campaign,
-        rows,
-        given={"predicted": prediction, "observed": observed.observation},
-        score_maps=score_maps(observed, campaign.detection, prediction, rows),
-        quicklook=quicklook(observed),
-        provenance=provenance,
+        campaign, rows, kind="Campaign" if predicted else "Collection of campaign", provenance=provenance,
+        given={"predicted": prediction, "observed": observed.observation}, quicklook=quicklook(observed),
+        score_maps=score_maps(observed, campaign.detection, prediction, rows), deciding=deciding,
         power=(power, power.stale(provenance["inputs"], rows)) if power else None,
-        notes=list(dict.fromkeys(notes)),
-        chosen_after=campaign.every_choice(),
-        **more,
-    )
+        notes=list(dict.fromkeys(notes)), chosen_after=campaign.every_choice(),
+    )  # fmt: skip
 
 
 def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
@@ -225,8 +215,7 @@ class CampaignRun(NamedTuple):
             return run
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
-        run = as_before(self.job, self.earlier) if self.earlier is not None else None
-        if run is None or self.earlier is None:
+        if self.earlier is None or (run := as_before(self.job, self.earlier)) is None:
             return None
         for name in (*json.loads((self.earlier / RECORD).read_bytes())["outputs"], RECORD):
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
