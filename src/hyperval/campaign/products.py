@@ -301,16 +301,13 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
     if not rest:
         return first
     parts: dict[str, Any] = {}
-    for name in (f.name for f in fields(PredictedProducts) if f.name != "provenance"):
-        values = [getattr(p, name) for p in predictions]
-        if not isinstance(values[0], Mapping):
-            continue
-        double = twice(str(key) for value in values for key in value)
-        refuse(double, "scenarios.twice", name=name, keys=double)
-        parts[name] = {key: item for value in values for key, item in value.items()}
+    for name in (f.name for f in fields(first) if isinstance(getattr(first, f.name), Mapping)):
+        parts[name] = {key: item for p in predictions for key, item in getattr(p, name).items()}
+        double = twice(str(key) for p in predictions for key in getattr(p, name))
+        refuse(double and name != "provenance", "scenarios.twice", name=name, keys=double)
     notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
-    provenance = {"scenarios": [dict(p.provenance) for p in predictions]}
-    return PredictedProducts(axis=first.axis, **parts, notes=notes, provenance=provenance)
+    parts["provenance"] = {"scenarios": [dict(p.provenance) for p in predictions]}
+    return replace(first, **parts, notes=notes)
 
 
 def without_circles(

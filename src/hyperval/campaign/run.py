@@ -24,7 +24,7 @@ from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power import accepted_table
 from hyperval.campaign.products import Collected, asked_again, collected, doubts, outcomes, predicted_side, undecided
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
-from hyperval.campaign.schema import Job, Outline, job_of, jobs_of
+from hyperval.campaign.schema import Campaign, Job, Outline, job_of, jobs_of
 from hyperval.compare import product_rows
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
@@ -124,7 +124,8 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
 
 def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
     """What a campaign's file and its rows alone say; ``more`` : other fields of :class:`hyperval.run.Run`."""
-    own = {name: getattr(campaign, name) for name in ("title", "description", "computed", "references")}
+    own: dict[str, Any] = {name: getattr(campaign, name) for name in ("title", "description", "references")}
+    own["computed"] = isinstance(campaign, Campaign) and campaign.collection.radcalnet is not None  # by a network
     table = ResultTable(of_campaign(rows, campaign.name))
     return Run(table, campaign=campaign.name, simulated=bool(campaign.simulated), **own, **more)
 

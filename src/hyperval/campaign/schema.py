@@ -177,11 +177,6 @@ class Outline(Model):
     )
     comparisons: list[Gate] = Field([], description="what validate compares; observe needs none")
 
-    @property
-    def computed(self) -> bool:
-        """Whether the reference is what another program computed, and no imagery."""
-        return False
-
     def every_choice(self) -> list[tuple[str, str]]:
         """What was set after the campaign's own data were seen, each with what it was before."""
         stated = [(choice.what, choice.before) for choice in self.chosen_after]
@@ -207,11 +202,6 @@ class Campaign(Outline):
     )
 
     attribution: AttributionOptions | None = Field(None, description="attribute the differences to causes")
-
-    @property
-    def computed(self) -> bool:
-        """Whether the reference is what a network computed from its own measurements."""
-        return self.collection.radcalnet is not None
 
     @model_validator(mode="after")
     def _consistent(self) -> Campaign:

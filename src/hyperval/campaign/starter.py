@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,6 +46,7 @@ _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
 _NAMED = {"radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])", "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])"}
 Entry = dict[str, Any]
+_templates = partial(package_table, "campaign/draft.yaml")
 
 
 @dataclass(frozen=True)
@@ -116,10 +117,6 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     return draft.text(), guesses
 
 
-def _templates() -> dict[str, Any]:
-    return package_table("campaign/draft.yaml")
-
-
 @dataclass
 class Draft:
     """The content of a campaign file that grows, with its guesses by place.
@@ -146,7 +143,8 @@ class Draft:
         sources, about = self.sources, self.raster.description
         numbered = about.listed() is None
         silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
-        self.quantity = quantity = sources.quantity or ("counts" if silent else stated_quantity(self.raster))
+        stated = "counts" if silent else about.quantity or told_quantity(self.raster)
+        self.quantity = quantity = sources.quantity or stated
         lines, samples, bands = self.raster.size
         cube = {"path": self.reference(sources.cube)}
         cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
@@ -294,7 +292,7 @@ class Draft:
         """The reflectance spectra of the files, with the unit that each needs to be told."""
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
-            for file in filter(Path.is_file, sorted(path.iterdir()) if path.is_dir() else [path]):
+            for file in filter(Path.is_file, sorted(path.iterdir())) if path.is_dir() else [path]:
                 try:
                     out += _records(file, self.reference(file))
                 except HypervalError:
@@ -380,7 +378,7 @@ class Draft:
             self.guess("no detection")
             return
         members = {material: [t for t in place.targets if t.material == material] for material in known}
-        sizes = {material: _sizes(own) for material, own in members.items()}
+        sizes = {material: _by_size(own) for material, own in members.items()}
         looked_for = [{"name": m, "material": m, "spectrum": match.source} for m, match in known.items()]
         group = "{target} {side_m} m" if all(sizes.values()) else "{material}"
         self.content["detection"] = {"group": group, "detectors": ["cem"], "targets": looked_for}
@@ -389,9 +387,8 @@ class Draft:
         for material, own in members.items():
             fills: Entry = {"fill": _fill(place, own)}
             if all(sizes.values()):
-                each = {size: [t for t in own if _size(t) == size] for size in sizes[material]}
-                names = [{"name": f"{material} {size} m", "fill": _fill(place, some)} for size, some in each.items()]
-                fills = {"subjects": names}
+                each = sizes[material].items()
+                fills = {"subjects": [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
             target = {"name": material, "spectrum": known[material].source, "covariance": spread}
             entries.append({**target, "host": _host(place, own, classes), **fills})
@@ -489,23 +486,21 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
             values = one.values[in_window(one.wavelength_nm)]
             flat = bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
             own = one.name if len(records) > 1 else None
-            source = {"file": reference, "record": own, "reflectance_unit": unit}
-            source = {key: value for key, value in source.items() if value is not None}
+            more = {"record": own, "reflectance_unit": unit}
+            source = {"file": reference} | {key: value for key, value in more.items() if value is not None}
             out.append(RecordedSpectrum(own or path.stem, source, flat))
         return out
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
 
 
-def _size(target: TargetObject) -> str | None:
-    return target.attributes.get("side_m")
-
-
-def _sizes(members: Sequence[TargetObject]) -> list[str]:
-    """Sides of squares of known sizes, greatest first; empty where they are all alike, not known, or many."""
-    sides = {size: target.side_m for target in members if (size := _size(target)) and math.isfinite(target.side_m)}
-    complete = all(_size(target) in sides for target in members)
-    return sorted(sides, key=lambda size: -sides[size]) if complete and 1 < len(sides) <= _MOST_SIZES else []
+def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
+    """Squares of known sizes by their side, greatest first; empty where they are all alike, not known, or many."""
+    each: dict[str, list[TargetObject]] = {}
+    for target in sorted(members, key=lambda target: -target.side_m):
+        each.setdefault(target.attributes.get("side_m", ""), []).append(target)
+    is_known = "" not in each and all(math.isfinite(target.side_m) for target in members)
+    return each if is_known and 1 < len(each) <= _MOST_SIZES else {}
 
 
 def _host(place: Place, members: Sequence[TargetObject], classes: Sequence[str]) -> str:
@@ -531,16 +526,14 @@ def _fill(place: Place, members: Sequence[TargetObject]) -> Entry:
     pixels = float(np.mean([target.part.sum() for target in members]))
     sides = [target.side_m for target in members if math.isfinite(target.side_m)]
     side = float(np.mean(sides)) if sides else gsd * math.sqrt(pixels)
-    shape = {"side_m": round(side, 3), "heading_deg": "random", "gsd_m": round(gsd, 4)}
-    return {"geometry": {**shape, "pixels": "ranked", "n": max(1, min(400, round(pixels)))}}
+    shape = {"side_m": round(side, 3), "heading_deg": "random", "gsd_m": round(gsd, 4), "pixels": "ranked"}
+    return {"geometry": {**shape, "n": max(1, min(400, round(pixels)))}}
 
 
-def stated_quantity(raster: Raster) -> str | None:
-    """Whether an image holds radiance or reflectance, by its metadata, else by its name; None: nothing says."""
-    about = raster.description
-    if about.quantity is not None:
-        return about.quantity
-    told = (text for key, text in about.entries.items() if re.search(r"unit|plot titles|description|level", key))
+def told_quantity(raster: Raster) -> str | None:
+    """Whether an image holds radiance or reflectance, by words of its header, else by its name; None: nothing says."""
+    entries = raster.description.entries
+    told = (text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
     for text in (" ".join(told).lower(), raster.path.name.lower()):
         named = [quantity for quantity, pattern in _NAMED.items() if re.search(pattern, text)]
         if len(named) == 1:
