@@ -102,9 +102,8 @@ def overview(items: Sequence[Item]) -> list[Item]:
     """
     groups: dict[tuple[str, str, str, str], list[Item]] = {}
     for item in items:
-        what, detail = item.general(item.what), item.general(item.detail)
-        if item.state in (PLANNED, PRESENT):
-            what, detail = item.general(item.campaign) if item.state == PLANNED else "", ""
+        shown = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
+        what, detail = map(item.general, shown)
         groups.setdefault((item.kind, item.state, what, detail), []).append(item)
     rows = []
     for (kind, state, what, detail), members in groups.items():
@@ -396,13 +395,12 @@ def _opened(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     rules = [str(r.name) for r in collection.regions if r.normalized_difference is not None]
     names: list[str] = []
     for i, source in enumerate(collection.regions):
-        part = source.half or source.ring
-        if part is not None:
-            key = "half" if source.half else "ring"
-            lookup.one(("collection", "regions", i, key, "of"), part.of, [*names, *rules], "region ")
+        at = "collection", "regions", i
+        if part := source.half or source.ring:
+            lookup.one((*at, "half" if source.half else "ring", "of"), part.of, [*names, *rules], "region ")
             names.append(str(source.name))
         elif source.normalized_difference is None:
-            with lookup.within("collection", "regions", i):
+            with lookup.within(*at):
                 names += getattr(opened(regions=[source]), "regions", ())
     for name in twice(names):
         lookup.add(("collection", "regions"), f"two regions are named {name!r}")

@@ -160,9 +160,10 @@ class PowerTable(Model):
         by = {sight: [name for name, one in self.errors.items() if one.sight is sight] for sight in Sight}
         injected = len(self.errors) - len(by[Sight.NOT_APPLICABLE])
         parts = [f"The criteria detect {len(by[Sight.GATES])} of {injected} injected model errors."]
-        told = {"Informational comparisons alone detect": Sight.INFORMING}
-        told |= {str(sight).capitalize(): sight for sight in (Sight.UNSEEN, Sight.NOT_APPLICABLE)}
-        parts += [f"{words}: {', '.join(by[sight])}." for words, sight in told.items() if by[sight]]
+        told = {Sight.INFORMING: "Informational comparisons alone detect"}
+        parts += [
+            f"{told.get(s, s.capitalize())}: {', '.join(by[s])}." for s in Sight if s is not Sight.GATES and by[s]
+        ]
         if self.disagreeing:
             some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
             parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")
@@ -264,13 +265,11 @@ def campaign_power(
 
 @bars(False)
 def _power(job: Job, own: Path | None) -> Power:
-    errors = attribute.errors_of_file(own) if own is not None else attribute.injected_errors()
-    name = job.outline.name
+    errors, name = attribute.errors_of_file(own) if own else attribute.injected_errors(), job.outline.name
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table = power_table(job, errors)
-        return Power(name, table, accepted=accepted_table(name, job.folder))
+        return Power(name, power_table(job, errors), accepted=accepted_table(name, job.folder))
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 

@@ -417,9 +417,8 @@ def asked_again(side: Collected) -> tuple[ScenarioModel, Products, list[model.Wo
         before = side.observed if campaign.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
             bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
-            place = before.place
-            if bands_are_off:
-                place = observe.open_place(campaign.collection, side.inputs.resolve, mistake)
+            opened = partial(observe.open_place, campaign.collection, side.inputs.resolve, mistake)
+            place = opened() if bands_are_off else before.place
             same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
             before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
         return observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation
@@ -466,7 +465,8 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
     panels = exchanged_pairs(spectra_of(line.panels if line else (), "region"))
     materials = exchanged_pairs(rasters.materials if rasters else {})
     of_model = spectra_of(target for scenario in side.scenarios for target in scenario.scene.targets)
-    looked_for = others_in_place(spectra_of(detection.targets if detection else ()), of_model, "of the model")
+    in_place = others_in_place(spectra_of(detection.targets if detection else ()), of_model, "of the model")
+    looked_for = in_place if len(in_place) <= _MOST_TRIED else {}
     behind = detection.background if detection and place else []
     others = [name for name in (*place.regions, observe.SCENE) if [name] != behind] if place and behind else []
     steps: dict[float, dict[float, dict[str, float]]] = {}
@@ -483,9 +483,7 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
     found = {
         "exchanged panels of the empirical line": at("collection.empirical_line.panels.[{}].spectrum", panels),
         "exchanged materials of the truth": at("collection.targets.rasters.materials.[{}]", materials),
-        "spectrum that detectors look for": at(
-            "detection.targets.[{}].spectrum", looked_for if len(looked_for) <= _MOST_TRIED else {}
-        ),
+        "spectrum that detectors look for": at("detection.targets.[{}].spectrum", looked_for),
         "pixels behind the filters": {name: {"detection.background": [name]} for name in others},
         "bands of the detectors": {b: {"detection.bands": b} for b in _BANDS if detection and b != detection.bands},
     }

@@ -349,9 +349,8 @@ class Draft:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         state |= {key: value for key, value in stated.items() if value}
-        sensor = sources.sensor or self._library_sensor(place)
-        is_file = sources.sensor is not None and Path(sensor).is_file()
-        sensor = self.reference(Path(sensor)) if is_file else sensor
+        own = Path(sources.sensor or "")
+        sensor = self.reference(own) if own.is_file() else sources.sensor or self._library_sensor(place)
         return {"atmosphere": state, "sensor": sensor, "uncertainty": {**usual["uncertainty"]}}
 
     def _library_sensor(self, place: Place) -> str:
