@@ -142,12 +142,10 @@ def quicklook(observed: Observed) -> Quicklook | None:
     colours = np.empty(picture.shape, np.uint8)
     for row, values in zip(colours, picture, strict=True):  # the whole picture in float64 would be the run's peak
         row[:] = np.rint(255.0 * np.clip(np.nan_to_num((values - offset) / gain) / high, 0.0, 1.0) ** GAMMA)
-    size = observed.place.pixel_area_m2
-    shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]
-    number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members
-    outlines = {name: members[name][number] for name in shown_regions}
+    number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members.items()
+    outlines = {name: own[number] for name, own in members if name not in observed.place.by_rule}
     if observed.place.targets:
         outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
-    return Quicklook(
-        colours, outlines, tuple(float(centre[b]) for b in bands), step * float(np.sqrt(size)) if size else None
-    )
+    size = observed.place.pixel_area_m2
+    side_m = step * float(np.sqrt(size)) if size else None
+    return Quicklook(colours, outlines, tuple(float(centre[b]) for b in bands), side_m)
