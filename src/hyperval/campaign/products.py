@@ -30,7 +30,7 @@ from hyperval.compare import compare_products, judged, told_apart, would_decide
 from hyperval.config import twice
 from hyperval.data import NUMERICAL_DETECTORS, Mask
 from hyperval.datasets import InputLog
-from hyperval.errors import needed, one_of, refusal, refuse
+from hyperval.errors import needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model.fill import touched_counts
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
@@ -57,9 +57,9 @@ def as_collected(scenario: Scenario, place: observe.Place | None, detection: Det
     told: dict[str, Any] = {}
     if scenario.scene.fractions != "stated":
         place = needed(place, "fractions.image", name=scenario.name)
-        counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
-        refuse(not any(counts), "fractions.none", name=scenario.name)
-        told = {f"scene.classes.{i}.fraction": n / sum(counts) for i, n in enumerate(counts)}
+        counts = {c.name: int(place.pixels_of(_region_of(c, place)).sum()) for c in scenario.scene.classes}
+        refuse(not any(counts.values()), "fractions.none", name=scenario.name)
+        told = {f"scene.classes.[{name}].fraction": n / sum(counts.values()) for name, n in counts.items()}
     asked = {path: name for path, name, fill in _fills(scenario) if fill is not None and fill.truth is not None}
     known = observe.fills_of(_members(place, detection)) if asked else {}
     for path, name in asked.items():
@@ -71,18 +71,17 @@ def as_collected(scenario: Scenario, place: observe.Place | None, detection: Det
 
 def _region_of(surface: BackgroundClass, place: observe.Place) -> str:
     spread = surface.covariance.measured if surface.covariance is not None else None
-    for name in (surface.name, surface.spectrum.measured, spread):
-        if name is not None and name in place.regions:
-            return name
-    raise refusal("fractions.region", name=surface.name, regions=one_of(place.regions, "a region of its name"))
+    names = (name for name in (surface.name, surface.spectrum.measured, spread) if name in place.regions)
+    regions = one_of(place.regions, "a region of its name")
+    return str(needed(next(names, None), "fractions.region", name=surface.name, regions=regions))
 
 
 def _fills(scenario: Scenario) -> Iterator[tuple[str, str, Fill | None]]:
     """Path, subject and fill of each population of targets."""
-    for i, item in enumerate(scenario.scene.targets):
-        yield f"scene.targets.{i}.fill", item.name, item.fill
-        for k, subject in enumerate(item.subjects):
-            yield f"scene.targets.{i}.subjects.{k}.fill", subject.name, subject.fill
+    for item in scenario.scene.targets:
+        path = f"scene.targets.[{item.name}]"
+        yield f"{path}.fill", item.name, item.fill
+        yield from ((f"{path}.subjects.[{own.name}].fill", own.name, own.fill) for own in item.subjects)
 
 
 def _members(place: observe.Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
