@@ -25,7 +25,7 @@ from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml
 from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
-from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
+from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, objects, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
@@ -427,12 +427,13 @@ class Draft:
         self.guess("no wavelengths" if self.raster.description.listed() is None else "no quantity")
         detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
         self.content["detection"] = detection
-        masks, why = self._object_masks()
+        masks, why, others = self._object_masks()
         if len(masks) < 2:
             self.guess("anomalies", why=why)
             return
         scored, known = masks[::2], np.logical_or.reduce(masks[1::2])
-        marked = {"known objects": known} | {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
+        marked = {"known objects": known, "other materials": others}
+        marked |= {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
         rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
         write_text(self.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
         named: Entry = {"variable": self.sources.key, "header": self.sources.header, "quantity": self.quantity}
@@ -440,8 +441,9 @@ class Draft:
         mean = "\n".join(map(repr, np.nan_to_num(cube.spectra(known).mean(axis=0)).tolist()))
         write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
         usual, pixels = _templates()["objects"], int(np.sum(known))
-        collection["regions"].append({"name": "known objects", "file": "objects.csv"})
-        collection |= usual["collection"]
+        left_out = [name for name in usual["collection"]["leave_out"] if marked[name].any()]
+        collection["regions"] += [{"name": name, "file": "objects.csv"} for name in left_out]
+        collection |= {**usual["collection"], "leave_out": left_out}
         detection |= usual["detection"]
         scene = usual["scene"]
         if pixels < _FEW:
@@ -451,18 +453,29 @@ class Draft:
         self.guess("objects filled")
         self._compare(model)
 
-    def _object_masks(self) -> tuple[list[Mask], str]:
-        """The objects of the map, the largest first, and words on them."""
+    def _object_masks(self) -> tuple[list[Mask], str, Mask]:
+        """The objects of the map, the largest first, words on them, and pixels of other materials.
+
+        Of a map of several materials those of one with most groups of touching pixels; where each value marks one
+        group, values are numbers of objects.
+        """
         targets, none = self.sources.targets, "no map of objects is there (--targets)"
+        nowhere = np.zeros(self.raster.size[:2], bool)
         if targets is None and " file" not in self.raster.description.product:  # none in the file of the image itself
-            return [], none
+            return [], none, nowhere
         try:
             regions = read_regions(targets or self.sources.cube, self.raster.size[:2])
         except HypervalError as error:
             if targets is not None:
                 raise
-            return [], f"{none}: {error.what}"
-        return groups_by_size(np.logical_or.reduce([region.mask for region in regions.values()]))
+            return [], f"{none}: {error.what}", nowhere
+        groups = {name: objects(region.mask)[1] for name, region in regions.items()}
+        most = max(groups, key=lambda name: groups[name])
+        every = np.logical_or.reduce([region.mask for region in regions.values()])
+        own = every if groups[most] < 2 else regions[most].mask
+        masks, why = groups_by_size(own)
+        others = every & ~own
+        return masks, why + f" of {most!r}; other materials of the map are left out" * bool(others.any()), others
 
 
 def _words(name: str) -> frozenset[str]:
