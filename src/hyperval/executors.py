@@ -46,7 +46,7 @@ Prepare = Callable[[], object]
 _RENEWALS = 3  # of a process that died with a piece
 _SCHEDULER_S = 20.0  # for a scheduler to answer
 _CONNECT_S = 5.0  # a worker that is gone is not called for longer
-_START_S = 600.0  # for a process to load what it needs: the first on a machine computes an atmosphere
+_START_S = 600  # for a process to load what it needs: the first on a machine computes an atmosphere
 _UNWIND_S = 5.0  # for a piece to remove its temporary files when its run has ended
 _TICK_S = 0.1
 NOTHING: tuple[str, Any] = ("", None)
@@ -94,11 +94,14 @@ class Worker(Protocol):
     def is_alive(self) -> bool:
         """Whether it can take a task."""
 
-    def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
-        """Hand a task in, and return when it has begun."""
+    def begin(self, task: WorkerTask) -> None:
+        """Hand a task in."""
 
     def news(self) -> tuple[str, Any]:
-        """What comes in a moment: ("progress", how far it is), ("result", value), ("error", exception) or NOTHING."""
+        """What comes in a moment: ("progress", how far it is), ("result", value), ("error", exception) or NOTHING.
+
+        The first progress tells that the task has begun.
+        """
 
     def end(self) -> None:
         """End what is on its way, and whatever it started."""
@@ -160,15 +163,11 @@ class TaskPool:
             self._idle.put(worker if worker.is_alive() or self._is_closed else self._start())
 
     def _result(self, task: WorkerTask, worker: Worker) -> Any:
-        def is_over() -> bool:
-            return self._is_closed or task.is_cancelled
-
-        if is_over():
+        if self._is_closed or task.is_cancelled:
             raise Cancelled("cancelled before it began")
-        worker.begin(task, is_over)
-        task.started = time.monotonic()
-        while not is_over():
-            if time.monotonic() - task.started > self._seconds:
+        worker.begin(task)
+        while not (self._is_closed or task.is_cancelled):
+            if task.started and time.monotonic() - task.started > self._seconds:
                 worker.end()
                 raise TaskFailed(f"it took longer than {self._seconds:g} s, which is the limit of this server")
             what, value = worker.news()
@@ -177,7 +176,7 @@ class TaskPool:
             if what == "error":
                 raise value
             if what == "progress":
-                task.progress = value
+                task.progress, task.started = value, task.started or time.monotonic()
         worker.end()
         raise Cancelled("the server was stopped" if self._is_closed else "cancelled")
 
@@ -200,21 +199,13 @@ class Process:
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._process.start()
         other.close()
-        self._is_ready = False
 
     def is_alive(self) -> bool:
         """Whether the process runs."""
         return bool(self._process.is_alive())
 
-    def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
-        """Wait until the process has loaded what it needs, and hand a task in."""
-        end = time.monotonic() + _START_S
-        while not self._is_ready:
-            if is_over():
-                raise Cancelled("cancelled before it began")
-            if time.monotonic() > end:
-                raise Lost("a worker could not be started")
-            self._is_ready = self.news() == ("ready", None)
+    def begin(self, task: WorkerTask) -> None:
+        """Hand a task in, which begins when the process has loaded what it needs."""
         try:
             self._connection.send((task.task, task.arguments))
         except OSError:
@@ -251,7 +242,9 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
     if prepare is not None:
+        signal.alarm(_START_S)  # which ends this process
         prepare()
+        signal.alarm(0)
     latest = [0.0]
 
     def report(what: str, done: int, total: int | None) -> None:
@@ -260,11 +253,11 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
             connection.send(("progress", (what, done, total)))
 
     set_listener(report)
-    connection.send(("ready", None))
     while True:
-        answer = _answer(perform, calls.get())
+        call = calls.get()
         try:
-            connection.send(answer)
+            connection.send(("progress", ("", 0, None)))
+            connection.send(_answer(perform, call))
         except OSError:
             return
         except Exception as error:  # it cannot be packed
@@ -409,7 +402,7 @@ def workers(count: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     elif count <= 1:
         yield Workers()
     else:
-        with closing(TaskPool(partial(Process, _single_threaded), count, renewals=_RENEWALS)) as pool:
+        with closing(TaskPool(partial(Process, _elsewhere), count, renewals=_RENEWALS)) as pool:
             yield Workers(pool, count)
 
 
@@ -428,7 +421,7 @@ def in_order(
     """
     at = where if isinstance(where, Workers) else Workers(where, int(getattr(where, "_max_workers", 1)))
     if at.executor is None:
-        yield from (_single_threaded(function, piece) for piece in pieces)
+        yield from map(single_blas_thread()(function), pieces)
         return
     source, futures = iter(pieces), deque[Future[R]]()
     try:
@@ -448,14 +441,10 @@ def in_order(
             future.cancel()
 
 
-def _single_threaded(function: Callable[[T], R], piece: T) -> R:
-    with single_blas_thread():
-        return function(piece)
-
-
 @bars(False)
+@single_blas_thread()
 def _elsewhere(function: Callable[[T], R], piece: T) -> R:
-    return _single_threaded(function, piece)
+    return function(piece)
 
 
 def _dask(address: str) -> Iterator[Workers]:

@@ -66,12 +66,10 @@ def trial(function: Callable[[], None]) -> str:
             code = 1
         finally:
             os._exit(code)
-    _, status = os.waitpid(child, 0)
-    if os.WIFSIGNALED(status):
-        ended = os.WTERMSIG(status)
-        late = ended in (signal.SIGXCPU, signal.SIGKILL)
-        return f"does not return within {CPU_SECONDS} s" if late else f"crashes (signal {ended})"
-    return f"asks for more than {MEMORY_BYTES >> 20} MiB" if os.WEXITSTATUS(status) else ""
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if -code in (signal.SIGXCPU, signal.SIGKILL):
+        return f"does not return within {CPU_SECONDS} s"
+    return f"asks for more than {MEMORY_BYTES >> 20} MiB" if code > 0 else f"crashes (signal {-code})" if code else ""
 
 
 def _limit_this_process() -> None:
@@ -81,9 +79,8 @@ def _limit_this_process() -> None:
     faulthandler.disable()  # a crash is an answer here
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: CPU_SECONDS}
-    memory = Path("/proc/self/statm")
-    if memory.is_file():
-        present = int(memory.read_text().split()[0]) * resource.getpagesize()
+    with suppress(FileNotFoundError):  # on systems without it
+        present = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         limits[resource.RLIMIT_AS] = present + MEMORY_BYTES
     for kind, limit in limits.items():
         with suppress(ValueError):  # where the system's own limit is lower still

@@ -25,13 +25,15 @@ and read back it is a thousand values evenly spread between the outermost of the
 from __future__ import annotations
 
 import csv
+import fnmatch
 import io
 import json
 import math
 import re
+import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
@@ -322,14 +324,12 @@ def _write_score_map(path: Path, name: str, score_map: ScoreMap) -> None:
     from rasterio.errors import NotGeoreferencedWarning
 
     values = np.asarray(score_map.values, dtype=np.float32)
+    transform = None if score_map.transform is None else Affine(*map(float, list(score_map.transform)[:6]))
     profile = {
         "driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": "float32",
-        "nodata": float("nan"), "compress": "deflate", "predictor": 3,
+        "nodata": float("nan"), "compress": "deflate", "predictor": 3, "transform": transform,
+        "crs": score_map.crs or None,
     }  # fmt: skip
-    if score_map.transform is not None:
-        profile["transform"] = Affine(*[float(number) for number in list(score_map.transform)[:6]])
-    if score_map.crs:
-        profile["crs"] = score_map.crs
     with warnings.catch_warnings():
         # A map in image geometry is a legitimate product.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -345,13 +345,14 @@ _values = attrgetter(*COLUMNS)
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _ROWS = ' "rows": [\n'  # the last line before the rows of a table
-_INFINITE = {"inf": math.inf, "-inf": -math.inf}
-_NUMBERS = tuple(f.name for f in fields(Result) if f.type == "float")
 _KNOWN = set(COLUMNS)
-# What the third version had not: a row tells its effect; the first of the fourth had no subjects_seen.
-_NEW: dict[str, Any] = dict.fromkeys(COLUMNS[COLUMNS.index("effect") :])
-_NEW |= {"effect_unit": "", "set_after": False, "subjects_seen": ""}
-_TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
+_OLD = set(COLUMNS[: COLUMNS.index("effect")])  # in every version
+# What the values of a column are read by, by the type of the field; rows repeat their words, which are kept once.
+_READ: dict[str, Callable[[Any], Any]] = {
+    "str": sys.intern, "float": lambda value: math.nan if value is None else float(value), "Role": Role,
+    "Evidence | None": Evidence, "Outcome": Outcome, "Cause": Cause,
+}  # fmt: skip
+_READ_COLUMN = {f.name: _READ.get(str(f.type), lambda value: value) for f in fields(Result)}
 
 
 def write_table(table: Iterable[Result], folder: Path) -> None:
@@ -467,8 +468,8 @@ def junit_xml(rows: Iterable[Result]) -> str:
 
 def _tally(rows: Iterable[Result]) -> dict[str, str]:
     count = Counter(OUTCOMES[row.outcome].element for row in rows)
-    parts = {"tests": count.total(), **{f"{name}s": count[name] for name in ("failure", "error")}}
-    return {name: str(number) for name, number in {**parts, "skipped": count["skipped"]}.items()}
+    names = {"failures": "failure", "errors": "error", "skipped": "skipped"}
+    return {"tests": str(count.total())} | {name: str(count[element]) for name, element in names.items()}
 
 
 def _in_xml(text: str) -> str:
@@ -485,12 +486,10 @@ def _why(row: Result) -> str:
 
 def json_value(value: Any) -> Any:
     """A value that JSON can hold: NaN becomes null, an infinity its name, anything unknown its text."""
-    if isinstance(value, str):
-        return str(value)
+    if value is None or isinstance(value, str | int):
+        return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None if math.isnan(value) else str(value)
-    if value is None or isinstance(value, int):
-        return value
     if isinstance(value, list | tuple):
         return [json_value(item) for item in value]
     if hasattr(value, "tolist"):  # NumPy scalars and arrays
@@ -543,28 +542,18 @@ def _document_of(path: Path) -> dict[str, Any]:
 
 @reader
 def _rows(path: Path, columns: list[Any], rows: list[Any], every: bool) -> list[Result]:
-    out, words = [], dict[str, str]()  # rows repeat their words, which are kept once
+    out = []
     for i, item in enumerate(rows, start=1):
         if isinstance(item, list) and len(item) == len(columns):
             item = dict(zip(map(str, columns), item, strict=True))
-        if not isinstance(item, dict) or not _KNOWN - _NEW.keys() <= item.keys() <= _KNOWN:
+        if not isinstance(item, dict) or not _OLD <= item.keys() <= _KNOWN:
             raise refusal("results.columns", f"{path}, row {i}", columns=", ".join(sorted(_KNOWN)))
         if every or item["band_nm"] is None or item["outcome"] != Outcome.NONE:
-            out.append(_row(item, words, f"{path}, row {i}"))
+            try:
+                out.append(Result(**{name: _READ_COLUMN[name](value) for name, value in item.items()}))
+            except (TypeError, ValueError, UsageError) as error:
+                raise refusal("results.values", f"{path}, row {i}", why=error) from error
     return out
-
-
-def _row(item: dict[str, Any], words: dict[str, str], where: str) -> Result:
-    values: dict[str, Any] = {k: words.setdefault(v, v) if isinstance(v, str) else v for k, v in (_NEW | item).items()}
-    try:
-        for name in _NUMBERS:
-            value = values[name]
-            values[name] = math.nan if value is None else float(_INFINITE.get(value, value))
-        for name, kind in _TYPES.items():
-            values[name] = kind(values[name])
-        return Result(**values)
-    except (TypeError, ValueError, UsageError) as error:
-        raise refusal("results.values", where, why=error) from error
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -657,10 +646,8 @@ def to_xarray(products: Products) -> Any:
     """One side as a dataset of xarray, which takes 80 MB with pandas and is loaded where it is asked for."""
     import xarray as xr
 
-    parts: tuple[Arrays, Arrays] = ({}, {})
-    for name, entry in to_arrays(products).items():
-        parts[_is_label(name, entry)][name] = entry
-    return xr.Dataset(*parts)
+    arrays = to_arrays(products)
+    return xr.Dataset(arrays).set_coords([name for name, entry in arrays.items() if _is_label(name, entry)])
 
 
 def to_arrays(products: Products) -> Arrays:
@@ -705,20 +692,22 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
     for i, part in enumerate(layout.key):
         names = np.array([str(key[i]) for key, _ in entries], dtype=object)
         data[f"{layout.prefix}_{part}"] = ((layout.axis,), names, {"long_name": _PARTS[part]})
-    each = [(c, [item if c.field == "self" else getattr(item, c.field) for _, item in entries]) for c in layout.columns]
-    longest = {axis: 0 for column in layout.columns for axis in column.axes}
-    for column, values in each:
-        for array in (v for value in values for v in (value.values() if isinstance(value, Mapping) else [value])):
-            longest.update({a: max(longest[a], n) for a, n in zip(column.axes, np.shape(array), strict=False)})
-    for column, values in each:
-        shape = [longest[axis] for axis in column.axes]
+    each: list[tuple[Column, list[Any], dict[str, str]]] = []
+    for column in layout.columns:
+        values = [item if column.field == "self" else getattr(item, column.field) for _, item in entries]
         if "{}" not in column.name:
-            _add_column(data, layout, column, values, shape)
+            each.append((column, values, {}))
             continue
         for source in sorted({source for value in values for source in value}):
             suffix = re.sub(r"[^A-Za-z0-9]", "_", source)
             own = column._replace(name=column.name.format(suffix), text=column.text.format(source.replace("_", " ")))
-            _add_column(data, layout, own, [value.get(source) for value in values], shape, source=source)
+            each.append((own, [value.get(source) for value in values], {"source": source}))
+    longest = dict.fromkeys((axis for column in layout.columns for axis in column.axes), 0)
+    for column, values, _ in each:
+        for value in values:
+            longest.update({a: max(longest[a], n) for a, n in zip(column.axes, np.shape(value), strict=False)})
+    for column, values, more in each:
+        _add_column(data, layout, column, values, [longest[axis] for axis in column.axes], more)
     for name, inner in layout.inner.items():
         found = []
         for key, item in entries:
@@ -729,14 +718,14 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
 
 
 def _add_column(
-    data: Arrays, layout: Layout, column: Column, values: Sequence[Any], shape: Sequence[int], **more: str
+    data: Arrays, layout: Layout, column: Column, values: list[Any], shape: list[int], more: dict[str, str]
 ) -> None:
     """Numbers or arrays below each other, NaN where one is None or has ended; nothing where all arrays are None."""
     name, axes, words = column.name, (layout.axis, *column.axes), {"long_name": column.text, **more}
     if not column.unit:
         data[name] = (axes, np.array([str(value) for value in values], dtype=object), words)
     elif not shape or any(value is not None for value in values):
-        out = np.full((len(values), *shape), np.nan, dtype=np.float32 if _is_packed(name) else float)
+        out = np.full((len(values), *shape), np.nan, dtype=np.float32 if name.endswith("_covariance") else float)
         for row, value in zip(out[..., None], values, strict=True):
             if value is not None:
                 row[tuple(slice(n) for n in np.shape(value))] = np.asarray(value)[..., None]
@@ -777,10 +766,6 @@ def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
     return data
 
 
-def _is_packed(name: str) -> bool:
-    return name.endswith("_covariance")
-
-
 def _write_group(group: Any, data: Arrays) -> None:
     labels = sorted(name for name, entry in data.items() if _is_label(name, entry))
     for name, (axes, values, attributes) in data.items():
@@ -791,7 +776,8 @@ def _write_group(group: Any, data: Arrays) -> None:
         options: dict[str, Any] = {"dtype": h5py.string_dtype() if array.dtype.kind == "O" else array.dtype}
         if array.dtype.kind == "f" and name not in labels:
             options["fillvalue"] = array.dtype.type(np.nan)
-            options |= {"compression": "gzip", "compression_opts": 4, "shuffle": True} if _is_packed(name) else {}
+            is_packed = array.dtype == np.float32
+            options |= {"compression": "gzip", "compression_opts": 4, "shuffle": True} if is_packed else {}
         variable = group.create_variable(name, axes, data=array, **options)
         variable.attrs.update(attributes)
         beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
@@ -864,14 +850,14 @@ def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
     keys = list(zip(*(_texts(group[f"{layout.prefix}_{part}"]) for part in layout.key), strict=True))
     items: list[dict[str, Any]] = [{} for _ in keys]
     for column in layout.columns:
-        name = column.field
-        for source, variable in _variables(group, column).items():
+        for name in fnmatch.filter(group.variables, column.name.format("*")):
+            variable = group[name]
             values = variable[...] if column.unit else _texts(variable)
             for item, value in zip(items, values, strict=True):
-                if source and not np.isnan(value).all():
-                    item.setdefault(name, {})[source] = value
-                elif not source:
-                    item[name] = value
+                if "{}" not in column.name:
+                    item[column.field] = value
+                elif not np.isnan(value).all():
+                    item.setdefault(column.field, {})[str(variable.attrs["source"])] = value
     for axes in {column.axes for column in layout.columns if column.axes and "band" not in column.axes}:
         for item in items:
             _trim(item, [column.field for column in layout.columns if column.axes == axes])
@@ -881,14 +867,6 @@ def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
             item, own = by_key[key[: len(layout.key)]], key[len(layout.key) :]
             item[name] = {**item.get(name, {}), own[0]: entry} if own else (*item.get(name, ()), entry)
     return [(key, _made(layout.kind, key, item)) for key, item in zip(keys, items, strict=True)]
-
-
-def _variables(group: Any, column: Column) -> dict[str, Any]:
-    """Source -> variable of a column, where it stands for several; else "" -> the one, where there is one."""
-    if "{}" not in column.name:
-        return {"": group[column.name]} if column.name in group else {}
-    found = [variable for name, variable in group.variables.items() if name.startswith(column.name.format(""))]
-    return {str(variable.attrs["source"]): variable for variable in found}
 
 
 def _texts(variable: Any) -> list[str]:
@@ -914,7 +892,7 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
         item["error_covariance"] = covariance
     if kind is product_types.RocCurve:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
-    for name, hint in _hints(kind).items():
+    for name, hint in ((f.name, str(f.type)) for f in fields(kind)):
         value = item.get(name)
         if not isinstance(value, np.ndarray | np.floating):
             continue
@@ -925,8 +903,3 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
         else:
             item[name] = int(value) if hint.startswith("int") else bool(value) if hint == "bool" else float(value)
     return kind(**item)
-
-
-@cache
-def _hints(kind: type) -> dict[str, str]:
-    return {f.name: str(f.type) for f in fields(kind)}
