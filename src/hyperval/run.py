@@ -34,11 +34,11 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import cache, cached_property
-from itertools import chain, dropwhile, islice, takewhile
+from itertools import chain, takewhile
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
@@ -382,34 +382,17 @@ def write_joined(
                 with open(parts / part / name, encoding="utf-8", newline="") as own:
                     next(own)
                     out.writelines(own)
-    heads = [_json_head(parts / name / TABLE) for name in names]
-    counts = {o: sum(int(head["counts"][o]) for head in heads) for o in map(str, Outcome)}
-    is_small = sum(counts.values()) <= MOST_JOINED
-    lines = chain.from_iterable(_row_lines(parts / name / TABLE) for name in names) if is_small else []
-    write_text(folder / TABLE, _document(lines, counts, {"runs": list(names)}))
+    counts, lines = Counter(dict.fromkeys(map(str, Outcome), 0)), list[str]()
+    for name in names:
+        with open(parts / name / TABLE, encoding="utf-8") as stream:
+            head = "".join(takewhile(_ROWS.__ne__, stream))
+            counts.update(json.loads(head[:-2] + "}" if head.endswith(",\n") else head)["counts"])
+            if counts.total() <= MOST_JOINED:
+                lines += (line.rstrip(",\n") for line in takewhile(" ]\n".__ne__, stream))
+    is_small = counts.total() <= MOST_JOINED
+    write_text(folder / TABLE, _document(lines if is_small else [], counts, {"runs": list(names)}))
     write_text(folder / JUNIT, junit_xml(planned))
     write_text(folder / PAGE, page)
-
-
-def _is_joined(path: Path) -> bool:
-    """Whether a table names the runs that have its rows."""
-    with suppress(OSError), open(path, "rb") as stream:
-        return b'"runs": [' in stream.read(1000) and stream.seek(0, 2) <= MAX_BYTES
-    return False
-
-
-def _json_head(path: Path) -> dict[str, Any]:
-    """What a table says before its rows."""
-    with open(path, encoding="utf-8") as stream:
-        text = "".join(takewhile(_ROWS.__ne__, stream)).rstrip()
-    return dict(json.loads(text.removesuffix(",") + "}" if text.endswith(",") else text))
-
-
-def _row_lines(path: Path) -> Iterator[str]:
-    """The rows of a table as they are written there."""
-    with open(path, encoding="utf-8") as stream:
-        rows = islice(dropwhile(_ROWS.__ne__, stream), 1, None)
-        yield from (line.rstrip(",\n") for line in takewhile(" ]\n".__ne__, rows))
 
 
 def results_csv(rows: Iterable[Result]) -> str:
@@ -533,7 +516,7 @@ def read_rows(folder: Path, *, every: bool = True) -> Iterator[Result]:
 
 @reader
 def _document_of(path: Path) -> dict[str, Any]:
-    document = _json_head(path) | {"rows": []} if _is_joined(path) else _json(path)
+    document = _json(path)
     lists = all(isinstance(document.get(name, []), list) for name in ("runs", "columns", "rows"))
     is_known = document.get("schema_version") in _READABLE and lists and {"columns", "rows"} <= document.keys()
     refuse(not is_known, "results.table", path, version=SCHEMA_VERSION)
@@ -558,8 +541,9 @@ def _rows(path: Path, columns: list[Any], rows: list[Any], every: bool) -> list[
 
 def _json(path: Path) -> dict[str, Any]:
     raw = content_of(path, ("results.file", "results.large"), most=MAX_BYTES)
-    try:
-        content: dict[str, Any] = json.loads(raw)
+    head, rows, _ = raw.partition(_ROWS.encode())
+    try:  # the rows of a table that names its runs are read from the folders of these
+        content: dict[str, Any] = json.loads(head + b'"rows": []}' if rows and b'"runs": [' in head else raw)
     except (ValueError, RecursionError) as error:
         raise refusal("results.json", path, why=error) from error
     refuse(not isinstance(content, dict), "results.object", path)
@@ -770,9 +754,8 @@ def _write_group(group: Any, data: Arrays) -> None:
     labels = sorted(name for name, entry in data.items() if _is_label(name, entry))
     for name, (axes, values, attributes) in data.items():
         array = np.asarray(values)
-        for axis, size in zip(axes, array.shape, strict=True):
-            if axis not in group.dimensions:
-                group.dimensions[axis] = size
+        new = {axis: size for axis, size in zip(axes, array.shape, strict=True) if axis not in group.dimensions}
+        group.dimensions.update(new)
         options: dict[str, Any] = {"dtype": h5py.string_dtype() if array.dtype.kind == "O" else array.dtype}
         if array.dtype.kind == "f" and name not in labels:
             options["fillvalue"] = array.dtype.type(np.nan)
