@@ -49,9 +49,7 @@ def matching(path: Path) -> list[Path]:
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:
     """The known names most like ``name``, case left aside; the best first."""
-    by_lower: dict[str, str] = {}
-    for one in known:
-        by_lower.setdefault(one.lower(), one)
+    by_lower = {one.lower(): one for one in reversed([*known])}
     return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, 3, 0.6)]
 
 

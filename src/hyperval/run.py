@@ -41,7 +41,6 @@ from functools import cache, cached_property
 from itertools import chain, takewhile
 from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -293,10 +292,9 @@ def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) ->
     InputError : a folder without results.
     UsageError : a run with several times, or none of the runs has such a row.
     """
-    days = []
+    days, asked = [], {"product": product, "subject": subject, "metric": metric}
     for run in map(Run.open, runs_in(folders)):
-        rows = [r for r in run.table if (r.product, r.subject, r.metric) == (product, subject, metric)]
-        rows = [r for r in rows if not math.isnan(r.value)]
+        rows = [row for row in run.table.where(**asked) if not math.isnan(row.value)]
         refuse(rows and len(run.times) != 1, "results.times", run.folder, count=len(run.times))
         days += [(when, rows[0]) for when in run.times if rows]
     refuse(not days, "results.row", row=f"{product}, {subject}, {metric}")
@@ -330,12 +328,11 @@ def _write_score_map(path: Path, name: str, score_map: ScoreMap) -> None:
         "nodata": float("nan"), "compress": "deflate", "predictor": 3, "transform": transform,
         "crs": score_map.crs or None,
     }  # fmt: skip
-    with warnings.catch_warnings():
-        # A map in image geometry is a legitimate product.
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile) as out:
-            out.write(values, 1)
-            out.set_band_description(1, f"{name} score [1]")
+    # A map in image geometry is a legitimate product.
+    quiet = warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning)
+    with quiet, rasterio.open(path, "w", **profile) as out:
+        out.write(values, 1)
+        out.set_band_description(1, f"{name} score [1]")
 
 
 # The table ------------------------------------------------------------------------------------------------------------
@@ -397,7 +394,8 @@ def write_joined(
 
 def results_csv(rows: Iterable[Result]) -> str:
     """The table as CSV: the columns ``results.COLUMNS``, an empty cell for NaN and None."""
-    return csv_text(chain([COLUMNS], ([_cell(value) for value in _values(row)] for row in rows)))
+    cells = ([harmless(x) if isinstance(x, str) else json_value(x) for x in _values(row)] for row in rows)
+    return csv_text(chain([COLUMNS], cells))
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:
@@ -492,10 +490,6 @@ def harmless(text: str) -> str:
     return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\n") else text
 
 
-def _cell(value: Any) -> Any:
-    return harmless(value) if isinstance(value, str) else json_value(value)
-
-
 def read_rows(folder: Path, *, every: bool = True) -> Iterator[Result]:
     """The rows of a folder's results.json; of one that joins several campaigns those of each, one after the other.
 
@@ -582,8 +576,8 @@ class Layout(NamedTuple):
     kind: type | None
     axis: str
     key: tuple[str, ...]
-    columns: tuple[Column, ...] = ()
-    inner: Mapping[str, Layout] = MappingProxyType({})
+    columns: tuple[Column, ...]
+    inner: Mapping[str, Layout]
 
 
 @cache
@@ -792,8 +786,7 @@ def read_products(folder: Path) -> dict[str, Products]:
     InputError : no products.nc, or one that is not of this kind.
     """
     with _opened(folder) as file:
-        kinds = {name: SIDES.get(name, PredictedProducts) for name in file.groups}
-        return {name: _products(file.groups[name], kind) for name, kind in kinds.items()}
+        return {name: _products(group, SIDES.get(name, PredictedProducts)) for name, group in file.groups.items()}
 
 
 def read_pair(folder: Path) -> tuple[PredictedProducts | None, ObservedProducts | None]:
@@ -812,14 +805,13 @@ def _products(group: Any, kind: type[Products]) -> Products:
     centre, fwhm, good = (group[name][...] for name in ("wavelength", "fwhm", "good_band"))
     axis = SpectralAxis(centre, fwhm, good.astype(bool))
     held = {name: entries for name, layout in _layouts().items() if (entries := _entries(group, layout))}
-    scores, each = dict[Any, ObjectScores](), dict[Any, list[tuple[str, float]]]()
+    scores: dict[Any, ObjectScores] = {}
     for key, quantiles in held.pop("object_score_law", []):
         at = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES
         scores[key] = ObjectScores(np.interp(at, group[_PROBABILITY][...], quantiles)[None])
-    for (subject, detector, name), value in held.pop("object_score", []):
-        each.setdefault((subject, detector), []).append((name, float(value)))
-    for key, own in each.items():
-        scores[key] = ObjectScores(np.array([value for _, value in own]), tuple(name for name, _ in own))
+    for (*target, name), value in held.pop("object_score", []):
+        one = scores.get(tuple(target), ObjectScores(np.empty(0)))
+        scores[tuple(target)] = ObjectScores(np.append(one.values, value), (*one.names, name))
     content: dict[str, Any] = {
         name: {key[0] if len(key) == 1 else key: item for key, item in entries} for name, entries in held.items()
     }
