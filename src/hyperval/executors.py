@@ -220,8 +220,9 @@ class Process:
 
     def end(self) -> None:
         """End the process, whose task unwinds first, and whatever it started."""
-        self._connection.close()  # which it sees
-        self._process.join(2 * _UNWIND_S)
+        self._process.terminate()
+        self._process.join(_UNWIND_S)
+        self._connection.close()
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid or 0, signal.SIGKILL)
         self._process.join(_UNWIND_S)
@@ -234,8 +235,7 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the process that hands out the tasks
     signal.signal(signal.SIGTERM, _unwind)
     os.environ["HYPERVAL_WORKERS"] = "1"
-    calls: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_attend, args=(connection, calls), daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if memory_bytes is not None:
         import resource  # of the systems that a server runs on
 
@@ -254,20 +254,18 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
 
     set_listener(report)
     while True:
-        call = calls.get()
         try:
-            connection.send(("progress", ("", 0, None)))
-            connection.send(_answer(perform, call))
+            connection.send(_answer(perform, connection))
         except OSError:
             return
         except Exception as error:  # it cannot be packed
             connection.send(("error", TypeError(f"{type(error).__name__}: {error}")))
 
 
-def _answer(perform: Perform, call: Any) -> tuple[str, Any]:
+def _answer(perform: Perform, connection: Connection) -> tuple[str, Any]:
     try:
-        if isinstance(call, Exception):  # it could not be unpacked
-            raise call
+        call = connection.recv()
+        connection.send(("progress", ("", 0, None)))
         return "result", perform(*call)
     except Exception as error:
         error.add_note(traceback.format_exc())
@@ -286,15 +284,9 @@ def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
     raise SystemExit(1)
 
 
-def _attend(connection: Connection, calls: SimpleQueue[Any]) -> None:
-    """In a process: take calls until the other end is closed, by its run or by the end of that, however it came."""
-    while True:
-        try:
-            calls.put(connection.recv())
-        except (EOFError, OSError):
-            break
-        except Exception as error:
-            calls.put(error)
+def _end_with_parent() -> None:
+    """In a process: end it with the one that made it, however that came to its end."""
+    multiprocessing.parent_process().join()  # type: ignore[union-attr]
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(_UNWIND_S)
     os.killpg(0, signal.SIGKILL)

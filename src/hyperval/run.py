@@ -38,7 +38,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from functools import cache, cached_property
-from itertools import chain, takewhile
+from itertools import chain, count, takewhile
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -307,11 +307,9 @@ def file_stems(names: Iterable[str]) -> dict[str, str]:
     taken: set[str] = set()
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:100] or "_"
-        candidate, number = stem, 2
-        while candidate.lower() in taken:
-            candidate, number = f"{stem}_{number}", number + 1
-        taken.add(candidate.lower())
-        stems[name] = candidate
+        candidates = chain([stem], (f"{stem}_{number}" for number in count(2)))
+        stems[name] = next(one for one in candidates if one.lower() not in taken)
+        taken.add(stems[name].lower())
     return stems
 
 
@@ -631,8 +629,7 @@ def to_xarray(products: Products) -> Any:
 def to_arrays(products: Products) -> Arrays:
     """One side as arrays along ``band``, ``band_2``, ``PRODUCT_subject``, ``roc_curve``, ``roc_point``, ..."""
     axis, data = products.axis, _bands(products.axis)
-    unit = data["wavelength"][2]["units"]
-    words = {"units": unit, "long_name": "wavelength, second index"}
+    words = {"units": data["wavelength"][2]["units"], "long_name": "wavelength, second index"}
     data["wavelength_2"] = (("band_2",), axis.centre_nm, words)
     flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "not_used used"}
     good = {"units": "1", "long_name": "whether the band is used", **flags}
