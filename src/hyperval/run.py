@@ -37,7 +37,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import chain, count, takewhile
 from operator import attrgetter
 from pathlib import Path
@@ -848,9 +848,15 @@ def _texts(variable: Any) -> list[str]:
 def _trim(item: dict[str, Any], names: Sequence[str]) -> None:
     """Cut off what fills arrays of one length up to the longest of their kind."""
     arrays = {name: item[name] for name in names if name in item}
-    ends = [np.flatnonzero(~np.isnan(values)) for values in arrays.values()]
-    size = max((int(places[-1]) + 1 for places in ends if places.size), default=0)
-    item.update({name: values[:size] for name, values in arrays.items()})
+    filled = np.flatnonzero(np.any(~np.isnan(list(arrays.values())), axis=0))
+    item.update({name: values[: filled.max(initial=-1) + 1] for name, values in arrays.items()})
+
+
+# The value of a field by its type.
+_OF_FIELD: dict[str, Callable[[Any], Any]] = {
+    "int": int, "bool": bool, "float": float, "Array": partial(np.array, dtype=float),
+    "Counts": partial(np.array, dtype=np.int64),
+}  # fmt: skip
 
 
 def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
@@ -866,12 +872,7 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
     for name, hint in ((f.name, str(f.type)) for f in fields(kind)):
         value = item.get(name)
-        if not isinstance(value, np.ndarray | np.floating):
-            continue
-        if "None" in hint and np.isnan(value).all():
-            item[name] = None
-        elif isinstance(value, np.ndarray):
-            item[name] = value.astype(np.int64 if hint.startswith("Counts") else float)
-        else:
-            item[name] = int(value) if hint.startswith("int") else bool(value) if hint == "bool" else float(value)
+        if isinstance(value, np.ndarray | np.floating):
+            is_none = "None" in hint and np.isnan(value).all()
+            item[name] = None if is_none else _OF_FIELD[hint.partition(" ")[0]](value)
     return kind(**item)
