@@ -730,12 +730,11 @@ def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
     subjects = list(dict.fromkeys(s for side in each for name in products for s in getattr(side, name)))
     data["side"] = (("side",), np.array(list(sides), dtype=object), {"long_name": "predicted or observed"})
     data["subject"] = (("subject",), np.array(subjects, dtype=object), {"long_name": _PARTS["subject"]})
+    none = np.full(len(each[0].axis), np.nan)
     for name in products:
         for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):
-            values = np.full((len(each), len(subjects), len(each[0].axis)), np.nan)
-            for i, side in enumerate(each):
-                for subject, estimate in getattr(side, name).items():
-                    values[i, subjects.index(subject)] = getattr(estimate, column.field)
+            estimates = [[getattr(side, name).get(subject) for subject in subjects] for side in each]
+            values = np.array([[getattr(one, column.field, none) for one in own] for own in estimates])
             words = {"units": column.unit, "long_name": column.text}
             data[column.name] = (("side", "subject", "band"), values, words)
     return data
