@@ -333,12 +333,12 @@ def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
     handing it to them piece by piece takes longer than the work does where the work is quick.
     """
     content = pickle.dumps(value, protocol=5)
-    if not isinstance(where, Workers) or not isinstance(where.executor, TaskPool):
+    if isinstance(where, Workers) and isinstance(where.executor, TaskPool):
+        with scratch_folder("parcel") as folder:
+            (folder / "parcel").write_bytes(content)
+            yield folder / "parcel"
+    else:
         yield content
-        return
-    with scratch_folder("parcel") as folder:
-        (folder / "parcel").write_bytes(content)
-        yield folder / "parcel"
 
 
 def available_cores() -> int:

@@ -434,25 +434,22 @@ def junit_xml(rows: Iterable[Result]) -> str:
             suites[row.campaign].append(row)
     root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(chain.from_iterable(suites.values()))})
     for campaign, own in suites.items():
-        suite = ElementTree.SubElement(root, "testsuite", {"name": _in_xml(campaign), **_tally(own)})
+        suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(own)})
         for row in own:
-            names = {"classname": _in_xml(f"{row.campaign}.{row.product}"), "name": _in_xml(row_name(row))}
+            names = {"classname": f"{row.campaign}.{row.product}", "name": row_name(row)}
             case = ElementTree.SubElement(suite, "testcase", names)
             if element := OUTCOMES[row.outcome].element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
-                ElementTree.SubElement(case, element, message=_in_xml(undecided + _why(row)))
+                ElementTree.SubElement(case, element, message=undecided + _why(row))
     ElementTree.indent(root, " ")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
+    text = _NOT_XML.sub("\ufffd", ElementTree.tostring(root, "unicode"))
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
 def _tally(rows: Iterable[Result]) -> dict[str, str]:
     count = Counter(OUTCOMES[row.outcome].element for row in rows)
     names = {"failures": "failure", "errors": "error", "skipped": "skipped"}
     return {"tests": str(count.total())} | {name: str(count[element]) for name, element in names.items()}
-
-
-def _in_xml(text: str) -> str:
-    return _NOT_XML.sub("\ufffd", text)
 
 
 def _why(row: Result) -> str:
