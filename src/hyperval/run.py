@@ -321,14 +321,12 @@ def _write_score_map(path: Path, name: str, score_map: ScoreMap) -> None:
 
     values = np.asarray(score_map.values, dtype=np.float32)
     transform = None if score_map.transform is None else Affine(*map(float, list(score_map.transform)[:6]))
-    profile = {
-        "driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": "float32",
-        "nodata": float("nan"), "compress": "deflate", "predictor": 3, "transform": transform,
-        "crs": score_map.crs or None,
-    }  # fmt: skip
     # A map in image geometry is a legitimate product.
     quiet = warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning)
-    with quiet, rasterio.open(path, "w", **profile) as out:
+    with quiet, rasterio.open(
+        path, "w", driver="GTiff", height=values.shape[0], width=values.shape[1], count=1, dtype="float32",
+        nodata=math.nan, compress="deflate", predictor=3, transform=transform, crs=score_map.crs or None,
+    ) as out:  # fmt: skip
         out.write(values, 1)
         out.set_band_description(1, f"{name} score [1]")
 
@@ -480,8 +478,7 @@ def harmless(text: str) -> str:
 
     A carriage return becomes a line feed: readers of CSV take a bare one for the end of the row.
     """
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
     return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\n") else text
 
 
