@@ -1,6 +1,6 @@
 """Where independent pieces run: in this process, in others, or on the workers of a Dask scheduler.
 
-Callers take any ``concurrent.futures.Executor``.  :func:`workers` makes one; :func:`in_order` hands the pieces out
+:func:`workers` makes them, of any ``concurrent.futures.Executor``; :func:`in_order` hands the pieces out
 and gives the results back in the order of the pieces, a bounded number on the way, so that what comes out does not
 depend on where the pieces ran.  Every piece has one BLAS thread: workers share the processors, and the last digits
 of a solve depend on the number of threads.
@@ -326,14 +326,14 @@ def opened(packed: Parcel) -> Any:
 
 
 @contextmanager
-def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
+def parcel(where: Workers, value: Any) -> Iterator[Parcel]:
     """``value`` packed for the pieces that run inside the block.
 
     Pieces for a cluster carry it; processes of this machine read it from a file of their own, once each, since
     handing it to them piece by piece takes longer than the work does where the work is quick.
     """
     content = pickle.dumps(value, protocol=5)
-    if isinstance(where, Workers) and isinstance(where.executor, TaskPool):
+    if isinstance(where.executor, TaskPool):
         with scratch_folder("parcel") as folder:
             (folder / "parcel").write_bytes(content)
             yield folder / "parcel"
@@ -399,7 +399,7 @@ def workers(count: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
 
 
 def in_order(
-    where: Workers | Executor, function: Callable[[T], R], pieces: Iterable[T], *, ahead: int | None = None
+    where: Workers, function: Callable[[T], R], pieces: Iterable[T], *, ahead: int | None = None
 ) -> Iterator[R]:
     """Results of ``function`` for every piece, in the order of the pieces, with one BLAS thread each.
 
@@ -411,20 +411,19 @@ def in_order(
     ------
     WorkersLostError : processes died again and again.
     """
-    at = where if isinstance(where, Workers) else Workers(where, int(getattr(where, "_max_workers", 1)))
-    if at.executor is None:
+    if where.executor is None:
         yield from map(single_blas_thread()(function), pieces)
         return
     source, futures = iter(pieces), deque[Future[R]]()
     try:
         while True:
             try:  # handing a piece in can be what finds a pool broken
-                left = (ahead or 2 * at.width) - len(futures)
-                futures.extend(at.submit(function, piece) for piece in islice(source, left))
+                left = (ahead or 2 * where.width) - len(futures)
+                futures.extend(where.submit(function, piece) for piece in islice(source, left))
                 if not futures:
                     return
                 result = futures.popleft().result()
-            except at.losses as error:
+            except where.losses as error:
                 mend = "give it more memory, or fewer workers"
                 raise WorkersLostError(f"a worker process died: {error}", mend=mend) from error
             yield result
