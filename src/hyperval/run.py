@@ -10,7 +10,8 @@
 ============================  =====================================================================================
 
 The folder of several campaigns has a folder for each.  Its tables are joined from theirs, text by text, and its
-``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign.
+``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign and
+the text of ``MOST_JOINED`` rows.
 
 Numbers are written as their shortest exact representation, and the same run gives the same bytes.
 
@@ -527,9 +528,9 @@ def _rows(path: Path, columns: list[Any], rows: list[Any], every: bool) -> list[
 
 def _json(path: Path) -> dict[str, Any]:
     raw = content_of(path, ("results.file", "results.large"), most=MAX_BYTES)
-    head, rows, _ = raw.partition(_ROWS.encode())
+    head, rows, _ = raw.partition(b"\n" + _ROWS.encode())
     try:  # the rows of a table that names its runs are read from the folders of these
-        content: dict[str, Any] = json.loads(head + b'"rows": []}' if rows and b'"runs": [' in head else raw)
+        content: dict[str, Any] = json.loads(head + b'"rows": []}' if rows and b'\n "runs": [' in head else raw)
     except (ValueError, RecursionError) as error:
         raise refusal("results.json", path, why=error) from error
     refuse(not isinstance(content, dict), "results.object", path)
