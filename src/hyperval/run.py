@@ -426,13 +426,11 @@ def _document(lines: Iterable[str], counts: Mapping[str, int], more: Mapping[str
 
 def junit_xml(rows: Iterable[Result]) -> str:
     """One test case for each gate and each error; what disagrees fails, what is undecided counts as skipped."""
-    suites: dict[str, list[Result]] = {}
-    for row in rows:
-        suites.setdefault(row.campaign, [])
-        if row.gates or row.outcome is Outcome.ERROR:
-            suites[row.campaign].append(row)
-    root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(chain.from_iterable(suites.values()))})
-    for campaign, own in suites.items():
+    rows = list(rows)
+    cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
+    root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
+    for campaign in dict.fromkeys(row.campaign for row in rows):
+        own = [row for row in cases if row.campaign == campaign]
         suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(own)})
         for row in own:
             names = {"classname": f"{row.campaign}.{row.product}", "name": row_name(row)}
