@@ -306,7 +306,7 @@ class InputLog:
         self.base = Path(base) if base is not None else Path()
         self.simulated: Path | None = None
         self._entries: dict[str, dict[str, Any]] = {}
-        self._seen: set[Path] = set()
+        self._names: dict[Path, str] = {}  # the first of each file
 
     @classmethod
     def of_file(cls, path: Path) -> InputLog:
@@ -329,10 +329,8 @@ class InputLog:
 
     def add(self, path: Path, reference: str | None = None) -> Path:
         """Record a file that was found otherwise, such as the header beside a cube; once, by its first name."""
-        if reference is None and path.resolve() in self._seen:
-            return path
-        self._seen.add(path.resolve())
-        reference = reference or self._relative(path)
+        reference = reference or self._names.get(path.resolve()) or self._relative(path)
+        self._names.setdefault(path.resolve(), reference)
         if reference not in self._entries:
             check_copy(reference, path)
             owner, own = owner_of(reference), {"sha256": sha256_of(path), "bytes": size_of(path)}

@@ -1,6 +1,6 @@
 """Where independent pieces run: in this process, in others, or on the workers of a Dask scheduler.
 
-Callers take any ``concurrent.futures.Executor``.  :func:`workers` makes one; :func:`in_order` hands the pieces out
+:func:`workers` makes them, of any ``concurrent.futures.Executor``; :func:`in_order` hands the pieces out
 and gives the results back in the order of the pieces, a bounded number on the way, so that what comes out does not
 depend on where the pieces ran.  Every piece has one BLAS thread: workers share the processors, and the last digits
 of a solve depend on the number of threads.
@@ -220,8 +220,9 @@ class Process:
 
     def end(self) -> None:
         """End the process, whose task unwinds first, and whatever it started."""
-        self._connection.close()  # which it sees
-        self._process.join(2 * _UNWIND_S)
+        self._process.terminate()
+        self._process.join(_UNWIND_S)
+        self._connection.close()
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid or 0, signal.SIGKILL)
         self._process.join(_UNWIND_S)
@@ -234,8 +235,7 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the process that hands out the tasks
     signal.signal(signal.SIGTERM, _unwind)
     os.environ["HYPERVAL_WORKERS"] = "1"
-    calls: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_attend, args=(connection, calls), daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if memory_bytes is not None:
         import resource  # of the systems that a server runs on
 
@@ -254,20 +254,18 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
 
     set_listener(report)
     while True:
-        call = calls.get()
         try:
-            connection.send(("progress", ("", 0, None)))
-            connection.send(_answer(perform, call))
+            connection.send(_answer(perform, connection))
         except OSError:
             return
         except Exception as error:  # it cannot be packed
             connection.send(("error", TypeError(f"{type(error).__name__}: {error}")))
 
 
-def _answer(perform: Perform, call: Any) -> tuple[str, Any]:
+def _answer(perform: Perform, connection: Connection) -> tuple[str, Any]:
     try:
-        if isinstance(call, Exception):  # it could not be unpacked
-            raise call
+        call = connection.recv()
+        connection.send(("progress", ("", 0, None)))
         return "result", perform(*call)
     except Exception as error:
         error.add_note(traceback.format_exc())
@@ -286,15 +284,9 @@ def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
     raise SystemExit(1)
 
 
-def _attend(connection: Connection, calls: SimpleQueue[Any]) -> None:
-    """In a process: take calls until the other end is closed, by its run or by the end of that, however it came."""
-    while True:
-        try:
-            calls.put(connection.recv())
-        except (EOFError, OSError):
-            break
-        except Exception as error:
-            calls.put(error)
+def _end_with_parent() -> None:
+    """In a process: end it with the one that made it, however that came to its end."""
+    multiprocessing.parent_process().join()  # type: ignore[union-attr]
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(_UNWIND_S)
     os.killpg(0, signal.SIGKILL)
@@ -334,26 +326,24 @@ def opened(packed: Parcel) -> Any:
 
 
 @contextmanager
-def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
+def parcel(where: Workers, value: Any) -> Iterator[Parcel]:
     """``value`` packed for the pieces that run inside the block.
 
     Pieces for a cluster carry it; processes of this machine read it from a file of their own, once each, since
     handing it to them piece by piece takes longer than the work does where the work is quick.
     """
     content = pickle.dumps(value, protocol=5)
-    if not isinstance(where, Workers) or not isinstance(where.executor, TaskPool):
+    if isinstance(where.executor, TaskPool):
+        with scratch_folder("parcel") as folder:
+            (folder / "parcel").write_bytes(content)
+            yield folder / "parcel"
+    else:
         yield content
-        return
-    with scratch_folder("parcel") as folder:
-        (folder / "parcel").write_bytes(content)
-        yield folder / "parcel"
 
 
 def available_cores() -> int:
     """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
@@ -407,7 +397,7 @@ def workers(count: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
 
 
 def in_order(
-    where: Workers | Executor, function: Callable[[T], R], pieces: Iterable[T], *, ahead: int | None = None
+    where: Workers, function: Callable[[T], R], pieces: Iterable[T], *, ahead: int | None = None
 ) -> Iterator[R]:
     """Results of ``function`` for every piece, in the order of the pieces, with one BLAS thread each.
 
@@ -419,20 +409,19 @@ def in_order(
     ------
     WorkersLostError : processes died again and again.
     """
-    at = where if isinstance(where, Workers) else Workers(where, int(getattr(where, "_max_workers", 1)))
-    if at.executor is None:
+    if where.executor is None:
         yield from map(single_blas_thread()(function), pieces)
         return
     source, futures = iter(pieces), deque[Future[R]]()
     try:
         while True:
             try:  # handing a piece in can be what finds a pool broken
-                left = (ahead or 2 * at.width) - len(futures)
-                futures.extend(at.submit(function, piece) for piece in islice(source, left))
+                left = (ahead or 2 * where.width) - len(futures)
+                futures.extend(where.submit(function, piece) for piece in islice(source, left))
                 if not futures:
                     return
                 result = futures.popleft().result()
-            except at.losses as error:
+            except where.losses as error:
                 mend = "give it more memory, or fewer workers"
                 raise WorkersLostError(f"a worker process died: {error}", mend=mend) from error
             yield result

@@ -33,12 +33,10 @@ def check_hdf5(path: Path | str) -> None:
 
     Nothing is said of files that the library itself refuses, or on systems that cannot fork.
     """
-    try:
+    if os.path.exists(path):  # else the reader has words for it
         status = os.stat(path)
-    except OSError:
-        return  # the reader has words for it
-    reason = _trial(str(path), status.st_mtime_ns, status.st_size)
-    refuse(reason, "hdf5.damaged", path, reason=reason)
+        reason = _trial(str(path), status.st_mtime_ns, status.st_size)
+        refuse(reason, "hdf5.damaged", path, reason=reason)
 
 
 @lru_cache(maxsize=256)
@@ -53,9 +51,8 @@ def _trial(path: str, changed_ns: int, size: int) -> str:
 
 def trial(function: Callable[[], None]) -> str:
     """What a function does that it must not, called in a process of its own; any other error is as good as none."""
-    with warnings.catch_warnings():
-        # A process with threads: the child calls this function alone, and ends without cleaning up.
-        warnings.simplefilter("ignore", DeprecationWarning)
+    # A process with threads: the child calls this function alone, and ends without cleaning up.
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
         child = os.fork()
     if child == 0:
         code = 0
@@ -126,8 +123,7 @@ def opened_netcdf(
 
     check_hdf5(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a dimension that stands twice
+        with warnings.catch_warnings(action="ignore"):  # of a dimension that stands twice
             data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
         with data:
             lacking = ", ".join(name for name in axes_of if name not in data.variables and name not in may_lack)

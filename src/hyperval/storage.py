@@ -340,9 +340,6 @@ def _list(folder: Path) -> tuple[str, set[str]]:
     return "", set()
 
 
-_NOT_STARTED = (126, 127)  # exit codes of setpriv, as of a shell
-
-
 def ending_with_this_process(command: Sequence[str]) -> list[str]:
     """The command line by which a program ends with the process that starts it, killed ones too.
 
@@ -353,7 +350,7 @@ def ending_with_this_process(command: Sequence[str]) -> list[str]:
 
 def is_no_program(code: int) -> bool:
     """Whether a command that ends with this process ended with ``code`` since it could not be started."""
-    return bool(_tie()) and code in _NOT_STARTED
+    return bool(_tie()) and code in (126, 127)  # of setpriv, as of a shell
 
 
 def last_line(text: str) -> str:
