@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import betaincinv
 
 from hyperval.compare.covariance import MOST_EIGENVALUES, Sampled, sampled
@@ -39,8 +38,7 @@ from hyperval.figures.spec import (
     row_names,
     single,
 )
-from hyperval.model import Z95, detection_at
-from hyperval.model.intervals import clopper_pearson, difference_ratio, difference_ratio_uncertainty
+from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
 from hyperval.pixels import band_limits, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable
@@ -259,10 +257,10 @@ def eigenvalue_figures(sides: Sides) -> list[Figure | None]:
 
 
 def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) -> Figure | None:
-    known = {s: e.n for s, e in getattr(observed, quantity).items() if e.n and e.pixel_covariance is not None}
-    known = {s: n for s, n in known.items() if s in getattr(predicted, quantity)}
-    most = sorted(known, key=lambda s: -known[s])[:_MOST_SPREADS]
-    found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s in most}
+    both = both_of((predicted, observed), quantity)
+    known = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
+    most = sorted(known, key=lambda one: -one[1])[:_MOST_SPREADS]
+    found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s, _ in most}
     spreads = {s: one for s, one in found.items() if isinstance(one, Sampled)}
 
     def view(subject: str) -> Panels:
@@ -458,7 +456,7 @@ def _roc_words(curves: Sequence[RocCurve | None], names: tuple[str, str]) -> str
     return "; ".join(words)
 
 
-def _detection(curve: RocCurve, pfa: npt.ArrayLike) -> tuple[Any, list[Any]]:
+def _detection(curve: RocCurve, pfa: Array | float) -> tuple[Any, list[Any]]:
     """P_FA within the curve, and P_D there with its limits."""
     at = np.clip(pfa, curve.pfa[0], curve.pfa[-1])
     return at, [detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper)]
@@ -594,10 +592,9 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
         looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
         for own, (make, marker, name, shift) in zip(both, looks, strict=True):
             each = {key: own[key] for key in place if key in own}
-            nominal = np.array([a.nominal_m2 for a in each.values()])
-            area, u = np.array([(a.area_m2, a.standard_uncertainty) for a in each.values()]).reshape(-1, 2).T
-            places = np.array([place[key] * shift for key in each])
-            columns = {"x": places, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
+            every = [(place[key], a.nominal_m2, a.area_m2, a.standard_uncertainty) for key, a in each.items()]
+            at, nominal, area, u = np.array(every).reshape(-1, 4).T
+            columns = {"x": at * shift, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
             said = tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items())
             above.append(make("dots", columns, marker=marker, words=said))
             points = sorted((float(r.subject.removesuffix(" m2").rpartition(" ")[2]), r.value, r.lower, r.upper)
@@ -649,12 +646,11 @@ def object_score_figure(sides: Sides) -> Figure | None:
 
 def transform_figure(sides: Sides) -> Figure | None:
     """Probability integral transforms of all objects in order, with a band, by detector."""
-    by_detector: dict[str, list[Array]] = {}
-    for (_, detector), draws, measured in _objects(sides):
-        by_detector.setdefault(detector, []).append(probability_integral_transform(measured, draws))
+    objects = _objects(sides)
 
     def view(detector: str) -> Panels:
-        u = np.sort(np.concatenate(by_detector[detector]))
+        own = [probability_integral_transform(scores, draws) for (_, by), draws, scores in objects if by == detector]
+        u = np.sort(np.concatenate(own))
         n, rank = u.size, np.arange(1, u.size + 1)
         at = (rank - 0.5) / n
         low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
@@ -672,7 +668,7 @@ def transform_figure(sides: Sides) -> Figure | None:
         "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction",
         "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
         "95 % band for independent objects. Objects share errors of the inputs, which the band leaves out.",
-        list(by_detector), view,
+        list(dict.fromkeys(detector for (_, detector), *_ in objects)), view,
     )  # fmt: skip
 
 
@@ -811,30 +807,27 @@ _LONGEST = 34  # characters of an input's name
 _TELLING = 10.8
 
 
-def reason_figures(table: ResultTable) -> list[Figure]:
+def reason_figures(table: ResultTable) -> list[Figure | None]:
     """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
-    gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
-    whole = sorted((r for r in gains if r.subject == "all"), key=lambda r: -r.value)
-    others = [r for r in gains if r.subject != "all"]
-    told = [r for r in table if math.isfinite(r.before)]  # older tables say it in words alone
-    moves = [r for r in told if r.product == "sensitivity"]
-    tests = [r for r in told if r.metric == "reduced_chi_square"]
-    outcomes, left = ([r for r in tests if r.product == name] for name in ("what-if", "attribution"))
-    left = sorted(left, key=lambda r: -r.before)[:_MOST_QUANTITIES]
+    gains = table.where(product="attribution", metric="likelihood_gain")
+    whole = sorted(gains.where(subject="all"), key=lambda r: -r.value)
+    told = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
+    tests, moves = told.where(metric="reduced_chi_square"), told.where(product="sensitivity")
+    left = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
     first = next((f"Residuals before and after: {r.method}" for r in left), "")
-    made = (
+    outcomes = tests.where(product="what-if")
+    return [
         _before_and_after("residuals", "attribution", left, [r.subject for r in left], first),
         _inputs(whole[:_MOST_INPUTS], table) if whole else None,
         _gain(table),
-        _by_subject(others) if others else None,
+        _by_subject([r for r in gains if r.subject != "all"]),
         _effects(moves) if moves else None,
         _before_and_after("what-ifs", "what-if", outcomes, [r.method for r in outcomes], "What-ifs: before and after"),
-    )
-    return [figure for figure in made if figure is not None]
+    ]
 
 
 def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
-    needed = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
+    needed = table.where(product="attribution", metric="needed_uncertainty")
     stated, names = {r.method for r in needed if r.cause is not Cause.NO_UNCERTAINTY}, [r.method for r in rows]
     best, at, ends = rows[0], np.arange(float(len(rows))), np.array([max(r.value, 0.1) for r in rows])
     columns = {"left": np.full(at.size, 0.1), "right": ends, "bottom": at - 0.35, "top": at + 0.35}

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib.style
 import numpy as np
@@ -29,6 +29,7 @@ from hyperval.figures.spec import (
     ColourScale,
     Drawing,
     Figure,
+    Kind,
     Mark,
     Panels,
     Part,
@@ -50,9 +51,6 @@ _METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None}, "png": {"Software": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }  # fmt: skip
-
-
-Kind = Literal["svg", "pdf", "png"]
 
 
 @contextmanager

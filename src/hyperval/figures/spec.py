@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -35,6 +35,7 @@ MAX_PANELS = 12
 WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Way = Literal["x", "y"]
+Kind = Literal["svg", "pdf", "png"]
 Rules = tuple[tuple[Way, float], ...]
 _TONES = 33  # of a scale in a page
 _REACH = {"x": {"x", "left", "right"}, "y": {"y", "bottom", "top"}}
@@ -207,12 +208,6 @@ class Figure:
         """Title and legend."""
         return self.title + (f". {self.legend[0].upper()}{self.legend[1:]}" if self.legend else "")
 
-    def marks(self) -> Iterator[Mark]:
-        """Every mark of every view."""
-        for view in self.views:
-            for part in view.parts:
-                yield from part.marks
-
 
 @dataclass(frozen=True)
 class Drawing:
@@ -231,7 +226,7 @@ class Drawing:
     title: str
     alt: str
     content: bytes
-    kind: Literal["svg", "png", "pdf"]
+    kind: Kind
     width_px: int | None = None
     legend: str = ""
 

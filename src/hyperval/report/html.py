@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jinja2
 
@@ -22,17 +22,13 @@ import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
-from hyperval.figures.spec import Drawing, Figure, base64_of, data_uri, statement
+from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
 from hyperval.metrics import Evidence, explained, plain_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
-
-if TYPE_CHECKING:
-    from hyperval.figures.print import Kind
-
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
 # filters tables and links to evidence.

@@ -309,12 +309,9 @@ def interval_text(row: Result) -> str:
 
 def limits_text(row: Result) -> str:
     """The accepted range of a row, empty when it has none."""
-    low, high = row.limit_low, row.limit_high
-    if math.isnan(low) and math.isnan(high):
-        return ""
-    if math.isnan(low):
-        return f"≤ {number_text(high)}"
-    return f"≥ {number_text(low)}" if math.isnan(high) else f"{number_text(low)} to {number_text(high)}"
+    ends = row.limit_low, row.limit_high
+    low, high = ("" if math.isnan(end) else number_text(end) for end in ends)
+    return f"{low} to {high}" if low and high else f"≥ {low}" if low else f"≤ {high}" if high else ""
 
 
 def _named(rows: Sequence[Result]) -> str:
