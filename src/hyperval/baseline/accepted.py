@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -32,7 +31,7 @@ from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
-from hyperval.report import write_index, write_outputs
+from hyperval.report import stated_time, write_index, write_outputs
 from hyperval.report.verdict import accepted_words
 from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
@@ -255,10 +254,7 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
 
 def today() -> str:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
-    text = os.environ.get("SOURCE_DATE_EPOCH", "")
-    refuse(text and not text.isdigit(), "baseline.date", text=text)
-    now = datetime.fromtimestamp(int(text), UTC) if text else datetime.now(UTC)
-    return now.date().isoformat()
+    return (stated_time() or datetime.now(UTC)).date().isoformat()
 
 
 def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:

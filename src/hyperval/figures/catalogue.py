@@ -788,7 +788,6 @@ def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
 
 
 _MOST_INPUTS = 14
-_MOST_GROUPS = 26
 _MOST_QUANTITIES = 26
 _STATED = {
     True: {"label": "uncertainty stated", "colour": "#0072B2"},
@@ -878,7 +877,7 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     every = [s for s in asked if s in telling]
     if not every:
         return None
-    subjects = every[:_MOST_GROUPS]
+    subjects = every[:_MOST_QUANTITIES]
     best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
     inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
     gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -112,6 +112,14 @@ def criteria_of(rows: Sequence[Result]) -> list[Result]:
     ]  # fmt: skip
 
 
+def rows_by(rows: Iterable[Result], key: Callable[[Result], Any]) -> dict[Any, list[Result]]:
+    """Rows in lists by a key, as they come."""
+    groups: dict[Any, list[Result]] = {}
+    for row in rows:
+        groups.setdefault(key(row), []).append(row)
+    return groups
+
+
 def _words(row: Result) -> str:
     return plain_words(row.metric, row.product).partition(" of the ")[0]
 
@@ -137,9 +145,7 @@ def outcome_words(rows: Iterable[Result]) -> str:
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     """Criteria as effects: a plot for each product and unit, the worst first; what is alike is folded into one row."""
     every = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
-    groups: dict[tuple[str, str], list[Result]] = {}
-    for row in every:
-        groups.setdefault((row.product, row.effect_unit or _words(row)), []).append(row)
+    groups = rows_by(every, lambda row: (row.product, row.effect_unit or _words(row)))
     if not groups:
         return None
     apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())

@@ -5,27 +5,26 @@ The first screen: product by subject, or product by campaign, each cell with its
 
 from __future__ import annotations
 
-import datetime
 import functools
 import gzip
 import hashlib
-import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jinja2
 
 import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
-from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
+from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words, rows_by
 from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
 from hyperval.metrics import Evidence, explained, plain_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
+from hyperval.report.outputs import stated_time
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
@@ -74,16 +73,13 @@ def matrix_of(
     """
     every = dict.fromkeys(row.product for row in planned)
     columns = [product for product in dict.fromkeys([*_COMPARED, *every]) if product in every]
-    groups: dict[str, list[Result]] = {}
-    for row in planned:
-        groups.setdefault(line_of(row), []).append(row)
 
     def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
         gates = [row for row in item[1] if row.gates]
         return not gates, WORST_FIRST.index(v.worst(gates or item[1]))
 
     lines = []
-    for name, own in sorted(groups.items(), key=rank):
+    for name, own in sorted(rows_by(planned, line_of).items(), key=rank):
         here = ([row for row in own if row.product == product] for product in columns)
         lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in here]))
     return {"columns": [_COMPARED.get(p, p) for p in columns], "lines": lines}
@@ -92,7 +88,8 @@ def matrix_of(
 def _matrices(run: Run, rows: Sequence[Result], *options: Callable[..., str]) -> list[tuple[str, Mapping[str, Any]]]:
     """The matrices of rows by what moves them, each with its heading, as a page of ``run`` parts them."""
     parts = _NUMBERS if run.sentence else _MATRICES
-    planned = ((title, [r for r in rows if r.planned and r.evidence in kinds]) for title, kinds in parts)
+    compared = [row for row in rows if row.planned and row.product not in _REASONS]
+    planned = ((title, [r for r in compared if r.evidence in kinds]) for title, kinds in parts)
     return [(title, matrix_of(own, *options)) for title, own in planned if own]
 
 
@@ -120,13 +117,13 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
 
     They are the same but for the subject; the first stands for all, and says how many are alike.
     """
-    alike: dict[str | int, list[Result]] = {}
-    for number, row in enumerate(rows):
-        is_background = row.subject.endswith(background_of(""))
-        alike.setdefault(repr(replace(row, subject="")) if is_background else number, []).append(row)
+
+    def key(row: Result) -> str | int:
+        return repr(replace(row, subject="")) if row.subject.endswith(background_of("")) else id(row)
+
     return [
         first if not more else replace(first, subject=f"{first.subject} and {len(more)} alike")
-        for first, *more in alike.values()
+        for first, *more in rows_by(rows, key).values()
     ]
 
 
@@ -180,7 +177,6 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
     statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
-    compared = [row for row in shown if row.product not in _REASONS]
     return page(
         "report.html.j2", statements,
         run=run,
@@ -189,7 +185,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         worst=worst,
         compares=compares,
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
-        matrices=_matrices(run, compared, lambda r: r.subject, _link),
+        matrices=_matrices(run, shown, lambda r: r.subject, _link),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
         embedded=_embedded(drawings, statements),
@@ -227,9 +223,7 @@ def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | Non
 
 def _link(subject: str, rows: Sequence[Result]) -> str:
     made = [row for row in rows if row.outcome is not Outcome.SKIPPED]
-    if rows and not made:
-        return "#undone"
-    return f"#{anchor(made[0])}" if made else ""
+    return f"#{anchor(made[0])}" if made else "#undone" if rows else ""
 
 
 def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Validation") -> str:
@@ -247,7 +241,7 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
             continue
         together = [row for run in own for row in run.table]
         matrices = _matrices(
-            own[0], [row for row in together if row.product not in _REASONS], lambda r: r.campaign,
+            own[0], together, lambda r: r.campaign,
             lambda name, cell: f"{pages[name]}#{anchor(cell[0])}" if cell else pages[name],
         )  # fmt: skip
         entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
@@ -293,9 +287,8 @@ def environment() -> jinja2.Environment:
 
 def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
     """The margin that the campaign of a run states, as its provenance records it."""
-    campaign = (provenance.get("configuration") or {}).get("campaign") or {}
-    margin = campaign.get("equivalence_margin")
-    return float(margin) if isinstance(margin, int | float) else None
+    campaign = provenance.get("configuration", {}).get("campaign", {})
+    return cast("float | None", campaign.get("equivalence_margin"))
 
 
 def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **words: Any) -> str:
@@ -304,28 +297,19 @@ def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **w
     ``drawn`` : the figures, or their statements by name, where these are known already
     """
     statements = dict(drawn) if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn}
+    written = f"{at:%Y-%m-%d %H:%M UTC}" if (at := stated_time()) else None
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
         starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
-        version=hyperval.__version__, generated=_generated(), page_script=script(_EVERY_PAGE).decode(),
+        version=hyperval.__version__, generated=written, page_script=script(_EVERY_PAGE).decode(),
     )  # fmt: skip
-
-
-def _generated() -> str | None:
-    """When SOURCE_DATE_EPOCH says the page was made; None when it is not set."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    if not epoch.isdigit():
-        return None
-    return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]:
     """Planned rows that were not made, those of one outcome, product and cause together with their names."""
-    groups: dict[tuple[Outcome, str, str], list[str]] = {}
-    for row in rows:
-        if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
-            groups.setdefault((row.outcome, row.product, row.reason or str(row.cause)), []).append(row_name(row))
-    return groups
+    undone = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
+    groups = rows_by(undone, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
+    return {key: list(map(row_name, own)) for key, own in groups.items()}
 
 
 def _subject_text(text: str) -> str:

@@ -274,10 +274,8 @@ def last_line(rows: Iterable[Result]) -> str:
 
 def number_text(value: float, spread: float = math.nan) -> str:
     """``value`` with two digits of its ``spread``, or with four significant digits without one."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else short_text(value)
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         text = f"{value:.3g}"
     elif 0 < spread < math.inf:
