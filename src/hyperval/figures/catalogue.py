@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from hyperval.compare.covariance import MOST_EIGENVALUES, Sampled, sampled
-from hyperval.compare.detection import central, probability_integral_transform
-from hyperval.compare.products import SPREAD
+from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, central, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
 from hyperval.figures.rows import MET, NOT_MET
 from hyperval.figures.spec import (

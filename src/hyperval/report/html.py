@@ -349,12 +349,11 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
 def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dict[str, str]:
     """Name of a figure -> its data URI, for as many as the page has room for.
 
-    What shows the most comes first: the scene, the first score map, the budget; the other score maps come last.
+    What shows the most comes first: the scene and the first score map.
     """
     sources: dict[str, str] = {}
     room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
-    order = {name: number for number, name in enumerate(PICTURES)}
-    for drawing in sorted(drawings, key=lambda d: order.get(d.name, len(order) + d.name.startswith("score-map"))):
+    for drawing in sorted(drawings, key=lambda d: d.name not in PICTURES):
         source = data_uri(drawing.content, drawing.kind)
         if len(source) <= room:
             room -= len(source)
