@@ -28,6 +28,7 @@ from hyperval.figures.spec import (
     Rules,
     a_view_each,
     by_kind,
+    columns_of,
     left_out,
     measured_mark,
     of_rows,
@@ -102,8 +103,7 @@ def a_row_each(
     for own, (make, marker, shift) in zip(both, looks, strict=True):
         here = [(i + shift, key) for i, key in enumerate(shown) if key in own]
         if here:
-            numbers = np.array([(y, *own[key][:3]) for y, key in here]).T
-            columns = dict(zip(("y", "x", "low", "high"), numbers, strict=True))
+            columns = columns_of([(y, *own[key][:3]) for y, key in here], ("y", "x", "low", "high"))
             words = tuple(f"{', '.join(key)}: {own[key][3]}" for _, key in here)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
     told = "; ".join(
@@ -597,8 +597,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
             above.append(make("dots", columns, marker=marker, words=said))
             points = sorted((float(r.subject.removesuffix(" m2").rpartition(" ")[2]), r.value, r.lower, r.upper)
                             for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
-            columns = dict(zip(("x", "y", "low", "high"), np.array(points).reshape(-1, 4).T, strict=True))
-            below.append(make("line", columns, "", marker=marker))
+            below.append(make("line", columns_of(points), "", marker=marker))
             told = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
             words += [f"{method}, {name.replace('observed', 'measured')}: {told}"] if told else []
         ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
@@ -848,8 +847,7 @@ def _gain(table: ResultTable) -> Figure | None:
 
     def marks(name: str, label: str, **look: Any) -> list[Mark]:
         rows = [r for r in table.where(product="radiance") if r.metric.startswith(f"{name}@")]
-        numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
-        columns = dict(zip(("x", "y", "low", "high"), numbers.reshape(-1, 4).T, strict=True))
+        columns = columns_of([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
         return [Mark("dots", columns, f"{label}, 95 % interval", marker="circle", **look)] if rows else []
 
     gains = marks("sensor_gain", "gain without an offset", colour=DIFFERENCE)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, by_kind, of_rows, row_names
+from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, by_kind, columns_of, of_rows, row_names
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result
 
@@ -226,8 +226,8 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
         columns = edges | {"bottom": y - _HALF, "top": y + _HALF}
         marks.append(Mark("bars", columns, "accepted range", ACCEPTED, alpha=1.0))
     known = [(y, row) for y, row in at if math.isfinite(row.effect)]
-    numbers = np.array([(row.effect, row.effect_lower, row.effect_upper, y) for y, row in known]).reshape(-1, 4).T
-    columns = dict(zip(("x", "low", "high", "y"), numbers, strict=True))
+    numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in known]
+    columns = columns_of(numbers, ("x", "low", "high", "y"))
     columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
     words = tuple(f"{row_label(row)}: {effect_text(row)}" for _, row in known)
     marks += by_kind(Mark("dots", columns, along="x", words=words), [row.outcome for _, row in known], _LOOKS)

@@ -291,6 +291,11 @@ def _extent(mark: Mark, way: Way) -> list[Array]:
     return [values for name, values in mark.numbers.items() if name in names]
 
 
+def columns_of(rows: Sequence[Sequence[float]], names: Sequence[str] = ("x", "y", "low", "high")) -> dict[str, Array]:
+    """Rows of numbers as columns."""
+    return dict(zip(names, np.array(rows, float).reshape(-1, len(names)).T, strict=True))
+
+
 def row_names(names: Sequence[str], length: int = 44) -> Axis:
     """An axis of named rows."""
     return Axis("", "names", tuple(shortened(name, length) for name in names))

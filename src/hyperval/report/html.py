@@ -134,10 +134,7 @@ PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
 
-SECTIONS = {
-    "attribution": "Why they differ",
-    "what-if": "What-ifs",
-    "sensitivity": "Sensitivity to the inputs",
+_COMPARED = {
     "radiance": "Radiance",
     "toa_reflectance": "Reflectance at the top of the atmosphere",
     "snr": "Signal-to-noise ratio",
@@ -148,6 +145,8 @@ SECTIONS = {
     "roc": "Detection and false alarms",
     "abundance": "Target area",
 }
+_REASONS = {"attribution": "Why they differ", "what-if": "What-ifs", "sensitivity": "Sensitivity to the inputs"}
+SECTIONS = _COMPARED | _REASONS
 # Gates that the model moves stand apart from checks that it does not.
 _MATRICES = (("Model and collection", (Evidence.MODEL,)), ("Checks of the pipeline", (Evidence.PIPELINE,)))
 _NUMBERS = (("Numbers", tuple(Evidence)),)  # beside the accepted ones
@@ -157,8 +156,6 @@ _GROUPS = (
     ("Computed references", (False, True)),
     ("Simulated collections", (True, False)),
 )
-_REASONS = ("attribution", "what-if", "sensitivity")
-_COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 
 def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
@@ -335,7 +332,7 @@ def _made(rows: Sequence[Result], product: str) -> list[Result]:
 def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[dict[str, Any]]:
     """Each product's part of the page: figures, what decides, what does not, what nothing was planned for."""
     sections = []
-    for name in dict.fromkeys([*_COMPARED, *_REASONS, *(row.product for row in rows)]):
+    for name in dict.fromkeys([*SECTIONS, *(row.product for row in rows)]):
         own_drawings = [d for d in drawings if d.section == name and d.name not in PICTURES]
         planned = sorted(_made(rows, name), key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
         own_charts = [chart for chart in charts if chart.section == name and chart.name != _BUDGET]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from hyperval.figures.rows import criteria_of, effect_text, outcome_words, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
@@ -27,8 +27,7 @@ _AHEAD = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class FirstScreen:
+class FirstScreen(NamedTuple):
     """What a page, a line of an index and the terminal say of a run.
 
     Attributes
