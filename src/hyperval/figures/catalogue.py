@@ -27,14 +27,12 @@ from hyperval.figures.spec import (
     Part,
     Rules,
     a_view_each,
-    by_kind,
     columns_of,
     left_out,
     measured_mark,
     of_rows,
     predicted_mark,
     robust_limits,
-    row_names,
     single,
 )
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
@@ -112,7 +110,7 @@ def a_row_each(
         for key in shown
     )
     title += left_out(len(shown), len(keys))
-    y = row_names([", ".join(key) for key in shown])
+    y = Axis.named([", ".join(key) for key in shown])
     return of_rows(name, section, title, f"{title}: {told}.", x, y, marks, legend, rules)
 
 
@@ -830,7 +828,7 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     # An input that explains nothing has nothing to say, however far it moves.
     words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
-    marks = by_kind(bars, [name in stated for name in names], _STATED)
+    marks = bars.by_kind([name in stated for name in names], _STATED)
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
     numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
@@ -838,7 +836,7 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
-    y = row_names(names, _LONGEST)
+    y = Axis.named(names, _LONGEST)
     return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
 
 
@@ -881,14 +879,14 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     at = np.nonzero(gains > 0.0)
     columns = {"x": at[1].astype(float), "y": at[0].astype(float), "size": 14.0 * np.sqrt(part[at])}
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[at])
-    marks = by_kind(Mark("dots", columns, marker="circle", words=words), part[at] >= 0.999, _GREATEST)
+    marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[at] >= 0.999, _GREATEST)
     legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
     quiet = len(asked) - len(every)
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
     legend += left_out(len(subjects), len(every), "results.csv")
     tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
     title, alt = "The same for each subject", f"For each subject the input that gains most: {tops}."
-    names = row_names(inputs, _LONGEST), row_names(subjects, _LONGEST)
+    names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
     return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
 
 
@@ -921,7 +919,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
     legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
-    ways = row_names(names, _LONGEST), row_names(quantities, 56)
+    ways = Axis.named(names, _LONGEST), Axis.named(quantities, 56)
     title = "Change by one unit of each input"
     return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
 
@@ -934,13 +932,13 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     start = Mark("dots", {"x": before, "y": at}, "as in the campaign", marker="circle", hollow=True)
     columns = {"x": after, "y": at, "low": np.minimum(before, after), "high": np.maximum(before, after)}
     end = Mark("dots", columns, along="x", words=tuple(f"{value:.3g}" for value in after), beside="right")
-    marks = [start, *by_kind(end, after < before, _CLOSER)]
+    marks = [start, *end.by_kind(after < before, _CLOSER)]
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
     each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
     alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
-    return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
+    return of_rows(name, product, title, alt, x, Axis.named(names, _LONGEST), marks, legend, (1.0,))
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, by_kind, columns_of, of_rows, row_names
+from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, of_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result
 
@@ -191,7 +191,7 @@ def _part(own: Sequence[Result], most: int) -> Part:
     folded = (replace(row, detectable_low=math.nan, detectable_high=math.nan) for row in rest)
     at = [*((float(i), row) for i, row in enumerate(own[:most])), *((float(most), row) for row in folded)]
     ideal = (("x", first.ideal),) if math.isfinite(first.ideal) else ()
-    y = replace(row_names(names), notes=tuple(notes))
+    y = replace(Axis.named(names), notes=tuple(notes))
     return Part(y, _marks(at, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
 
 
@@ -230,7 +230,7 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
     columns = columns_of(numbers, ("x", "low", "high", "y"))
     columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
     words = tuple(f"{row_label(row)}: {effect_text(row)}" for _, row in known)
-    marks += by_kind(Mark("dots", columns, along="x", words=words), [row.outcome for _, row in known], _LOOKS)
+    marks += Mark("dots", columns, along="x", words=words).by_kind([row.outcome for _, row in known], _LOOKS)
     found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
         x, y = np.array(found).T
@@ -259,5 +259,5 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
     return of_rows(
         "campaigns", "criteria", "Acceptance criteria of the model by campaign, the worst first",
         f"Share of acceptance criteria by outcome. {words}.",
-        Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(row_names(names), notes=notes), marks,
+        Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(Axis.named(names), notes=notes), marks,
     )  # fmt: skip
