@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -181,7 +180,7 @@ def sensor_metrics(sensor: Sensor, engine: suite.Engine | None = None) -> dict[s
     """
     check = SensorCheck(sensor, engine=engine)
     rows = [*_bands(check.axis), *_noise(check), *_scenarios(check)]
-    return {row.key: row for row in sorted(rows, key=attrgetter("key"))}
+    return dict(sorted({row.key: row for row in rows}.items()))
 
 
 def _item(product: str, subject: str, metric: str, value: float, **more: Any) -> Result:

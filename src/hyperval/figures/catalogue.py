@@ -98,20 +98,18 @@ def a_row_each(
     if not shown:
         return None
     marks, looks = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
-    for own, (make, marker, shift) in zip(both, looks, strict=True):
-        here = [(i + shift, key) for i, key in enumerate(shown) if key in own]
+    names, told = [", ".join(key) for key in shown], list[list[str]]([[] for _ in shown])
+    for side, own, (make, marker, shift) in zip(SIDES, both, looks, strict=True):
+        here = [(i, own[key]) for i, key in enumerate(shown) if key in own]
         if here:
-            columns = columns_of([(y, *own[key][:3]) for y, key in here], ("y", "x", "low", "high"))
-            words = tuple(f"{', '.join(key)}: {own[key][3]}" for _, key in here)
+            columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
+            words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
-    told = "; ".join(
-        f"{', '.join(key)}: "
-        + ", ".join(f"{side} {own[key][3]}" for side, own in zip(SIDES, both, strict=True) if key in own)
-        for key in shown
-    )
+        for i, entry in here:
+            told[i].append(f"{side} {entry[3]}")
     title += left_out(len(shown), len(keys))
-    y = Axis.named([", ".join(key) for key in shown])
-    return of_rows(name, section, title, f"{title}: {told}.", x, y, marks, legend, rules)
+    alt = "; ".join(f"{one}: {', '.join(words)}" for one, words in zip(names, told, strict=True))
+    return of_rows(name, section, title, f"{title}: {alt}.", x, Axis.named(names), marks, legend, rules)
 
 
 def wavelengths(axis: SpectralAxis) -> Axis:
@@ -153,13 +151,13 @@ def spectra_figure(
         for subject, (gap, _) in gaps.items() if np.isfinite(gap[keep]).any()
     ]  # fmt: skip
     alt = f"{title} against {wavelengths(axis).label.partition(' [')[0]}, a subject at a time: {names[0]} (dashed) and "
-    alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}."
-    alt += f" Subjects: {', '.join(shown)}."
+    alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}. "
+    alt += f"Subjects: {', '.join(shown)}."
     alt += f" Median absolute {below} in the windows: {'; '.join(medians)}." if medians else ""
     words = " and ".join(names) if paired else names[0] if sides[0] is not None else names[1]
     head = f"{title}: {words}{', which are identical' * identical}{'' if axis.numbered else ' (grey: absorption)'}"
-    every = {*both[0], *both[1]}
-    return Figure(product, product, head + left_out(len(shown), len(every)), alt, views, head=head, together="offered")
+    title = head + left_out(len(shown), len({*both[0], *both[1]}))
+    return Figure(product, product, title, alt, views, head=head, together="offered")
 
 
 def _difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
@@ -529,7 +527,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     return a_view_each(
         "exceedance", "scores", "False-alarm probability against the threshold",
         "Fraction of the background above each score, predicted (dashed) and measured.",
-        [key for key in both_first(predicted, measured) if key in predicted], view, "results.csv",
+        sorted(predicted, key=lambda key: key not in measured), view, "results.csv",
         legend=legend if measured else "",
     )  # fmt: skip
 

@@ -252,11 +252,15 @@ def block_maximum(values: Array, most: int) -> tuple[Array, int]:
 
 def outline_segments(mask: Mask) -> Array:
     """(S, 2, 2) pixel edges, as (sample, line) pairs, that part the mask from what is not in it."""
-    padded, edges = np.pad(np.asarray(mask, bool), 1), []
+    mask = np.asarray(mask, bool)
+    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not lines.size:
+        return np.empty((0, 2, 2))
+    padded, edges = np.pad(mask[lines[0] : lines[-1] + 1, samples[0] : samples[-1] + 1], 1), []
     for along, back in ((1, (0, 1)), (0, (1, 0))):  # neighbours beside each other differ, then those above each other
         ends = np.argwhere(np.diff(padded, axis=along))[:, ::-1]
         edges.append(np.stack([ends - back, ends], axis=1))
-    return np.concatenate(edges).astype(float)
+    return np.add(np.concatenate(edges), (samples[0], lines[0]), dtype=float)
 
 
 def _round_length(length: float) -> float:

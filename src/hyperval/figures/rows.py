@@ -13,6 +13,7 @@ import numpy as np
 from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, of_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result
+from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
 
 # Of outcomes and ranges, as in the style sheet of pages: blue, maroon and ochre, which no colour deficiency mixes up.
 MET, NOT_MET, INCONCLUSIVE, NOT_RUN, ACCEPTED = "#1f6f9f", "#7a1338", "#b07a10", "#8c959f", "#d8eaf5"
@@ -29,10 +30,8 @@ _MOST_PARTS = 5
 _HALF = 0.36  # of a row: what the accepted range fills to either side
 _P_VALUE = "p-value"  # of a test, which has no size in units of the field
 _LEAST_P = 1e-6
-_REGIONS = {
-    "vnir": "400–1000 nm", "swir1": "1000–1800 nm", "swir2": "1800–2500 nm", "absorption": "absorption bands",
-    "windows": "",
-}  # fmt: skip
+_REGIONS = {name.lower(): f"{low:g}–{high:g} nm" for name, (low, high) in SPECTRAL_REGIONS_NM.items()}
+_REGIONS["absorption"] = "absorption bands"
 _SHORT = {"%": " %", "nm": " nm", "percentage points": " pp", "difference / stated": " ×", "standard dev": " sd"}
 
 
