@@ -944,16 +944,15 @@ def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[s
 
     ``names`` : what the two sides are, where they are no prediction and collection
     """
-    made = [*(spectra_figure(sides, product, table or (), names) for product in SPECTRA), roc_figure(sides, names)]
-    return [figure for figure in made if figure is not None]
+    spectra = (spectra_figure(sides, product, table or (), names) for product in SPECTRA)
+    return list(filter(None, [*spectra, roc_figure(sides, names)]))
 
 
 def further_figures(sides: Sides, table: ResultTable, margin: float | None) -> list[Figure]:
     """What else the products and the rows of a run give, with its margin of P_D."""
-    made = [
+    return list(filter(None, [
         budget_figure(sides), *eigenvalue_figures(sides), tail_figure(sides), class_error_figure(sides),
         score_figure(sides), object_score_figure(sides), transform_figure(sides), exceedance_figure(sides),
         roc_difference_figure(sides, margin), abundance_figure(sides),
         unmixing_figure(sides, list(table.where(product="abundance"))), *reason_figures(table),
-    ]  # fmt: skip
-    return [figure for figure in made if figure is not None]
+    ]))  # fmt: skip

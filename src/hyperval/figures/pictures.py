@@ -260,7 +260,7 @@ def outline_segments(mask: Mask) -> Array:
     for along, back in ((1, (0, 1)), (0, (1, 0))):  # neighbours beside each other differ, then those above each other
         ends = np.argwhere(np.diff(padded, axis=along))[:, ::-1]
         edges.append(np.stack([ends - back, ends], axis=1))
-    return np.add(np.concatenate(edges), (samples[0], lines[0]), dtype=float)
+    return np.asarray(np.add(np.concatenate(edges), (samples[0], lines[0])), float)
 
 
 def _round_length(length: float) -> float:

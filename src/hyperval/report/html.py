@@ -9,7 +9,7 @@ import functools
 import gzip
 import hashlib
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -231,26 +231,24 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     set beside accepted numbers.
     """
     pages = {name: f"{folder}/report.html" for name, folder in folders.items()}
+
+    def link(campaign: str, rows: Sequence[Result]) -> str:
+        return f"{pages[campaign]}#{anchor(rows[0])}" if rows else pages[campaign]
+
     groups = []
     for heading, kind in _GROUPS:
         own = [r for r in runs if not r.remedy and (r.simulated, r.computed and not r.simulated) == kind]
         if not own:
             continue
         together = [row for run in own for row in run.table]
-        matrices = _matrices(
-            own[0], together, lambda r: r.campaign,
-            lambda name, cell: f"{pages[name]}#{anchor(cell[0])}" if cell else pages[name],
-        )  # fmt: skip
+        matrices = _matrices(own[0], together, lambda r: r.campaign, link)
         entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
-        screen, sentence = v.first_screen(together), ""
-        if own[0].sentence:
-            sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
-        groups.append((heading, screen, sentence, matrices, entries))
+        sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
+        groups.append((heading, v.first_screen(together), sentence if own[0].sentence else "", matrices, entries))
     remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
     absent = [(remedy, [(run, pages[run.campaign]) for run in runs if run.remedy == remedy]) for remedy in remedies]
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
-    drawn = [forest] if forest else []
-    return page("index.html.j2", drawn, forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
+    return page("index.html.j2", [forest], forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
 
 
 def strict_templates(package: str) -> jinja2.Environment:
@@ -288,12 +286,12 @@ def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
     return cast("float | None", campaign.get("equivalence_margin"))
 
 
-def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **words: Any) -> str:
+def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (), /, **words: Any) -> str:
     """One page: its template with what every page says, and the figures that it holds with the scripts that draw them.
 
     ``drawn`` : the figures, or their statements by name, where these are known already
     """
-    statements = dict(drawn) if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn}
+    statements = drawn if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn if one}
     written = f"{at:%Y-%m-%d %H:%M UTC}" if (at := stated_time()) else None
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
