@@ -21,7 +21,7 @@ from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words, rows_by
 from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
-from hyperval.metrics import Evidence, explained, plain_words
+from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.report.outputs import stated_time
@@ -134,17 +134,10 @@ PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
 
-_COMPARED = {
-    "radiance": "Radiance",
-    "toa_reflectance": "Reflectance at the top of the atmosphere",
-    "snr": "Signal-to-noise ratio",
-    "reflectance": "Reflectance",
-    "covariance": "Covariance",
-    "classification": "Classification",
-    "scores": "Detector scores",
-    "roc": "Detection and false alarms",
-    "abundance": "Target area",
-}
+# Products in the order of a page; titles that are not what a product is called in a sentence.
+_PRODUCTS = (*SPECTRA, "covariance", "classification", "scores", "roc", "abundance")
+_TITLES = {"toa_reflectance": "Reflectance at the top of the atmosphere", "roc": "Detection and false alarms"}
+_COMPARED = {name: _TITLES.get(name, product_words(name).capitalize()) for name in _PRODUCTS}
 _REASONS = {"attribution": "Why they differ", "what-if": "What-ifs", "sensitivity": "Sensitivity to the inputs"}
 SECTIONS = _COMPARED | _REASONS
 # Gates that the model moves stand apart from checks that it does not.
@@ -219,8 +212,7 @@ def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | Non
 
 
 def _link(subject: str, rows: Sequence[Result]) -> str:
-    made = [row for row in rows if row.outcome is not Outcome.SKIPPED]
-    return f"#{anchor(made[0])}" if made else "#undone" if rows else ""
+    return next((f"#{anchor(row)}" for row in rows if row.outcome is not Outcome.SKIPPED), "#undone" if rows else "")
 
 
 def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Validation") -> str:
@@ -274,7 +266,7 @@ def environment() -> jinja2.Environment:
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         about=lambda row: plain_words(row.metric, row.product),
         outcome=lambda word: OUTCOMES[Outcome(word)].word,
-        subject=_subject_text,
+        subject=functools.partial(re.sub, r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0"),  # a number beside its unit: "3 m"
         anchor=anchor,
     )
     return environment
@@ -305,11 +297,6 @@ def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]
     undone = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
     groups = rows_by(undone, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
     return {key: list(map(row_name, own)) for key, own in groups.items()}
-
-
-def _subject_text(text: str) -> str:
-    """The subject, a number kept beside its unit: "3 m"."""
-    return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", text)
 
 
 def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figure]:
