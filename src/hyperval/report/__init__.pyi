@@ -1,7 +1,7 @@
 """Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""
 
 from .html import MAX_BYTES, figures_to_folder, index_page, report_page
-from .outputs import stated_time, write_index, write_outputs
+from .outputs import write_index, write_outputs
 from .side_by_side import compare_runs
 from .verdict import (
     accepted_words,
@@ -27,7 +27,6 @@ __all__ = [
     "limits_text",
     "number_text",
     "report_page",
-    "stated_time",
     "value_text",
     "write_index",
     "write_outputs",

@@ -8,9 +8,11 @@ from __future__ import annotations
 import functools
 import gzip
 import hashlib
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
@@ -24,7 +26,6 @@ from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, st
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.report.outputs import stated_time
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
@@ -290,6 +291,13 @@ def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (),
         starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
         version=hyperval.__version__, generated=written, page_script=script(_EVERY_PAGE).decode(),
     )  # fmt: skip
+
+
+def stated_time() -> datetime | None:
+    """When SOURCE_DATE_EPOCH says that something is made; None when it is not set."""
+    text = os.environ.get("SOURCE_DATE_EPOCH", "")
+    refuse(text and not text.isdigit(), "results.date", text=text)
+    return datetime.fromtimestamp(int(text), UTC) if text else None
 
 
 def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]:

@@ -2,21 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
-from hyperval.errors import refuse
 from hyperval.run import Run, file_stems, write_joined
-
-
-def stated_time() -> datetime | None:
-    """When SOURCE_DATE_EPOCH says that something is made; None when it is not set."""
-    text = os.environ.get("SOURCE_DATE_EPOCH", "")
-    refuse(text and not text.isdigit(), "results.date", text=text)
-    return datetime.fromtimestamp(int(text), UTC) if text else None
 
 
 def write_outputs(run: Run, folder: Path) -> None:
