@@ -398,8 +398,7 @@ def all_runs(
     """
     refuse(not campaigns and not sensors, "baseline.nothing")
     given = [part for text in sensors for part in text.split(",") if part]
-    names = dict.fromkeys(n for part in given for n in (library_names() if part == ALL else (part,)))
-    chosen = {name: load_sensor(name) for name in names}
+    chosen = {n: load_sensor(n) for part in given for n in (library_names() if part == ALL else (part,))}
     jobs = jobs_of(*campaigns) if campaigns else []
     with scratch_folder("check") as scratch:
         folder = source or keep or scratch / RUNS
