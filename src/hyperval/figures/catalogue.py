@@ -11,7 +11,7 @@ from scipy.special import betaincinv
 
 from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, central, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
-from hyperval.figures.rows import MET, NOT_MET
+from hyperval.figures.rows import MET, NOT_MET, grouped
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
@@ -398,14 +398,13 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     """P_D against P_FA on a logarithmic axis, a view for each subject, a tab for each detector and unit."""
     both, drawn, _ = drawn_of(sides, "roc")
     measured: Mapping[Key, RocCurve] = both[1]
-    kinds = dict.fromkeys(key[1:] for key in drawn)
+    kinds = grouped(drawn, lambda key: key[1:])  # detector and unit
     counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in drawn}
     # Two decades past what the background can resolve are enough.
     seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
     views = []
-    for kind in kinds:
+    for own in kinds.values():
         # Of too many those with the most targets, pools of targets among them.
-        own = [key for key in drawn if key[1:] == kind]
         chosen = sorted(own, key=lambda key: -counts[key])[: MOST_CURVES // len(kinds) or 1]
         keys = [key for key in own if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
@@ -613,8 +612,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
 def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
     """Where each target stands: those of one area beside each other within a quarter of a decade."""
     places: dict[Any, float] = {}
-    for area in dict.fromkeys(nominal.values()):
-        keys = [key for key, own in nominal.items() if own == area]
+    for area, keys in grouped(nominal, nominal.__getitem__).items():
         steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,)
         places |= {key: area * 10**step for key, step in zip(keys, steps, strict=True)}
     return places

@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,7 @@ _LOOKS: dict[Outcome, dict[str, Any]] = {
         (Outcome.SKIPPED, NOT_RUN, "triangle"),
     )
 }  # fmt: skip
+T = TypeVar("T")
 _MOST_ROWS = 11
 _MOST_PARTS = 5
 _HALF = 0.36  # of a row: what the accepted range fills to either side
@@ -111,11 +112,11 @@ def criteria_of(rows: Sequence[Result]) -> list[Result]:
     ]  # fmt: skip
 
 
-def rows_by(rows: Iterable[Result], key: Callable[[Result], Any]) -> dict[Any, list[Result]]:
-    """Rows in lists by a key, as they come."""
-    groups: dict[Any, list[Result]] = {}
-    for row in rows:
-        groups.setdefault(key(row), []).append(row)
+def grouped(items: Iterable[T], key: Callable[[T], Any]) -> dict[Any, list[T]]:
+    """Items in lists by a key, as they come."""
+    groups: dict[Any, list[T]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
     return groups
 
 
@@ -144,7 +145,7 @@ def outcome_words(rows: Iterable[Result]) -> str:
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     """Criteria as effects: a plot for each product and unit, the worst first; what is alike is folded into one row."""
     every = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
-    groups = rows_by(every, lambda row: (row.product, row.effect_unit or _words(row)))
+    groups = grouped(every, lambda row: (row.product, row.effect_unit or _words(row)))
     if not groups:
         return None
     apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())

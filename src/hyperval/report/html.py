@@ -21,7 +21,7 @@ import jinja2
 import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
-from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words, rows_by
+from hyperval.figures.rows import campaigns_figure, criteria_figure, grouped, outcome_words
 from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
@@ -80,7 +80,7 @@ def matrix_of(
         return not gates, WORST_FIRST.index(v.worst(gates or item[1]))
 
     lines = []
-    for name, own in sorted(rows_by(planned, line_of).items(), key=rank):
+    for name, own in sorted(grouped(planned, line_of).items(), key=rank):
         here = ([row for row in own if row.product == product] for product in columns)
         lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in here]))
     return {"columns": [_COMPARED.get(p, p) for p in columns], "lines": lines}
@@ -124,7 +124,7 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
 
     return [
         first if not more else replace(first, subject=f"{first.subject} and {len(more)} alike")
-        for first, *more in rows_by(rows, key).values()
+        for first, *more in grouped(rows, key).values()
     ]
 
 
@@ -303,7 +303,7 @@ def stated_time() -> datetime | None:
 def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]:
     """Planned rows that were not made, those of one outcome, product and cause together with their names."""
     undone = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
-    groups = rows_by(undone, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
+    groups = grouped(undone, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
     return {key: list(map(row_name, own)) for key, own in groups.items()}
 
 
