@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from hyperval.figures.rows import criteria_of, effect_text, outcome_words, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
@@ -27,8 +27,7 @@ _AHEAD = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class FirstScreen:
+class FirstScreen(NamedTuple):
     """What a page, a line of an index and the terminal say of a run.
 
     Attributes
@@ -274,10 +273,8 @@ def last_line(rows: Iterable[Result]) -> str:
 
 def number_text(value: float, spread: float = math.nan) -> str:
     """``value`` with two digits of its ``spread``, or with four significant digits without one."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else short_text(value)
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         text = f"{value:.3g}"
     elif 0 < spread < math.inf:
@@ -309,12 +306,9 @@ def interval_text(row: Result) -> str:
 
 def limits_text(row: Result) -> str:
     """The accepted range of a row, empty when it has none."""
-    low, high = row.limit_low, row.limit_high
-    if math.isnan(low) and math.isnan(high):
-        return ""
-    if math.isnan(low):
-        return f"≤ {number_text(high)}"
-    return f"≥ {number_text(low)}" if math.isnan(high) else f"{number_text(low)} to {number_text(high)}"
+    ends = row.limit_low, row.limit_high
+    low, high = ("" if math.isnan(end) else number_text(end) for end in ends)
+    return f"{low} to {high}" if low and high else f"≥ {low}" if low else f"≤ {high}" if high else ""
 
 
 def _named(rows: Sequence[Result]) -> str:
