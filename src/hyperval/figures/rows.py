@@ -73,7 +73,7 @@ def effect_text(row: Result) -> str:
 
 
 def _sign(row: Result) -> str:
-    return "+" if row.ideal == 0.0 else ""
+    return "+" if row.ideal == 0.0 and metric_of(row.metric).low < 0.0 else ""  # a size has no side
 
 
 def short_text(value: float, sign: str = "") -> str:

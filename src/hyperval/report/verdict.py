@@ -138,6 +138,8 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     >>> failed = Result("twin", "radiance", "lawn", "", "bias_ratio", role=Role.GATE, outcome=Outcome.DISAGREES)
     >>> _steps([failed], [failed], "Check the time of overflight (+1 h explains 99 % ...), since the accepted run.")
     ['Check the time of overflight: correct it, or accept the new numbers, with its reason.']
+    >>> _steps([failed], [failed], "")
+    ['Look at what is not met by subject and band, below; attribution: {} in the campaign tries causes.']
     """
     steps = []
     criteria = [row for row in told if row.gates]
@@ -147,6 +149,9 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
         steps.append(f"{reason.partition(' (')[0]}: {mend}, with its reason.")
     elif reason.startswith("None"):
         steps.append("Look beyond the causes that were tried.")
+    elif any(row.outcome in (Outcome.DISAGREES, Outcome.ERROR) for row in criteria):
+        looked = "" if reason else "; attribution: {} in the campaign tries causes"
+        steps.append(f"Look at what is not met by subject and band, below{looked}.")
     unsure = [
         row for row in criteria if row.outcome is Outcome.UNDECIDED
         and all(map(math.isfinite, (row.effect_lower, row.effect_upper, row.accepted_low, row.accepted_high)))
@@ -194,7 +199,9 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     """What a user should take from criteria that are met beside tests of the stated uncertainty that are not."""
     tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
     met = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and row.outcome is Outcome.AGREES]
-    wide = [row for row in tests if row.cause is Cause.TOO_WIDE]
+    failed = (row for row in rows if row.outcome is Outcome.DISAGREES and not tests_the_uncertainty(row))
+    apart = {(row.product, row.subject) for row in failed}
+    wide = [row for row in tests if row.cause is Cause.TOO_WIDE and (row.product, row.subject) not in apart]
     narrow = [row for row in tests if row.cause is not Cause.TOO_WIDE]
     words = []
     if met and narrow:
