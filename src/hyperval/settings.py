@@ -1,6 +1,6 @@
 """Any entry of a configuration by its dotted path: read it, or make a copy in which it differs.
 
-A path follows the keys of the YAML file; an item of a list goes by its ``name`` (or ``subject``) or by its
+A path follows the keys of the YAML file; an item of a list goes by its ``name`` (or ``subject``, ``region``) or by its
 number from 0: ``atmosphere.aot550``, ``scene.classes.grass.gain``, ``scene.targets.yellow.subjects.0.fill.fixed``.
 """
 
@@ -17,7 +17,7 @@ from hyperval.errors import UsageError, refusal, refuse
 
 M = TypeVar("M", bound=BaseModel)
 
-_LABELS = ("name", "subject")
+_LABELS = ("name", "subject", "region")
 
 
 def setting(model: BaseModel, path: str) -> Any:

@@ -92,15 +92,15 @@ class ScenarioModel:
         what a budget is made of as exactly as what is predicted
     observe : measures the collection again with changed settings, or with a mistake in its image
         (:meth:`hyperval.observe.open.Place.mistaken`)
-    exchanges : what may stand in each other's place: a setting of :attr:`observe`, its value for each pair, and ""; of
-        a number, its value by so many steps, and a step in words
+    exchanges : what may stand in each other's place: the settings of :attr:`observe` for each pair, and ""; of a
+        number, those of so many steps, and a step in words
     looked_for : entries of the spectra that detectors look for, by their targets
     """
 
     scenarios: Sequence[Scenario]
     predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
     observe: Callable[[Mapping[str, Any], Mapping[str, Any]], Products]
-    exchanges: Mapping[str, tuple[str, Mapping[Any, Any], str]] = field(default_factory=dict)
+    exchanges: Mapping[str, tuple[Mapping[Any, Mapping[str, Any]], str]] = field(default_factory=dict)
     looked_for: Mapping[str, Any] = field(default_factory=dict)
 
     def assuming(self, scenarios: Sequence[Scenario]) -> Products:
@@ -502,7 +502,9 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     ...         raise InputError("the region 'lawn' holds no pixel")
     ...     light = replace(lawn, mean=lawn.mean + limit + mistake.get("offset", 0.0))
     ...     return PredictedProducts(world.stated.axis, radiance={"lawn": light})
-    >>> tried = {"limit": ("limit", {-1.0: 0.5, 2.0: 0.9}, "0.05"), "entry": ("limit", {"a for b": 0.7, "c": 0.9}, "")}
+    >>> limits = {-1.0: 0.5, 2.0: 0.9, "a for b": 0.7, "c": 0.9}
+    >>> each = [(z, {"limit": x}) for z, x in limits.items()]
+    >>> tried = {"limit": (dict(each[:2]), "0.05"), "entry": (dict(each[2:]), "")}
     >>> seen = PredictedProducts(world.stated.axis, radiance={"lawn": lawn})
     >>> predict = lambda scenarios, truths, budgeted: iter([seen] * len(truths))
     >>> found = causes_of(ScenarioModel([stated], predict, observe, tried), seen, [world], seen)
@@ -578,8 +580,8 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
 
     def exchanged() -> dict[Candidate, Array]:
         out = dict[Candidate, Array]()
-        for what, (key, of, step) in model.exchanges.items():
-            effects = {z: effect for z, values in of.items() if np.any(effect := mistaken({}, {key: values}))}
+        for what, (of, step) in model.exchanges.items():
+            effects = {z: effect for z, settings in of.items() if np.any(effect := mistaken({}, settings))}
             if effects:
                 sizes, labels = (tuple(effects), ()) if step else ((), tuple(effects))
                 out[Candidate(what, "scene", step, False, sizes=sizes, labels=labels)] = np.column_stack(
@@ -620,11 +622,11 @@ def attribute(
     observed: Products,
     worlds: Sequence[World],
     options: AttributionOptions,
+    accepted: Mapping[str, Sequence[str]] | None,
+    accepted_chi_square: float,
     *,
     budgeted: Products,
-    accepted: Mapping[str, Sequence[str]] | None = None,
-    accepted_chi_square: float = 0.0,
-    simulated: bool = False,
+    simulated: bool,
 ) -> list[Result]:
     """Move every input, run every what-if, say how likely each is the reason.
 

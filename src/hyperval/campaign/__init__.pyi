@@ -3,8 +3,18 @@
 from .files_needed import WRONG, Item, dry_run, overview, summary
 from .forward import predict_to_folder
 from .pictures import expected_maps, scene_content
-from .power import Power, campaign_power, power_table
-from .power_file import Injected, PowerTable, Sight, accepted_table, gate_values, own_files, write_power_table
+from .power import (
+    Injected,
+    Power,
+    PowerTable,
+    Sight,
+    accepted_table,
+    campaign_power,
+    gate_values,
+    own_files,
+    power_table,
+    write_power_table,
+)
 from .products import Collected, as_collected, collected, merged, without_circles
 from .provenance import command_without_output, package_versions, record_of, source_revision
 from .run import as_before, observe, run_campaign, validate

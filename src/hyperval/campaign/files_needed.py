@@ -11,12 +11,13 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from hyperval.campaign.products import undecided_by
 from hyperval.campaign.schema import Campaign, DayScenarios, Job, Reference, read_jobs, scenarios_of
 from hyperval.compare.judge import Gate
 from hyperval.compare.spectra import TOGETHER
-from hyperval.config import Location, load_yaml
+from hyperval.config import Location, load_yaml, twice
 from hyperval.datasets import SIMULATED, check_copy, how_to_get, resolve, set_on_request
 from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, InputError
@@ -101,9 +102,8 @@ def overview(items: Sequence[Item]) -> list[Item]:
     """
     groups: dict[tuple[str, str, str, str], list[Item]] = {}
     for item in items:
-        what, detail = item.general(item.what), item.general(item.detail)
-        if item.state in (PLANNED, PRESENT):
-            what, detail = item.general(item.campaign) if item.state == PLANNED else "", ""
+        shown = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
+        what, detail = map(item.general, shown)
         groups.setdefault((item.kind, item.state, what, detail), []).append(item)
     rows = []
     for (kind, state, what, detail), members in groups.items():
@@ -160,8 +160,6 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
         rows = (row for row in read_rows(finished, every=False) if row.campaign == campaign.name and row.gates)
         found = [(row, f"in {finished}: {row.reason}") for row in rows if row.outcome is Outcome.UNDECIDED]
     elif campaign.collection.cube is None and campaign.scenarios and any(g.gate for g in campaign.comparisons):
-        from hyperval.campaign.run import undecided_by
-
         found = [(row, f"to decide it: {words}") for row, words in undecided_by(job)]
     for row, words in found:
         state = NEVER_MET if row.never_met else INCONCLUSIVE
@@ -198,10 +196,10 @@ def _comparison(gate: Gate) -> Item:
 class Lookup:
     """Names of one file, with the lines of its entries, and those of them that do not fit."""
 
-    file: str
+    file: Path
     lines: Mapping[Location, int]
+    at: Location
     find: Resolve  # what its references lead to
-    at: Location = ()
     mistakes: list[Item] = field(default_factory=list)
 
     def add(self, location: Location, what: str) -> None:
@@ -217,9 +215,8 @@ class Lookup:
         try:
             yield
         except HypervalError as error:
-            where = f"{error.where}: " if error.where else ""
             expected = f"; expected: {error.expected}" if error.expected else ""
-            self.add(location, f"{where}{error.what}{expected}")
+            self.add(location, ": ".join(filter(None, (error.where, error.what + expected))))
 
     def one(self, location: Location, name: str, known: Sequence[str], noun: str, whose: str = "") -> None:
         """A mistake where a name is none of ``known``."""
@@ -256,8 +253,7 @@ class Lookup:
                 Sources(axis, {}, self.find).spectrum(source, name)
 
 
-@dataclass(frozen=True)
-class CollectionNames:
+class CollectionNames(NamedTuple):
     """What a collection offers by name; ``axis`` None where no cube could be opened.
 
     ``subjects`` are the populations of targets; empty where a group names what only a simulation writes.
@@ -293,23 +289,20 @@ def _scenarios(job: Job) -> list[tuple[Scenario, Lookup]]:
     ------
     UsageError : mistakes in the campaign or in the scenario files.
     """
-    out = []
-    find = partial(resolve, base=job.folder)
+    out, find = [], partial(resolve, base=job.folder)
     for i, source in enumerate(job.campaign.scenarios):
         named = source.scenario if isinstance(source, DayScenarios) else source
-        at: Location = ("scenarios", i)
-        file, lines = job.path, job.lines
+        at: tuple[Path, Mapping[Location, int], Location] = job.path, job.lines, ("scenarios", i)
         if isinstance(named, str) and named not in builtin_scenarios():
-            file, at = find(named), ()
-            lines = load_yaml(file)[1]
+            at = find(named), load_yaml(find(named))[1], ()
         for one in scenarios_of(source, find, job.folder, job.words):
-            out.append((one, Lookup(str(file), lines, partial(resolve, base=one.folder or job.folder), at)))
+            out.append((one, Lookup(*at, partial(resolve, base=one.folder or job.folder))))
     return out
 
 
 def _mistakes(job: Job, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[Item]:
     """Every name of a campaign and its scenarios that does not fit."""
-    campaign, own = job.campaign, Lookup(str(job.path), job.lines, partial(resolve, base=job.folder))
+    campaign, own = job.campaign, Lookup(job.path, job.lines, (), partial(resolve, base=job.folder))
     offered, cube = _offered(campaign, own), campaign.collection.cube
     measured = cube is not None and (cube.quantity != "radiance" or campaign.collection.empirical_line is not None)
     regions = offered.regions if measured else ()  # that the collection gives statistics of
@@ -324,12 +317,12 @@ def _mistakes(job: Job, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[It
         for kind in ("classes", "panels", "sites", "targets"):
             for at, surface in lookup.named(scenario, f"scene.{kind}.*"):
                 lookup.spectrum((*at, "spectrum"), surface.spectrum, surface.name, axis, regions)
-                spread = surface.covariance
-                if spread is not None and spread.measured is not None:
-                    lookup.measured((*at, "covariance", "measured"), spread.measured, regions)
-                if spread is not None and spread.builtin is not None and axis is not None:
-                    with lookup.within(*at, "covariance", "builtin"):
-                        builtin_class(spread.builtin, axis)
+                for place, region in lookup.named(surface, "covariance.measured", at):
+                    lookup.measured(place, region, regions)
+                for place, name in lookup.named(surface, "covariance.builtin", at):
+                    if axis is not None:
+                        with lookup.within(*place):
+                            builtin_class(name, axis)
         for at, source in lookup.named(scenario, "scene.adjacency.spectrum"):
             lookup.spectrum(at, source, "surroundings", axis, regions)
         predicted += [s.name for s in (*scene.classes, *scene.panels, *scene.sites)]
@@ -352,17 +345,15 @@ def _mistakes(job: Job, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[It
 def _offered(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     """What the collection offers, once everything that the campaign names of it was looked up."""
     collection, detection, cube = campaign.collection, campaign.detection, campaign.collection.cube
+    offered = CollectionNames(regions=tuple(s.subject for s in collection.spectra))
     if collection.radcalnet is not None:
         with lookup.within("collection", "radcalnet"):
             seen = observe_radcalnet(collection.radcalnet, lookup.find)
             return CollectionNames(seen.axis, tuple(seen.toa_reflectance))
-        return CollectionNames()
-    if collection.spectra:
-        offered = CollectionNames(regions=tuple(s.subject for s in collection.spectra))
-    else:
+    elif cube is not None:
         offered = (_simulated if collection.simulate else _opened)(campaign, lookup)
-        if offered.axis is None:
-            return offered
+    if not collection.spectra and offered.axis is None:
+        return offered
     known: dict[str, Sequence[str]] = {"region": offered.regions, "set of pixels": (SCENE, IMAGE, *offered.regions)}
     if detection is not None:
         known["detection target"] = [target.name for target in detection.targets]
@@ -404,15 +395,14 @@ def _opened(campaign: Campaign, lookup: Lookup) -> CollectionNames:
     rules = [str(r.name) for r in collection.regions if r.normalized_difference is not None]
     names: list[str] = []
     for i, source in enumerate(collection.regions):
-        part = source.half or source.ring
-        if part is not None:
-            key = "half" if source.half else "ring"
-            lookup.one(("collection", "regions", i, key, "of"), part.of, [*names, *rules], "region ")
+        at = "collection", "regions", i
+        if part := source.half or source.ring:
+            lookup.one((*at, "half" if source.half else "ring", "of"), part.of, [*names, *rules], "region ")
             names.append(str(source.name))
         elif source.normalized_difference is None:
-            with lookup.within("collection", "regions", i):
+            with lookup.within(*at):
                 names += getattr(opened(regions=[source]), "regions", ())
-    for name in sorted({n for n in names if names.count(n) > 1}):
+    for name in twice(names):
         lookup.add(("collection", "regions"), f"two regions are named {name!r}")
     if collection.targets is not None:
         with lookup.within("collection", "targets"):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Mapping
+from itertools import product
 
 import numpy as np
 
@@ -31,19 +32,15 @@ def expected_maps(place: Place, detection: Detection, expected: Expected) -> dic
     ----------
     expected : (what lies there, target, detector) -> score [1]
     """
-    if not expected:
-        return {}
     numbers, contents = scene_content(place, detection, {subject for subject, _, _ in expected})
     out = {}
-    for target in detection.targets:
-        for detector in detection.detectors:
-            scores = np.full(len(contents) + 1, np.nan, np.float32)
-            for i, content in enumerate(contents):
-                names = [content.get(target.name), *content.values()]
-                keys = [(name, target.name, detector) for name in names if name is not None]
-                scores[i] = next((expected[key] for key in keys if key in expected), np.nan)
-            if np.isfinite(scores).any():
-                out[map_name(target.name, detector)] = ExpectedScores(numbers, scores)
+    for target, detector in product(detection.targets, detection.detectors):
+        scores = np.full(len(contents) + 1, np.nan, np.float32)
+        for i, content in enumerate(contents):
+            keys = [(name, target.name, detector) for name in (content.get(target.name, ""), *content.values())]
+            scores[i] = next((expected[key] for key in keys if key in expected), np.nan)
+        if np.isfinite(scores).any():
+            out[map_name(target.name, detector)] = ExpectedScores(numbers, scores)
     return out
 
 
@@ -67,8 +64,7 @@ def scene_content(
                 kinds.setdefault(one.name, {})[target.name] = subject
     of_targets = np.zeros(numbers.shape, bool)
     for one in (target for target in place.targets if target.name in kinds):
-        if kinds[one.name] not in contents:
-            contents.append(kinds[one.name])
+        contents += [kinds[one.name]] if kinds[one.name] not in contents else []
         own = scored_part(one, place)
         shared = of_targets[own.window][own.part]
         numbers[own.window][own.part] = np.where(shared, -1, contents.index(kinds[one.name]))
@@ -94,7 +90,7 @@ def score_maps(
     if observed.detected is None or observed.place is None or detection is None:
         return {}
     cube, size = observed.place.cube, observed.place.pixel_area_m2
-    maps = expected_maps(observed.place, detection, prediction.expected_scores if prediction else {})
+    maps = expected_maps(observed.place, detection, prediction.expected_scores) if prediction else {}
     said = {(r.subject, r.method): r.reason for r in rows if r.metric == "pfa_ratio_without@1e-2"}
     carried = {}
     for key, law in prediction.exceedance.items() if prediction else ():
@@ -146,12 +142,10 @@ def quicklook(observed: Observed) -> Quicklook | None:
     colours = np.empty(picture.shape, np.uint8)
     for row, values in zip(colours, picture, strict=True):  # the whole picture in float64 would be the run's peak
         row[:] = np.rint(255.0 * np.clip(np.nan_to_num((values - offset) / gain) / high, 0.0, 1.0) ** GAMMA)
-    size = observed.place.pixel_area_m2
-    shown_regions = [n for n in observed.place.regions if n not in observed.place.by_rule]
-    number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members
-    outlines = {name: members[name][number] for name in shown_regions}
+    number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members.items()
+    outlines = {name: own[number] for name, own in members if name not in observed.place.by_rule}
     if observed.place.targets:
         outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
-    return Quicklook(
-        colours, outlines, tuple(float(centre[b]) for b in bands), step * float(np.sqrt(size)) if size else None
-    )
+    size = observed.place.pixel_area_m2
+    side_m = step * float(np.sqrt(size)) if size else None
+    return Quicklook(colours, outlines, tuple(float(centre[b]) for b in bands), side_m)

@@ -1,27 +1,29 @@
-"""Power of campaigns: each standard error is injected into the model; which acceptance criteria detect it."""
+"""The power table of a campaign: which standard errors, injected one at a time, its comparisons detect; as a file."""
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import yaml
+from pydantic import Field
 
 import hyperval
 from hyperval import attribute
-from hyperval.campaign import power_file
-from hyperval.campaign.power_file import Injected, PowerTable, Reasons
-from hyperval.campaign.products import collected, predicted_side
-from hyperval.campaign.run import outcomes, scenario_model, worlds_of
+from hyperval.campaign.products import asked_again, collected, outcomes, predicted_side
 from hyperval.campaign.schema import Job, jobs_of
-from hyperval.errors import MissingDataError
+from hyperval.config import Model, load_model
+from hyperval.errors import MissingDataError, UsageError, refuse
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.metrics import DIGITS, Evidence
+from hyperval.metrics import DIGITS, Evidence, default_tolerance, plain_words
 from hyperval.model import Truth, predict
 from hyperval.products import PredictedProducts
 from hyperval.progress import bars, track
@@ -29,7 +31,182 @@ from hyperval.results import Outcome, Result, ResultTable, paired
 from hyperval.run import csv_text
 from hyperval.storage import POWER, whole_folder, write_text
 
+ACCEPTED = Path("validation/power")
+_MOST_NAMED = 4
 SEED, WORLDS = 34, 20  # worlds for each kind of cause
+
+
+class Sight(StrEnum):
+    """How far a campaign sees an error."""
+
+    GATES = "criteria"
+    INFORMING = "informational comparisons"
+    UNSEEN = "undetected"
+    NOT_APPLICABLE = "not applicable"
+
+
+class Injected(Model):
+    """What one injected error turns to "disagrees"; of rows that disagree without it nothing is said."""
+
+    gates: tuple[str, ...] = Field((), description='criteria that detect it: "product | subject | method | metric"')
+    informing: dict[str, int] = Field({}, description="informational rows that detect it, by product")
+    not_applicable: str | None = Field(None, description="why it cannot be injected")
+    reason: str = Field("", description="what the attribution concludes with it, compared with the unperturbed run")
+
+    @property
+    def sight(self) -> Sight:
+        """How far it is seen."""
+        if self.not_applicable is not None:
+            return Sight.NOT_APPLICABLE
+        return Sight.GATES if self.gates else Sight.INFORMING if self.informing else Sight.UNSEEN
+
+    @property
+    def words(self) -> str:
+        """How far it is seen, with numbers."""
+        rows, criteria = sum(self.informing.values()), len(self.gates)
+        parts = [f"{criteria} {'criterion' if criteria == 1 else 'criteria'}"] if criteria else []
+        parts += [f"{rows} informational comparison{'' if rows == 1 else 's'}"] if rows else []
+        return ", ".join(parts) or self.sight
+
+    @property
+    def which(self) -> str:
+        """What sees it, some by name; or why it cannot be injected.
+
+        >>> Injected(gates=("radiance | lawn | sixs | p_value_shape",)).which
+        'shape of the radiance, lawn'
+        """
+        if self.not_applicable is not None:
+            return self.not_applicable
+        if not self.gates:
+            return ", ".join(f"{product} {n}" for product, n in self.informing.items())
+        more = len(self.gates) - _MOST_NAMED
+        words = list(self.gates[:_MOST_NAMED])
+        with suppress(UsageError):  # a metric of another version
+            words = [f"{plain_words(m, product)}, {of}" for product, of, *_, m in (w.split(" | ") for w in words)]
+        return "; ".join(words) + (f"; and {more} more" if more > 0 else "")
+
+
+class Reasons(Model):
+    """What the attribution says where it is known what is wrong: of worlds drawn within the stated uncertainty."""
+
+    first: str = Field(description="first cause without an injected error")
+    worlds: int = Field(ge=1)
+    named: dict[str, dict[str, int]] = Field(description="kind of error -> first cause named, how often")
+    grouped: dict[str, int] = Field(description="kind of error -> how often it was first, or in one group with it")
+    wrong_enough: float = Field(description="share of all errors for which a wrong cause was called sufficient")
+    calibration: list[tuple[float, float, int]] = Field(
+        description="stated probability of a cause, share that was right, worlds"
+    )
+    reduced_chi_square: float = Field(0.0, ge=0, description="of all residuals, unperturbed")
+    sides: dict[str, tuple[str, str, str]] = Field(description="unperturbed: bands, observed, predicted; by quantity")
+
+    @property
+    def lines(self) -> list[str]:
+        """ "of 40 errors of sensor gain 31 are named first, 36 are in the first group; 5 are called sunlight" """
+        out = []
+        for kind, counts in self.named.items():
+            total, right = sum(counts.values()), counts.get(kind, 0)
+            others = sorted(((n, name) for name, n in counts.items() if name != kind), reverse=True)[:2]
+            words = f"of {total} errors of {kind} {right} are named first, {self.grouped.get(kind, 0)} are in its group"
+            out.append("; ".join([words, *(f"{n} are called {name}" for n, name in others)]))
+        parts = [f"{100 * p:.0f} % was correct in {100 * share:.0f} % of {n}" for p, share, n in self.calibration]
+        out.append(f"Stated probabilities of a cause: {'; '.join(parts)}.")
+        out.append(f"Wrong but called sufficient: {100 * self.wrong_enough:.1f} %.")
+        return out
+
+
+class PowerTable(Model):
+    """The power table of one campaign."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    campaign: str
+    version: str = Field(description="of hyperval, which computed it")
+    files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
+    gates: int = Field(ge=0, description="criteria met without an injected error")
+    disagreeing: int = Field(ge=0, description="criteria not met without an injected error, which cannot detect any")
+    stated: dict[str, float] = Field({}, description="criterion of the model -> its value without an injected error")
+    errors: dict[str, Injected] = Field(min_length=1)
+    reasons: Reasons | None = None
+
+    def changed_files(self, inputs: Iterable[Mapping[str, Any]]) -> list[str]:
+        """The campaign's own files that are not, or not any more, as they were when the table was computed.
+
+        ``inputs`` : with ``reference`` and ``sha256``, as provenance has them.
+        """
+        now = own_files(inputs)
+        return sorted(name for name in {*now, *self.files} if now.get(name) != self.files.get(name))
+
+    def moved_gates(self, rows: Iterable[Result]) -> list[str]:
+        """Gates of the model that have another value in a run than they had when the table was computed."""
+        now, out = gate_values(rows), []
+        for name in dict.fromkeys((*self.stated, *now)):
+            before, value = self.stated.get(name, math.nan), now.get(name, math.nan)
+            # A number that one of both lacks is none within the tolerance.
+            if not abs(value - before) <= default_tolerance(name.split(" | ")[3]).width(before):
+                out.append(name)
+        return out
+
+    def stale(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> str:
+        """Why the table is not of a run of these inputs and rows; empty where it is."""
+        if changed := self.changed_files(inputs):
+            return f"The table is older than {', '.join(changed)}: run hyperval power again."
+        moved = self.moved_gates(rows)
+        outdated = f"The table is outdated: {len(moved)} of its criteria had different values ({', '.join(moved[:1])})."
+        return f"{outdated} Run hyperval power again." if moved else ""
+
+    @property
+    def sentence(self) -> str:
+        """What a reader has to know before all."""
+        by = {sight: [name for name, one in self.errors.items() if one.sight is sight] for sight in Sight}
+        injected = len(self.errors) - len(by[Sight.NOT_APPLICABLE])
+        parts = [f"The criteria detect {len(by[Sight.GATES])} of {injected} injected model errors."]
+        told = {Sight.INFORMING: "Informational comparisons alone detect"}
+        parts += [
+            f"{told.get(s, s.capitalize())}: {', '.join(by[s])}." for s in Sight if s is not Sight.GATES and by[s]
+        ]
+        if self.disagreeing:
+            some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
+            parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")
+        return " ".join(parts)
+
+
+def gate_values(rows: Iterable[Result]) -> dict[str, float]:
+    """Gate of the model -> its value, as a power table keeps it; without those that have none."""
+    gates = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and math.isfinite(row.value)]
+    return {row.key: float(f"{row.value:.{DIGITS}g}") for row in gates}
+
+
+def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
+    digests = {str(item["reference"]): str(item["sha256"]) for item in inputs}
+    return {name: digest for name, digest in digests.items() if ":" not in name and name.endswith((".yaml", ".yml"))}
+
+
+def accepted_table(name: str, folder: Path) -> PowerTable | None:
+    """The accepted power table of a campaign, None where there is none.
+
+    It is looked for in validation/power of its own folder and of those above it, of the working folder, and of the
+    checkout that the program runs from: a copy elsewhere is told what changed since.
+
+    Raises
+    ------
+    UsageError : mistakes in the file, or a table of another campaign.
+    """
+    roots = (folder, *folder.resolve().parents, Path(), Path(hyperval.__file__).parents[2])
+    path = next((p for p in (root / ACCEPTED / f"{name}.yaml" for root in roots) if p.is_file()), None)
+    if path is None:
+        return None
+    table = load_model(PowerTable, path)
+    refuse(table.campaign != name, "power.other", str(path), campaign=table.campaign, name=name)
+    return table
+
+
+def write_power_table(path: Path, table: PowerTable) -> None:
+    """Write one table as YAML."""
+    data = table.model_dump(mode="json", by_alias=True, exclude_defaults=True)
+    head = f"# Errors injected into the model of campaign {table.campaign}, and the criteria that detect them.\n"
+    head += "# `hyperval power CAMPAIGN.yaml --accept` renews it.\n"
+    write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))
 
 
 @dataclass(frozen=True)
@@ -53,11 +230,10 @@ class Power:
         """Errors that are seen by gates, by other rows or not at all where the accepted table says otherwise."""
         if self.table is None or self.accepted is None:
             return []
-        now = {name: str(injected.sight) for name, injected in self.table.errors.items()}
-        before = {name: str(injected.sight) for name, injected in self.accepted.errors.items()}
-        names = dict.fromkeys((*now, *before))
-        pairs = [(n, now.get(n, "not in the table"), before.get(n, "not in the table")) for n in names]
-        return [f"{name}: {sight}, accepted: {accepted}" for name, sight, accepted in pairs if sight != accepted]
+        now, before = ({n: str(one.sight) for n, one in t.errors.items()} for t in (self.table, self.accepted))
+        names = [name for name in dict.fromkeys((*now, *before)) if now.get(name) != before.get(name)]
+        lacks = "not in the table"
+        return [f"{name}: {now.get(name, lacks)}, accepted: {before.get(name, lacks)}" for name in names]
 
 
 def campaign_power(
@@ -78,12 +254,10 @@ def campaign_power(
     jobs = jobs_of(*paths)
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         with workers(worker_count(len(jobs))) as where:
-            results = in_order(where, partial(_power, own=own), jobs)
-            tables = list(track(results, "campaigns", len(jobs)))
-        for place in (*([folder] if folder is not None else []), *([power_file.ACCEPTED] if accept else [])):
-            for item in tables:
-                if item.table is not None:
-                    power_file.write_power_table(place / f"{item.campaign}.yaml", item.table)
+            tables = list(track(in_order(where, partial(_power, own=own), jobs), "campaigns", len(jobs)))
+        for place in filter(None, (folder, ACCEPTED if accept else None)):
+            for table in (item.table for item in tables if item.table is not None):
+                write_power_table(place / f"{table.campaign}.yaml", table)
         if folder is not None:
             write_text(folder / "power.csv", _csv(tables))
     return tables
@@ -91,13 +265,11 @@ def campaign_power(
 
 @bars(False)
 def _power(job: Job, own: Path | None) -> Power:
-    errors = attribute.errors_of_file(own) if own is not None else attribute.injected_errors()
-    name = job.outline.name
+    errors, name = attribute.errors_of_file(own) if own else attribute.injected_errors(), job.outline.name
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table = power_table(job, errors)
-        return Power(name, table, accepted=power_file.accepted_table(name, job.folder))
+        return Power(name, power_table(job, errors), accepted=accepted_table(name, job.folder))
     except MissingDataError as error:
         return Power(name, skipped=str(error))
 
@@ -111,24 +283,22 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
     HypervalError : anything else that the user can mend.
     """
     with collected(job) as here:
-        scenarios = here.scenarios
-        origins = [here.origins(scenario) for scenario in scenarios]
-        stated = [predict(s, o, objects=True) for s, o in zip(scenarios, origins, strict=True)]
+        origins = [here.origins(scenario) for scenario in here.scenarios]
+        stated = [predict(s, o, objects=True) for s, o in zip(here.scenarios, origins, strict=True)]
 
         def injected(error: attribute.Family) -> Injected:
             """What it turns, and what the attribution says of it when it came to what is measured.
 
             Of a scenario that has nothing of the kind the prediction stays.
             """
-            sides: list[tuple[PredictedProducts, Truth]] = []
+            sides: list[tuple[PredictedProducts, Truth]] = [(plain, {}) for plain in stated]
             refused = []
-            for scenario, plain, own in zip(scenarios, stated, origins, strict=True):
+            for i, (scenario, own) in enumerate(zip(here.scenarios, origins, strict=True)):
                 try:
-                    sides.append(attribute.injected_prediction(scenario, error, own, objects=True))
+                    sides[i] = attribute.injected_prediction(scenario, error, own, objects=True)
                 except attribute.NotInjectable as why:
-                    sides.append((plain, {}))
                     refused.append(why.what)
-            if len(refused) == len(scenarios):
+            if len(refused) == len(sides):
                 return Injected(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
             found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
@@ -139,48 +309,36 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
 
         prediction = predicted_side(here, stated)
         before = outcomes(here, prediction)
-        causes = attribute.causes_of(scenario_model(here), here.observed.observation, worlds_of(here), prediction)
+        causes = attribute.causes_of(*asked_again(here), prediction)
         rows = {name: injected(error) for name, error in track(errors.items(), "injected errors", len(errors))}
-        gates = [row for row in before if row.gates and row.evidence is Evidence.MODEL]
-        disagreeing = sum(row.outcome is Outcome.DISAGREES for row in gates)
+        are_met = [r.outcome is not Outcome.DISAGREES for r in before if r.gates and r.evidence is Evidence.MODEL]
+        files, values, reasons = own_files(here.inputs.entries()), gate_values(before), _calibrated(causes)
         return PowerTable(
-            schema=1,
-            campaign=job.campaign.name,
-            version=hyperval.__version__,
-            files=power_file.own_files(here.inputs.entries()),
-            gates=len(gates) - disagreeing,
-            disagreeing=disagreeing,
-            stated=power_file.gate_values(before),
-            errors=rows,
-            reasons=_calibrated(causes),
-        )
+            schema=1, campaign=job.campaign.name, version=hyperval.__version__, files=files, gates=sum(are_met),
+            disagreeing=len(are_met) - sum(are_met), stated=values, errors=rows, reasons=reasons,
+        )  # fmt: skip
 
 
 def _calibrated(causes: attribute.Causes) -> Reasons:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
-    named: dict[str, Counter[str]] = {}
-    grouped: Counter[str] = Counter()
-    stated, wrong, worlds = list[tuple[float, bool]](), 0, 0
+    named, grouped = dict[str, Counter[str]](), Counter[str]()
+    stated, wrong = list[tuple[float, bool]](), list[bool]()
     for kind, found in causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS):
-        first, group = attribute.kind_of(found.first), {attribute.kind_of(name) for name in (found.first, *found.alike)}
+        first, *group = (attribute.kind_of(name) for name in (found.first, *found.alike))
+        is_named = kind in (first, *group)
         named.setdefault(kind, Counter())[first] += 1
-        grouped[kind] += kind in group
-        worlds += 1
-        wrong += found.enough and kind not in group
+        grouped[kind] += is_named
+        wrong.append(found.enough and not is_named)
         if first != attribute.NOTHING:  # that chance explains a small error is no mistake
             stated.append((found.probability[found.first], first == kind))
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
+    calibration = [(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own]
     standing = causes.standing()[1]
+    chi_square = float(f"{standing.chi_square / standing.dof:.{DIGITS}g}")
     return Reasons(
-        first=standing.first,
-        reduced_chi_square=float(f"{standing.chi_square / standing.dof:.{DIGITS}g}"),
-        worlds=worlds,
-        named={kind: dict(counts) for kind, counts in named.items()},
-        grouped=dict(grouped),
-        wrong_enough=round(wrong / worlds, 4),
-        calibration=[(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own],
-        sides=causes.sides(),
-    )
+        first=standing.first, reduced_chi_square=chi_square, worlds=len(wrong), named=named, grouped=grouped,
+        wrong_enough=round(sum(wrong) / len(wrong), 4), calibration=calibration, sides=causes.sides(),
+    )  # fmt: skip
 
 
 def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
@@ -191,11 +349,10 @@ def turned(before: Iterable[Result], after: Iterable[Result]) -> Injected:
     return Injected(gates=gates, informing=dict(Counter(row.product for row in new if not row.gates)))
 
 
-def _csv(table: Sequence[Power]) -> str:
+def _csv(tables: Sequence[Power]) -> str:
     lines: list[list[Any]] = [["campaign", "error", "seen_by", "gates", "rows_that_do_not_decide", "which"]]
-    for item in table:
-        for name, injected in item.table.errors.items() if item.table else ():
-            which = injected.not_applicable or "; ".join(injected.gates)
-            rows = sum(injected.informing.values())
-            lines.append([item.campaign, name, str(injected.sight), len(injected.gates), rows, which])
+    for item in tables:
+        for name, one in item.table.errors.items() if item.table else ():
+            which = one.not_applicable or "; ".join(one.gates)
+            lines.append([item.campaign, name, one.sight, len(one.gates), sum(one.informing.values()), which])
     return csv_text(lines)

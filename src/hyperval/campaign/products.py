@@ -4,13 +4,14 @@ What header, map and truth of the collection say, held against what the scenario
 
 The collection of a campaign: its files resolved, simulated where it is, and observed once.
 
-The predictions of a campaign's scenarios as the one side of its comparison.
+The predictions of a campaign's scenarios as the one side of its comparison, both sides compared, and either asked again
+with something else in it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
@@ -20,26 +21,28 @@ import numpy as np
 from rasterio.crs import CRS
 from rasterio.warp import transform as reproject
 
+from hyperval import model, observe
 from hyperval.atmosphere.solar import parse_utc
+from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
+from hyperval.compare import compare_products, judged, told_apart, would_decide
 from hyperval.config import twice
-from hyperval.data import Mask
+from hyperval.data import NUMERICAL_DETECTORS, Mask
 from hyperval.datasets import InputLog
-from hyperval.errors import needed, one_of, refusal, refuse
+from hyperval.errors import needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
-from hyperval.model import Origins, Read, Truth, pixels_of_object, predicted_areas, predicted_classification
 from hyperval.model.fill import touched_counts
-from hyperval.observe import Observed, Place, RegionLaws, class_sets, fills_of, map_name, scored_part, target_groups
-from hyperval.observe import observe as observe_collection
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
-from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts
+from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
+from hyperval.progress import bars
+from hyperval.results import Outcome, Result
 from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
 
 
-def as_collected(scenario: Scenario, place: Place | None, detection: Detection | None) -> Scenario:
+def as_collected(scenario: Scenario, place: observe.Place | None, detection: Detection | None) -> Scenario:
     """The scenario with what it leaves to the collection; as it is where everything is stated.
 
     ``scene.fractions: measured``: a class counts the pixels of the region of its name, else of the one that its
@@ -54,11 +57,11 @@ def as_collected(scenario: Scenario, place: Place | None, detection: Detection |
     told: dict[str, Any] = {}
     if scenario.scene.fractions != "stated":
         place = needed(place, "fractions.image", name=scenario.name)
-        counts = [int(np.count_nonzero(place.pixels_of(_region_of(c, place)))) for c in scenario.scene.classes]
-        refuse(not any(counts), "fractions.none", name=scenario.name)
-        told = {f"scene.classes.{i}.fraction": n / sum(counts) for i, n in enumerate(counts)}
+        counts = {c.name: int(place.pixels_of(_region_of(c, place)).sum()) for c in scenario.scene.classes}
+        refuse(not any(counts.values()), "fractions.none", name=scenario.name)
+        told = {f"scene.classes.[{name}].fraction": n / sum(counts.values()) for name, n in counts.items()}
     asked = {path: name for path, name, fill in _fills(scenario) if fill is not None and fill.truth is not None}
-    known = fills_of(_members(place, detection)) if asked else {}
+    known = observe.fills_of(_members(place, detection)) if asked else {}
     for path, name in asked.items():
         there = one_of(known, "targets from a finer image or from abundances")
         refuse(name not in known, "fractions.fill", name=name, there=there)
@@ -66,28 +69,27 @@ def as_collected(scenario: Scenario, place: Place | None, detection: Detection |
     return with_settings(scenario, told) if told else scenario
 
 
-def _region_of(surface: BackgroundClass, place: Place) -> str:
+def _region_of(surface: BackgroundClass, place: observe.Place) -> str:
     spread = surface.covariance.measured if surface.covariance is not None else None
-    for name in (surface.name, surface.spectrum.measured, spread):
-        if name is not None and name in place.regions:
-            return name
-    raise refusal("fractions.region", name=surface.name, regions=one_of(place.regions, "a region of its name"))
+    names = (name for name in (surface.name, surface.spectrum.measured, spread) if name in place.regions)
+    regions = one_of(place.regions, "a region of its name")
+    return str(needed(next(names, None), "fractions.region", name=surface.name, regions=regions))
 
 
 def _fills(scenario: Scenario) -> Iterator[tuple[str, str, Fill | None]]:
     """Path, subject and fill of each population of targets."""
-    for i, item in enumerate(scenario.scene.targets):
-        yield f"scene.targets.{i}.fill", item.name, item.fill
-        for k, subject in enumerate(item.subjects):
-            yield f"scene.targets.{i}.subjects.{k}.fill", subject.name, subject.fill
+    for item in scenario.scene.targets:
+        path = f"scene.targets.[{item.name}]"
+        yield f"{path}.fill", item.name, item.fill
+        yield from ((f"{path}.subjects.[{own.name}].fill", own.name, own.fill) for own in item.subjects)
 
 
-def _members(place: Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
+def _members(place: observe.Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
     """The objects of the truth by the subject that they are counted with."""
     groups: dict[str, list[TargetObject]] = {}
     if place is not None and detection is not None:
         for target in detection.targets:
-            groups |= target_groups(place.targets, target, detection.group)
+            groups |= observe.target_groups(place.targets, target, detection.group)
     return groups
 
 
@@ -100,7 +102,7 @@ MAX_PIXEL_RATIO = 1.5
 MAX_LENGTH_RATIO = 1.05
 
 
-def doubts(place: Place | None, detection: Detection | None, scenarios: Sequence[Scenario]) -> Iterator[str]:
+def doubts(place: observe.Place | None, detection: Detection | None, scenarios: Sequence[Scenario]) -> Iterator[str]:
     """Warnings where cube and truth say otherwise than a scenario: of time, place and sun, and of its targets.
 
     A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
@@ -130,27 +132,25 @@ def doubts(place: Place | None, detection: Detection | None, scenarios: Sequence
                     yield f"warning: {population.name!r} of {named}: {differences}"
 
 
-def centre_of(place: Place) -> tuple[float, float] | None:
+def centre_of(place: observe.Place) -> tuple[float, float] | None:
     """Latitude and longitude of the middle of the cube [degrees], by its map or its table; None without."""
     raster, table = place.cube.raster, place.table
     crs = table.crs if table is not None else raster.crs
-    if crs is None:
+    of_map = raster.transform and raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
+    middle = table.middle if table is not None else of_map
+    if crs is None or middle is None:
         return None
-    if table is not None:
-        x, y = table.middle
-    elif raster.transform is None:
-        return None
-    else:
-        x, y = raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
-    longitude, latitude = reproject(crs, CRS.from_epsg(4326), [x], [y])[:2]
-    return (latitude[0], longitude[0]) if math.isfinite(latitude[0]) and math.isfinite(longitude[0]) else None
+    longitude, latitude = (x[0] for x in reproject(crs, CRS.from_epsg(4326), *([x] for x in middle))[:2])
+    return (latitude, longitude) if math.isfinite(latitude) and math.isfinite(longitude) else None
 
 
-def _differences(place: Place, fill: Fill, geometry: Geometry, members: Sequence[TargetObject]) -> Iterator[str]:
+def _differences(
+    place: observe.Place, fill: Fill, geometry: Geometry, members: Sequence[TargetObject]
+) -> Iterator[str]:
     """How a scenario's objects differ from those of the truth, in pixels on average over their places on the grid."""
     is_touched = geometry.pixels == "touched"
-    stated = float(np.mean(touched_counts(geometry)) if is_touched else pixels_of_object(fill))
-    counted = float(np.mean([np.count_nonzero(scored_part(o, place).part) for o in members]))
+    stated = float(np.mean(touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
+    counted = float(np.mean([np.count_nonzero(observe.scored_part(o, place).part) for o in members]))
     if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
         yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"
     if place.pixel_area_m2 is not None:
@@ -173,29 +173,29 @@ class Collected:
     campaign: Campaign
     inputs: InputLog
     scenarios: Sequence[Scenario]
-    observed: Observed
+    observed: observe.Observed
     seed: int | None
-    read: Read = field(default_factory=dict)  # what scenarios read is kept here
+    read: model.Read = field(default_factory=dict)  # what scenarios read is kept here
 
-    def origins(self, scenario: Scenario) -> Origins:
+    def origins(self, scenario: Scenario) -> model.Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
         observed = self.observed
-        return Origins(
+        return model.Origins(
             observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
             left_out=lambda: self._laws.left_out(scenario), read=self.read,
         )  # fmt: skip
 
     @cached_property
-    def _laws(self) -> RegionLaws:
-        return RegionLaws(self.observed)
+    def _laws(self) -> observe.RegionLaws:
+        return observe.RegionLaws(self.observed)
 
     def with_shared_pixels(self, key: tuple[str, str], law: ExceedanceCurve) -> ExceedanceCurve:
         """A predicted curve of (target, detector) with what its law shares with the false alarms that are counted."""
         detected, place, detection = self.observed.detected, self.observed.place, self.campaign.detection
         if not law.left_out or detected is None or place is None or detection is None:
             return law
-        scores = detected.score_maps[map_name(*key)]
+        scores = detected.score_maps[observe.map_name(*key)]
         counted = place.pixels_of(*detection.false_alarms) & np.isfinite(scores)
         number, first = np.full(scores.shape, -1), 0
         for region, without in law.left_out.items():
@@ -211,7 +211,7 @@ class Collected:
 def collected(
     job: Job, *, question: Callable[[Sequence[Scenario], InputLog], Campaign] | None = None
 ) -> Iterator[Collected]:
-    """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
+    """model.Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def collected(
             inputs.simulated, seed = scratch, scene.seed
         if question is not None:
             campaign = question(scenarios, inputs)
-        observed = observe_collection(
+        observed = observe.observe(
             campaign.collection, campaign.detection, inputs.resolve, classification=campaign.classification
         )
         if observed.place is not None:
@@ -246,7 +246,7 @@ def collected(
 
 
 def predicted_side(
-    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[Truth] | None = None
+    side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[model.Truth] | None = None
 ) -> PredictedProducts:
     """What is compared: the predictions, and those that need to know how the campaign looks at its collection.
 
@@ -264,12 +264,14 @@ def predicted_side(
         truths = truths or [{} for _ in side.scenarios]
         for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
             own = scenario, side.origins(scenario), truth, prediction
-            areas |= predicted_areas(*own, *known, draws=how.draws, seed=how.seed)
+            areas |= model.predicted_areas(*own, *known, draws=how.draws, seed=how.seed)
     whole = joined(side, side.scenarios, predictions)
     errors = whole.classification
     if task is not None:
         quantity = str(observed.observation.provenance.get("quantity", "radiance"))
-        errors = predicted_classification(merged(predictions), class_sets(task), task.features, quantity, task.seed)
+        errors = model.predicted_classification(
+            merged(predictions), observe.class_sets(task), task.features, quantity, task.seed
+        )
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
     return replace(whole, classification=errors, exceedance=shared, abundance=areas)
 
@@ -298,20 +300,17 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
     if not rest:
         return first
     parts: dict[str, Any] = {}
-    for name in (f.name for f in fields(PredictedProducts) if f.name != "provenance"):
-        values = [getattr(p, name) for p in predictions]
-        if not isinstance(values[0], Mapping):
-            continue
-        double = twice(str(key) for value in values for key in value)
-        refuse(double, "scenarios.twice", name=name, keys=double)
-        parts[name] = {key: item for value in values for key, item in value.items()}
+    for name in (f.name for f in fields(first) if isinstance(getattr(first, f.name), Mapping)):
+        parts[name] = {key: item for p in predictions for key, item in getattr(p, name).items()}
+        double = twice(str(key) for p in predictions for key in getattr(p, name))
+        refuse(double and name != "provenance", "scenarios.twice", name=name, keys=double)
     notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
-    provenance = {"scenarios": [dict(p.provenance) for p in predictions]}
-    return PredictedProducts(axis=first.axis, **parts, notes=notes, provenance=provenance)
+    parts["provenance"] = {"scenarios": [dict(p.provenance) for p in predictions]}
+    return replace(first, **parts, notes=notes)
 
 
 def without_circles(
-    prediction: PredictedProducts, scenarios: Sequence[Scenario], place: Place | None = None
+    prediction: PredictedProducts, scenarios: Sequence[Scenario], place: observe.Place | None = None
 ) -> PredictedProducts:
     """The prediction without what was taken from the collection it is compared with: that agrees whatever is wrong.
 
@@ -333,3 +332,160 @@ def without_circles(
     if taken:
         notes += (f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}",)
     return replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails, notes=notes)
+
+
+# Of a limit of a normalised difference: how far it may be off.
+_STEP, _STEPS = 0.05, (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
+_MOST_TRIED = 18  # spectra in the place of those that detectors look for
+_BANDS = ("windows", "good", "all")  # that detectors may be given
+OBJECT_DRAWS = 1600  # of an object's score: the same each time, so that differences are free of their scatter
+
+
+def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
+    """Every comparison of a campaign with its outcome.
+
+    It needs no second look at the collection, so that it can be called for a prediction that was moved.
+
+    Parameters
+    ----------
+    prediction : of :func:`predicted_side`
+    """
+    campaign, sides = side.campaign, (prediction, side.observed.observation)
+    method = "+".join(sorted({s.atmosphere.engine for s in side.scenarios if s.atmosphere})) or "statistics"
+    margin, fitted_on = campaign.equivalence_margin, campaign.fitted_on
+    rows = compare_products(*sides, method=method, equivalence_margin=margin, fitted_on=fitted_on)
+    return told_apart(judged(rows, campaign.comparisons), fitted_on)
+
+
+def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:
+    """The inconclusive criteria, each with what would have to be known better, or counted, to decide it."""
+    sides = prediction, side.observed.observation, side.campaign.fitted_on
+    found = [(row, would_decide(row, *sides)) for row in rows if row.gates and row.outcome is Outcome.UNDECIDED]
+    return [(row, words) for row, words in found if words]
+
+
+@bars(False)
+def undecided_by(job: Job) -> list[tuple[Result, str]]:
+    """Those of a campaign whose collection takes no time to look at."""
+    with collected(job) as side:
+        prediction = predicted_side(side, [model.predict(s, side.origins(s)) for s in side.scenarios])
+        return undecided(side, outcomes(side, prediction), prediction)
+
+
+def asked_again(side: Collected) -> tuple[ScenarioModel, Products, list[model.World]]:
+    """What attribution asks: the scenarios with something moved, and the collection, measured again; then what was
+    measured, and what each scenario states.
+    """
+    observation = side.observed.observation
+    # Where every object is one pixel, the scores of pixels say the same.
+    whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
+    draws = OBJECT_DRAWS if whole else False
+
+    def of_truths(scenario: Scenario, truths: Sequence[model.Truth], budgeted: bool) -> Iterator[PredictedProducts]:
+        # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
+        # not what takes draws of its own for each of a hundred truths.
+        closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
+        processing = scenario.processing.model_copy(update={"detectors": closed})
+        lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
+        origins = replace(side.origins(scenario), emulated_steps=not budgeted)
+        return model.predictions(lighter, truths, origins, objects=draws, object_curves=False)
+
+    # Predicted once, however often nothing is moved in it; the scenario is kept, whose number another would get.
+    as_stated: dict[int, tuple[Scenario, PredictedProducts]] = {}
+
+    def moved_side(scenario: Scenario, truths: Sequence[model.Truth], budgeted: bool) -> Iterator[PredictedProducts]:
+        moved = of_truths(scenario, [truth for truth in truths if truth], budgeted)
+        for truth in truths:
+            if not truth and id(scenario) not in as_stated:
+                as_stated[id(scenario)] = scenario, next(of_truths(scenario, [{}], True))
+            yield next(moved) if truth else as_stated[id(scenario)][1]
+
+    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths], budgeted: bool) -> Iterator[Products]:
+        sides = [moved_side(s, [truth[i] for truth in truths], budgeted) for i, s in enumerate(scenarios)]
+        return (joined(side, scenarios, parts) for parts in zip(*sides, strict=True))
+
+    def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, Any]) -> Products:
+        if "exchanged" in mistake and not side.observed.place:
+            one, other = mistake["exchanged"]
+            names, sites = {one: other, other: one}, side.campaign.collection.spectra
+            swapped = [s.model_copy(update={"subject": names.get(s.subject, s.subject)}) for s in sites]
+            changes = {"collection.spectra": swapped}
+        campaign = with_settings(side.campaign, changes)  # no residual is an area; of displaced regions spectra tell
+        detection = None if mistake.get("regions") else campaign.detection
+        detection = detection and detection.model_copy(update={"unmixing": None, "areas": []})
+        before = side.observed if campaign.collection == side.campaign.collection else None
+        if before is not None and before.place is not None and mistake:
+            bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
+            opened = partial(observe.open_place, campaign.collection, side.inputs.resolve, mistake)
+            place = opened() if bands_are_off else before.place
+            same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
+            before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
+        return observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation
+
+    looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())
+    asked = ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)
+    return asked, observation, [model.read(scenario, side.origins(scenario)) for scenario in side.scenarios]
+
+
+def spectra_of(items: Iterable[Any], by: str = "name") -> dict[str, Any]:
+    """Name -> the entry of its spectrum, as it stands in the file."""
+    return {getattr(one, by): one.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for one in items}
+
+
+def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, Any]], str]]:
+    """What may stand in each other's place in a collection: the settings of each pair, and "".
+
+    Of a limit of a rule, those of so many steps more, and the step.
+
+    >>> from types import SimpleNamespace as Of
+    >>> truth = Of(rasters=Of(materials={"red": "red.hdr", "green": "green.hdr", "blue": "blue.hdr"}))
+    >>> detection = Of(background=["lawn"], bands="good", targets=[])
+    >>> from hyperval.collection import PanelReference, RegionSource
+    >>> lawn = {"name": "lawn", "normalized_difference": {"high_nm": (790, 880), "low_nm": (650, 680), "above": 0.6}}
+    >>> drawn = [RegionSource.model_validate(lawn), RegionSource(name="all", whole_image=True)]
+    >>> panels = [PanelReference(region=f"of {x}", spectrum={"constant": x}) for x in (0.1, 0.2)]
+    >>> collection = Of(empirical_line=Of(panels=panels), targets=truth, regions=drawn)
+    >>> campaign = Of(collection=collection, detection=detection)
+    >>> found = exchanges_of(Of(campaign=campaign, scenarios=[], observed=Of(place=Of(regions=["lawn", "lot"]))))
+    >>> pairs, _ = found["exchanged materials of the truth"]
+    >>> len(pairs), list(pairs["red and blue"].items())[0]
+    (3, ('collection.targets.rasters.materials.[red]', 'blue.hdr'))
+    >>> (pair,) = found["exchanged panels of the empirical line"][0].values()
+    >>> list(pair.items())[1]
+    ('collection.empirical_line.panels.[of 0.2].spectrum', {'constant': 0.1})
+    >>> found["pixels behind the filters"][0]["scene"], found["bands of the detectors"][0].keys()
+    ({'detection.background': ['scene']}, dict_keys(['windows', 'all']))
+    >>> limits, step = found["limit 0.6 of the normalised difference"]
+    >>> step, limits[-2.0]
+    ('0.05 of the index', {'collection.regions.[lawn].normalized_difference.above': 0.5})
+    """
+    collection, detection, place = side.campaign.collection, side.campaign.detection, side.observed.place
+    line, rasters = collection.empirical_line, collection.targets and collection.targets.rasters
+    panels = exchanged_pairs(spectra_of(line.panels if line else (), "region"))
+    materials = exchanged_pairs(rasters.materials if rasters else {})
+    of_model = spectra_of(target for scenario in side.scenarios for target in scenario.scene.targets)
+    in_place = others_in_place(spectra_of(detection.targets if detection else ()), of_model, "of the model")
+    looked_for = in_place if len(in_place) <= _MOST_TRIED else {}
+    behind = detection.background if detection and place else []
+    others = [name for name in (*place.regions, observe.SCENE) if [name] != behind] if place and behind else []
+    steps: dict[float, dict[float, dict[str, float]]] = {}
+    for region in collection.regions:
+        rule = region.normalized_difference
+        ends = rule.model_dump(include={"above", "below"}, exclude_defaults=True) if rule else {}
+        for end, limit in ends.items():
+            for z, changes in steps.setdefault(limit, {z: {} for z in _STEPS}).items():
+                changes[f"collection.regions.[{region.name}].normalized_difference.{end}"] = limit + _STEP * z
+
+    def at(path: str, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+        return {words: {path.format(name): to for name, to in one.items()} for words, one in changes.items()}
+
+    found = {
+        "exchanged panels of the empirical line": at("collection.empirical_line.panels.[{}].spectrum", panels),
+        "exchanged materials of the truth": at("collection.targets.rasters.materials.[{}]", materials),
+        "spectrum that detectors look for": at("detection.targets.[{}].spectrum", looked_for),
+        "pixels behind the filters": {name: {"detection.background": [name]} for name in others},
+        "bands of the detectors": {b: {"detection.bands": b} for b in _BANDS if detection and b != detection.bands},
+    }
+    words = f"{_STEP:g} of the index"
+    limits = {f"limit {x:g} of the normalised difference": (steps[x], words) for x in sorted(steps)}
+    return limits | {what: (of, "") for what, of in found.items()}

@@ -91,8 +91,7 @@ def source_revision() -> dict[str, Any] | None:
         return None
     git = partial(subprocess.run, cwd=root, capture_output=True, text=True, timeout=10, check=True)
     try:
-        commit = git(["git", "rev-parse", "HEAD"]).stdout.strip()
-        changed = git(["git", "status", "--porcelain", "--", "src"]).stdout.strip()
+        lines = git(["git", "status", "--porcelain=v2", "--branch", "--", "src"]).stdout.splitlines()
     except (OSError, subprocess.SubprocessError):
         return None
-    return {"commit": commit, "changed": bool(changed)}
+    return {"commit": lines[0].split()[-1], "changed": any(not line.startswith("#") for line in lines)}

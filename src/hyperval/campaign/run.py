@@ -11,7 +11,7 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
 from functools import cache
@@ -19,36 +19,26 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import hyperval
-from hyperval.attribute import ScenarioModel, Truths, attribute, exchanged_pairs, few_objects, others_in_place
+from hyperval.attribute import attribute
 from hyperval.campaign.pictures import quicklook, score_maps
-from hyperval.campaign.power_file import accepted_table
-from hyperval.campaign.products import Collected, collected, doubts, joined, predicted_side
+from hyperval.campaign.power import accepted_table
+from hyperval.campaign.products import Collected, asked_again, collected, doubts, outcomes, predicted_side, undecided
 from hyperval.campaign.provenance import package_versions, record_of, source_revision
-from hyperval.campaign.schema import Job, Outline, job_of, jobs_of
-from hyperval.compare import compare_products, judged, product_rows, told_apart, would_decide
-from hyperval.data import NUMERICAL_DETECTORS
+from hyperval.campaign.schema import Campaign, Job, Outline, job_of, jobs_of
+from hyperval.compare import product_rows
 from hyperval.datasets import SIMULATED, InputLog
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
-from hyperval.model import Truth, World, predict, predictions, read
-from hyperval.observe import SCENE, Observed, open_place
-from hyperval.observe import observe as observe_collection
+from hyperval.model import predict
+from hyperval.observe import Observed
 from hyperval.observe import write_reflectance as reflectance_cube
-from hyperval.products import PredictedProducts, Products
-from hyperval.progress import bars, step, track, working
+from hyperval.products import PredictedProducts
+from hyperval.progress import step, track, working
 from hyperval.report import write_index, write_outputs
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
 from hyperval.run import Run, read_rows
-from hyperval.scenario import Scenario
-from hyperval.settings import with_settings
 from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, whole_folder, write_text
 
-# Draws of an object's score: the same numbers each time, so that differences are free of their scatter.
-OBJECT_DRAWS = 1600
-_BANDS = ("windows", "good", "all")  # that detectors may be given
-# Of a normalised difference the limits, and how far they may be off.
-_LIMITS, _STEP, _STEPS = ("above", "below"), 0.05, (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
-_MOST_TRIED = 18  # spectra in the place of those that detectors look for
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
 UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
@@ -98,24 +88,18 @@ def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextM
 def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
     """What both sides say, compared and judged; what the collection says where nothing was predicted."""
     campaign, scenarios, observed = side.campaign, side.scenarios, side.observed
-    more: dict[str, Any] = {"kind": "Collection of campaign"}
-    prediction = power = None
+    prediction, power, deciding = None, None, list[tuple[Result, str]]()
     if predicted:
-        power = accepted_table(campaign.name, side.inputs.base)
-        prediction = predicted_side(side, predicted)
+        power, prediction = accepted_table(campaign.name, side.inputs.base), predicted_side(side, predicted)
         rows = outcomes(side, prediction)
         deciding = undecided(side, rows, prediction)
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         if campaign.attribution is not None:  # why the two sides differ
-            accepted = power and power.reasons
-            rows += attribute(
-                scenario_model(side), observed.observation, worlds_of(side), campaign.attribution,
-                budgeted=prediction, accepted=accepted.sides if accepted else {},
-                accepted_chi_square=accepted.reduced_chi_square if accepted else 0.0,
-                simulated=bool(campaign.simulated),
-            )  # fmt: skip
-        more = {"kind": "Campaign", "deciding": deciding}
+            known = power.reasons if power else None
+            own = *asked_again(side), campaign.attribution
+            since = (known.sides, known.reduced_chi_square) if known else (None, 0.0)
+            rows += attribute(*own, *since, budgeted=prediction, simulated=bool(campaign.simulated))
     else:
         rows = list(product_rows(observed.observation, "observed"))
     notes = [
@@ -125,27 +109,23 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         *doubts(observed.place, campaign.detection, scenarios),
         *(prediction.notes if prediction else ()),
     ]
-    both = [observed.observation, *predicted]
-    provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, both)
+    sides = [observed.observation, *predicted]
+    provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, sides)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     return report_of(
-        campaign,
-        rows,
-        given={"predicted": prediction, "observed": observed.observation},
-        score_maps=score_maps(observed, campaign.detection, prediction, rows),
-        quicklook=quicklook(observed),
-        provenance=provenance,
+        campaign, rows, kind="Campaign" if predicted else "Collection of campaign", provenance=provenance,
+        given={"predicted": prediction, "observed": observed.observation}, quicklook=quicklook(observed),
+        score_maps=score_maps(observed, campaign.detection, prediction, rows), deciding=deciding,
         power=(power, power.stale(provenance["inputs"], rows)) if power else None,
-        notes=list(dict.fromkeys(notes)),
-        chosen_after=campaign.every_choice(),
-        **more,
-    )
+        notes=list(dict.fromkeys(notes)), chosen_after=campaign.every_choice(),
+    )  # fmt: skip
 
 
 def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
     """What a campaign's file and its rows alone say; ``more`` : other fields of :class:`hyperval.run.Run`."""
-    own = {name: getattr(campaign, name) for name in ("title", "description", "computed", "references")}
+    own: dict[str, Any] = {name: getattr(campaign, name) for name in ("title", "description", "references")}
+    own["computed"] = isinstance(campaign, Campaign) and campaign.collection.radcalnet is not None  # by a network
     table = ResultTable(of_campaign(rows, campaign.name))
     return Run(table, campaign=campaign.name, simulated=bool(campaign.simulated), **own, **more)
 
@@ -157,187 +137,6 @@ def unfinished(job: Job, outcome: Outcome, reason: str, remedy: str = "") -> Run
     rows = [gate.unmade(subject, outcome, cause, reason) for gate in campaign.comparisons for subject in gate.subjects]
     record = record_of(InputLog.of_file(job.path), [], None, {"campaign": campaign}, [])
     return report_of(campaign, rows, provenance=record, notes=[reason, *campaign.assumptions], remedy=remedy)
-
-
-def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
-    """Every comparison of a campaign with its outcome.
-
-    It needs no second look at the collection, so that it can be called for a prediction that was moved.
-
-    Parameters
-    ----------
-    prediction : of :func:`hyperval.campaign.products.predicted_side`
-    """
-    campaign, sides = side.campaign, (prediction, side.observed.observation)
-    method = "+".join(sorted({s.atmosphere.engine for s in side.scenarios if s.atmosphere})) or "statistics"
-    margin, fitted_on = campaign.equivalence_margin, campaign.fitted_on
-    rows = compare_products(*sides, method=method, equivalence_margin=margin, fitted_on=fitted_on)
-    return told_apart(judged(rows, campaign.comparisons), fitted_on)
-
-
-def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:
-    """The inconclusive criteria, each with what would have to be known better, or counted, to decide it."""
-    sides = prediction, side.observed.observation, side.campaign.fitted_on
-    found = [(row, would_decide(row, *sides)) for row in rows if row.gates and row.outcome is Outcome.UNDECIDED]
-    return [(row, words) for row, words in found if words]
-
-
-@bars(False)
-def undecided_by(job: Job) -> list[tuple[Result, str]]:
-    """Those of a campaign whose collection takes no time to look at."""
-    with collected(job) as side:
-        prediction = predicted_side(side, [predict(s, side.origins(s)) for s in side.scenarios])
-        return undecided(side, outcomes(side, prediction), prediction)
-
-
-def worlds_of(side: Collected) -> list[World]:
-    """What each scenario states."""
-    return [read(scenario, side.origins(scenario)) for scenario in side.scenarios]
-
-
-def scenario_model(side: Collected) -> ScenarioModel:
-    """The scenarios of a campaign, to be asked with something moved, and its collection, to be measured again."""
-    observation = side.observed.observation
-    # Where every object is one pixel, the scores of pixels say the same.
-    whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
-    draws = OBJECT_DRAWS if whole else False
-
-    def of_truths(scenario: Scenario, truths: Sequence[Truth], budgeted: bool) -> Iterator[PredictedProducts]:
-        # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and
-        # not what takes draws of its own for each of a hundred truths.
-        closed = [name for name in scenario.processing.detectors if name not in NUMERICAL_DETECTORS]
-        processing = scenario.processing.model_copy(update={"detectors": closed})
-        lighter = scenario.model_copy(update={"processing": processing}) if closed else scenario
-        origins = replace(side.origins(scenario), emulated_steps=not budgeted)
-        return predictions(lighter, truths, origins, objects=draws, object_curves=False)
-
-    # Predicted once, however often nothing is moved in it; the scenario is kept, whose number another would get.
-    as_stated: dict[int, tuple[Scenario, PredictedProducts]] = {}
-
-    def moved_side(scenario: Scenario, truths: Sequence[Truth], budgeted: bool) -> Iterator[PredictedProducts]:
-        moved = of_truths(scenario, [truth for truth in truths if truth], budgeted)
-        for truth in truths:
-            if not truth and id(scenario) not in as_stated:
-                as_stated[id(scenario)] = scenario, next(of_truths(scenario, [{}], True))
-            yield next(moved) if truth else as_stated[id(scenario)][1]
-
-    def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths], budgeted: bool) -> Iterator[Products]:
-        sides = [moved_side(s, [truth[i] for truth in truths], budgeted) for i, s in enumerate(scenarios)]
-        for parts in zip(*sides, strict=True):
-            yield joined(side, scenarios, parts)
-
-    def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, Any]) -> Products:
-        if "exchanged" in mistake and not side.observed.place:
-            sites = entries_of(side.campaign.collection, "spectra")
-            changes = {"collection.spectra": exchanged_sites(sites, *mistake["exchanged"])}
-        changed = with_settings(side.campaign, changes)  # no residual is an area; of displaced regions spectra tell
-        detection = None if mistake.get("regions") else changed.detection
-        detection = detection and detection.model_copy(update={"unmixing": None, "areas": []})
-        before = side.observed if changed.collection == side.campaign.collection else None
-        if before is not None and before.place is not None and mistake:
-            bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
-            place = open_place(changed.collection, side.inputs.resolve, mistake) if bands_are_off else before.place
-            same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
-            before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
-        return observe_collection(changed.collection, detection, side.inputs.resolve, before=before).observation
-
-    looked_for = {each["name"]: each["spectrum"] for each in entries_of(side.campaign.detection, "targets")}
-    return ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)
-
-
-def exchanged_sites(sites: Sequence[Mapping[str, Any]], one: str, other: str) -> list[dict[str, Any]]:
-    """Measured spectra of which two subjects have each other's.
-
-    >>> sites = [{"subject": name, "path": f"{name}.txt"} for name in ("black", "grey", "white")]
-    >>> [(site["subject"], site["path"]) for site in exchanged_sites(sites, "black", "white")]
-    [('white', 'black.txt'), ('grey', 'grey.txt'), ('black', 'white.txt')]
-    """
-    swapped = {one: other, other: one}
-    return [{**site, "subject": swapped.get(site["subject"], site["subject"])} for site in sites]
-
-
-def entries_of(owner: Any, key: str) -> list[dict[str, Any]]:
-    """A list of a file as it stands there, without defaults; empty where there is none."""
-    return [one.model_dump(exclude_none=True, exclude_defaults=True) for one in getattr(owner, key, ())]
-
-
-def exchanges_of(side: Collected) -> dict[str, tuple[str, Mapping[Any, Any], str]]:
-    """What may stand in each other's place in a collection: the setting of it, its value for each pair, and "".
-
-    Of a limit of a rule, its value by so many steps more, and the step.
-
-    >>> from types import SimpleNamespace as Of
-    >>> truth = Of(rasters=Of(materials={"red": "red.hdr", "green": "green.hdr", "blue": "blue.hdr"}))
-    >>> detection = Of(background=["lawn"], bands="good")
-    >>> from hyperval.collection import RegionSource
-    >>> lawn = {"name": "lawn", "normalized_difference": {"high_nm": (790, 880), "low_nm": (650, 680), "above": 0.6}}
-    >>> drawn = [RegionSource.model_validate(lawn)]
-    >>> campaign = Of(collection=Of(empirical_line=None, targets=truth, regions=drawn), detection=detection)
-    >>> side = Of(campaign=campaign, scenarios=[], observed=Of(place=Of(regions=["lawn", "lot"])))
-    >>> found = exchanges_of(side)
-    >>> setting, pairs, _ = found["exchanged materials of the truth"]
-    >>> setting, len(pairs), pairs["red and blue"]
-    ('collection.targets.rasters.materials', 3, {'red': 'blue.hdr', 'green': 'green.hdr', 'blue': 'red.hdr'})
-    >>> found["pixels behind the filters"], found["bands of the detectors"][1].keys()
-    (('detection.background', {'lot': ['lot'], 'scene': ['scene']}, ''), dict_keys(['windows', 'all']))
-    >>> setting, limits, step = found["limit 0.6 of the normalised difference"]
-    >>> setting, step, limits[-2.0][0]["normalized_difference"]["above"]
-    ('collection.regions', '0.05 of the index', 0.5)
-    """
-    collection, detection, truth = side.campaign.collection, side.campaign.detection, side.campaign.collection.targets
-    panels, targets = entries_of(collection.empirical_line, "panels"), entries_of(detection, "targets")
-    behind = detection.background if detection else []
-    others = [n for n in (*side.observed.place.regions, SCENE) if [n] != behind] if side.observed.place else []
-    materials = truth.rasters.materials if truth and truth.rasters else {}
-    of_model = {t["name"]: t["spectrum"] for s in side.scenarios for t in entries_of(s.scene, "targets")}
-    looked_for = others_in_place({t["name"]: t["spectrum"] for t in targets}, of_model, "of the model")
-    of_panels = exchanged_pairs({panel["region"]: panel["spectrum"] for panel in panels})
-    of_truth = {name: {**materials, **both} for name, both in exchanged_pairs(materials).items()}
-    drawn = entries_of(collection, "regions")
-    limits = {x for one in drawn for end, x in (one.get("normalized_difference") or {}).items() if end in _LIMITS}
-    found: dict[str, tuple[str, Mapping[Any, Any]]] = {
-        "exchanged panels of the empirical line": (
-            "collection.empirical_line.panels", _with_spectra(panels, "region", of_panels)
-        ),
-        "exchanged materials of the truth": ("collection.targets.rasters.materials", of_truth),
-        "spectrum that detectors look for": (
-            "detection.targets", _with_spectra(targets, "name", looked_for if len(looked_for) <= _MOST_TRIED else {})
-        ),
-        "pixels behind the filters": ("detection.background", {n: [n] for n in others if behind}),
-        "bands of the detectors": ("detection.bands", {b: b for b in _BANDS if detection and b != detection.bands}),
-    }  # fmt: skip
-    rules = {x: {z: _limited(drawn, x, x + _STEP * z) for z in _STEPS} for x in sorted(limits)}
-    words = f"{_STEP:g} of the index"
-    by_steps = {
-        f"limit {x:g} of the normalised difference": ("collection.regions", of, words) for x, of in rules.items()
-    }
-    return by_steps | {name: (*setting, "") for name, setting in found.items()}
-
-
-def _limited(regions: Sequence[Mapping[str, Any]], limit: float, other: float) -> list[dict[str, Any]]:
-    """The same regions, with another number wherever a rule has this limit.
-
-    >>> _limited([{"name": "lawn", "normalized_difference": {"low_nm": [650, 680], "above": 0.6}}], 0.6, 0.5)
-    [{'name': 'lawn', 'normalized_difference': {'low_nm': [650, 680], 'above': 0.5}}]
-    """
-    key = "normalized_difference"
-    rules = [{end: other if x == limit else x for end, x in (one.get(key) or {}).items()} for one in regions]
-    return [{**one, key: rule} if rule else dict(one) for one, rule in zip(regions, rules, strict=True)]
-
-
-def _with_spectra(
-    entries: Sequence[Mapping[str, Any]], key: str, changes: Mapping[str, Mapping[str, Any]]
-) -> dict[str, list[dict[str, Any]]]:
-    """The same entries with some spectra changed, for each of some changes.
-
-    >>> _with_spectra([{"region": "black", "spectrum": 0.05}, {"region": "grey", "spectrum": 0.2}], "region",
-    ...               {"grey: that of black": {"grey": 0.05}})
-    {'grey: that of black': [{'region': 'black', 'spectrum': 0.05}, {'region': 'grey', 'spectrum': 0.05}]}
-    """
-    return {
-        words: [{**one, "spectrum": spectra.get(one[key], one["spectrum"])} for one in entries]
-        for words, spectra in changes.items()
-    }
 
 
 # What need not run again ----------------------------------------------------------------------------------------------
@@ -417,8 +216,7 @@ class CampaignRun(NamedTuple):
             return run
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
-        run = as_before(self.job, self.earlier) if self.earlier is not None else None
-        if run is None or self.earlier is None:
+        if self.earlier is None or (run := as_before(self.job, self.earlier)) is None:
             return None
         for name in (*json.loads((self.earlier / RECORD).read_bytes())["outputs"], RECORD):
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -23,14 +23,14 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve, set_on_request
-from hyperval.errors import HypervalError, UsageError, reader, refuse
+from hyperval.errors import HypervalError, UsageError, reader, refuse, told_of
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, read_radcalnet
 
 MAX_RUNS = 100
 
 
-def campaign_runs(data: Any, lines: dict[Location, int], name: str) -> list[tuple[dict[str, str], Any]]:
+def campaign_runs(data: Mapping[str, Any], lines: dict[Location, int], name: str) -> list[tuple[dict[str, str], Any]]:
     """The words and the content of every run of a campaign file; one without words where it lists none.
 
     ``runs`` is a list of mappings from a word to a text; ``{word}`` stands for the text wherever it occurs in the
@@ -40,13 +40,11 @@ def campaign_runs(data: Any, lines: dict[Location, int], name: str) -> list[tupl
     ------
     UsageError : runs that are no such list, or whose words differ or are not used.
     """
-    if not isinstance(data, dict) or "runs" not in data:
+    if "runs" not in data:
         return [({}, data)]
-    runs = data["runs"]
-    rest = {key: value for key, value in data.items() if key != "runs"}
-    where = f"{name}:{lines.get(('runs',), 1)}"
-    good = isinstance(runs, list) and 0 < len(runs) <= MAX_RUNS
-    refuse(not good or not all(isinstance(run, dict) and run for run in runs), "campaign.runs", where)
+    runs, rest = data["runs"], {key: value for key, value in data.items() if key != "runs"}
+    good = isinstance(runs, list) and 0 < len(runs) <= MAX_RUNS and all(isinstance(run, dict) and run for run in runs)
+    refuse(not good, "campaign.runs", f"{name}:{lines.get(('runs',), 1)}")
     for i, run in enumerate(runs):
         wrong = [key for key, text in run.items() if not re.fullmatch(r"\w+", key) or not isinstance(text, str)]
         has = ", ".join(wrong) or ("other words than the first" if run.keys() != runs[0].keys() else "")
@@ -135,10 +133,8 @@ def _words(source: DayScenarios, file: Path, scenario: Mapping[str, Any], where:
     refuse(day.quantity != SURFACE, "campaign.day", day.source)
     times = tuple(source.times) or day.valid
     refuse(not times, "campaign.weather", day.source)
-    try:
+    with told_of(f"{where}: atmosphere.model"):
         profile = standard_profile(str((scenario.get("atmosphere") or {}).get("model", "")))
-    except UsageError as error:
-        raise UsageError(error.what, where=f"{where}: atmosphere.model", expected=error.expected) from None
     for time in times:
         i = day.column(time)
         state = day.at(time)
@@ -181,11 +177,6 @@ class Outline(Model):
     )
     comparisons: list[Gate] = Field([], description="what validate compares; observe needs none")
 
-    @property
-    def computed(self) -> bool:
-        """Whether the reference is what another program computed, and no imagery."""
-        return False
-
     def every_choice(self) -> list[tuple[str, str]]:
         """What was set after the campaign's own data were seen, each with what it was before."""
         stated = [(choice.what, choice.before) for choice in self.chosen_after]
@@ -211,11 +202,6 @@ class Campaign(Outline):
     )
 
     attribution: AttributionOptions | None = Field(None, description="attribute the differences to causes")
-
-    @property
-    def computed(self) -> bool:
-        """Whether the reference is what a network computed from its own measurements."""
-        return self.collection.radcalnet is not None
 
     @model_validator(mode="after")
     def _consistent(self) -> Campaign:
@@ -286,7 +272,7 @@ class Job:
 
     path: Path
     words: Mapping[str, str]
-    content: Any
+    content: Mapping[str, Any]
     lines: dict[Location, int]
     files: tuple[Reference, ...] = ()
     to_fill_in: tuple[Placeholder, ...] = ()
@@ -307,10 +293,9 @@ class Job:
         """What it says of itself, which needs no value to be filled in; UsageError for mistakes in that."""
         if not self.to_fill_in:
             return self.campaign
-        own = {info.alias or name for name, info in Outline.model_fields.items()}
-        others = Campaign.model_fields.keys() - own
+        others = Campaign.model_fields.keys() - Outline.model_fields.keys()
         # Unknown keys are left in, so that they are named.
-        content = {k: v for k, v in self.content.items() if k not in others} if isinstance(self.content, dict) else None
+        content = {key: value for key, value in self.content.items() if key not in others}
         return validate(Outline, content, self.lines, str(self.path))
 
     @cached_property
@@ -335,26 +320,23 @@ class Job:
             if one.text.startswith(PREFIX) and isinstance(error := one.found, UsageError):
                 where = f"{self.path}: {one.key}: {error.where or one.text}"
                 raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend)
-        lacking = [key for key in ("scenarios", "comparisons") if not (self.content or {}).get(key)]
+        lacking = [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
         refuse(compares and lacking, "campaign.lacking", self.path, keys=" and no ".join(lacking))
         if self.to_fill_in and self.waits is None:
             raise unfilled(list(self.to_fill_in))
 
 
-def _named_in(path: Path, content: Any, lines: dict[Location, int], words: Mapping[str, str]) -> Job:
+def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int], words: Mapping[str, str]) -> Job:
     """One run of a file with the files and values to fill in of its own text, then of its scenario files."""
-    base = Path(path).resolve().parent
-    files = [*_files(content, base)]
-    marks = placeholders(content, lines, str(path))
-    scenarios = content.get("scenarios") if isinstance(content, dict) else None
+    base, scenarios = Path(path).resolve().parent, content.get("scenarios")
+    files, marks = [*_files(content, base)], placeholders(content, lines, str(path))
     for entry in scenarios if isinstance(scenarios, list) else []:
         day = isinstance(entry, dict) and "radcalnet" in entry
         item = entry.get("scenario") if day else entry
         if not isinstance(item, str) or item in builtin_scenarios() or item.startswith(FILL_IN):
             continue
         files.append(Reference("scenarios", item, base))
-        scenario_path = files[-1].path
-        if scenario_path is None:
+        if (scenario_path := files[-1].path) is None:
             continue
         inner, inner_lines = load_yaml(scenario_path)
         inner = with_words(inner, {**words, "file": str(entry["radcalnet"])} if day else words)

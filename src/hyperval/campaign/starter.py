@@ -13,9 +13,9 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -27,6 +27,7 @@ from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
 from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
+from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
@@ -45,6 +46,7 @@ _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
 _NAMED = {"radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])", "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])"}
 Entry = dict[str, Any]
+_templates = partial(package_table, "campaign/draft.yaml")
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,7 @@ class StarterSources:
     key: str | None = None
 
 
-@dataclass(frozen=True)
-class RecordedSpectrum:
+class RecordedSpectrum(NamedTuple):
     """A field spectrum that a name of the scene may go with.
 
     Attributes
@@ -116,10 +117,6 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     return draft.text(), guesses
 
 
-def _templates() -> dict[str, Any]:
-    return package_table("campaign/draft.yaml")
-
-
 @dataclass
 class Draft:
     """The content of a campaign file that grows, with its guesses by place.
@@ -128,6 +125,8 @@ class Draft:
     ----------
     folder : where it will stand
     raster : the image
+    collection : the section of its collection
+    quantity : what the image holds, where that is known
     """
 
     sources: StarterSources
@@ -135,6 +134,8 @@ class Draft:
     raster: Raster
     name: str
     content: Entry = field(default_factory=dict)
+    collection: Entry = field(default_factory=dict)
+    quantity: str | None = None
     guesses: dict[tuple[str, ...], str] = field(default_factory=dict)
 
     def complete(self) -> list[str]:
@@ -142,39 +143,27 @@ class Draft:
         sources, about = self.sources, self.raster.description
         numbered = about.listed() is None
         silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
-        quantity = sources.quantity or ("counts" if silent else stated_quantity(self.raster))
+        stated = "counts" if silent else about.quantity or told_quantity(self.raster)
+        self.quantity = quantity = sources.quantity or stated
         lines, samples, bands = self.raster.size
         cube = {"path": self.reference(sources.cube)}
         cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
         cube |= {"header": self.reference(sources.header)} if sources.header else {}
         cube |= {"variable": sources.key} if sources.key else {}
+        self.collection |= {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]}
+        what = f"{quantity or 'unknown'} image of {lines} lines, {samples} samples and {bands} bands"
         self.content = {
-            "schema": 1,
-            "name": self.name,
-            "title": f"{self.name}: {quantity or 'unknown'} of {sources.cube.name}",
-            "description": f"{(quantity or 'unknown').capitalize()} image of {lines} lines, {samples} samples "
-            f"and {bands} bands; drafted from its files, not yet reviewed.",
-            "assumptions": [],
-            "collection": {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]},
-        }
+            "schema": 1, "name": self.name, "title": f"{self.name}: {quantity or 'unknown'} of {sources.cube.name}",
+            "description": f"{what[0].upper()}{what[1:]}; drafted from its files, not yet reviewed.",
+            "assumptions": [], "collection": self.collection,
+        }  # fmt: skip
         if numbered or quantity == "counts":
             self._by_objects()
         else:
-            self._by_wavelength(quantity)
+            self._by_wavelength()
         guesses = [f"{'.'.join(at)}: {because}" for at, because in self.guesses.items()]
         self.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
         return guesses
-
-    @property
-    def collection(self) -> Entry:
-        """Its section of the collection."""
-        section: Entry = self.content["collection"]
-        return section
-
-    @property
-    def quantity(self) -> str:
-        """What the image holds."""
-        return str(self.collection["cube"]["quantity"])
 
     def reference(self, path: Path) -> str:
         """A file as the campaign names it: relative to the campaign's own folder."""
@@ -187,12 +176,8 @@ class Draft:
 
     def opened(self, **parts: Any) -> Place:
         """The collection as it stands, with only these parts beside its cube."""
-
-        def resolve(reference: str) -> Path:
-            return Path(os.path.normpath(self.folder.resolve() / reference))
-
         section = CollectionSection.model_validate({"cube": self.collection["cube"], **parts})
-        return open_place(section, resolve)
+        return open_place(section, lambda name: Path(os.path.normpath(self.folder.resolve() / name)))
 
     def text(self) -> str:
         """The campaign file: what was guessed has a comment before it."""
@@ -212,8 +197,8 @@ class Draft:
 
     # An image with wavelengths ----------------------------------------------------------------------------------------
 
-    def _by_wavelength(self, quantity: str | None) -> None:
-        collection, sources, stated = self.collection, self.sources, self.raster.description
+    def _by_wavelength(self) -> None:
+        collection, quantity, sources, stated = self.collection, self.quantity, self.sources, self.raster.description
         if quantity and sources.quantity is None and stated.quantity is None:
             self.guess("quantity", quantity=quantity)
         if quantity == "radiance":
@@ -248,8 +233,7 @@ class Draft:
         try:
             model = self._scenario(place, panels, matched)
             self._add_targets(place, model)
-            self.content["scenarios"] = [model]
-            self.content["comparisons"] = usual_comparisons(self.content)
+            self._compare(model)
             names = ", ".join([*place.regions, *dict.fromkeys(target.material for target in place.targets)])
             refuse(not self.content["comparisons"], "starter.nothing", names=names)
         except UsageError as error:
@@ -308,7 +292,7 @@ class Draft:
         """The reflectance spectra of the files, with the unit that each needs to be told."""
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
-            for file in filter(Path.is_file, sorted(path.iterdir()) if path.is_dir() else [path]):
+            for file in filter(Path.is_file, sorted(path.iterdir())) if path.is_dir() else [path]:
                 try:
                     out += _records(file, self.reference(file))
                 except HypervalError:
@@ -365,9 +349,8 @@ class Draft:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         state |= {key: value for key, value in stated.items() if value}
-        sensor = sources.sensor or self._library_sensor(place)
-        is_file = sources.sensor is not None and Path(sensor).is_file()
-        sensor = self.reference(Path(sensor)) if is_file else sensor
+        own = Path(sources.sensor or "")
+        sensor = self.reference(own) if own.is_file() else sources.sensor or self._library_sensor(place)
         return {"atmosphere": state, "sensor": sensor, "uncertainty": {**usual["uncertainty"]}}
 
     def _library_sensor(self, place: Place) -> str:
@@ -394,7 +377,7 @@ class Draft:
             self.guess("no detection")
             return
         members = {material: [t for t in place.targets if t.material == material] for material in known}
-        sizes = {material: _sizes(own) for material, own in members.items()}
+        sizes = {material: _by_size(own) for material, own in members.items()}
         looked_for = [{"name": m, "material": m, "spectrum": match.source} for m, match in known.items()]
         group = "{target} {side_m} m" if all(sizes.values()) else "{material}"
         self.content["detection"] = {"group": group, "detectors": ["cem"], "targets": looked_for}
@@ -403,9 +386,8 @@ class Draft:
         for material, own in members.items():
             fills: Entry = {"fill": _fill(place, own)}
             if all(sizes.values()):
-                each = {size: [t for t in own if _size(t) == size] for size in sizes[material]}
-                names = [{"name": f"{material} {size} m", "fill": _fill(place, some)} for size, some in each.items()]
-                fills = {"subjects": names}
+                each = sizes[material].items()
+                fills = {"subjects": [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
             target = {"name": material, "spectrum": known[material].source, "covariance": spread}
             entries.append({**target, "host": _host(place, own, classes), **fills})
@@ -418,6 +400,23 @@ class Draft:
             entries = [{"subject": subject, "relative": 0.05, "correlation_nm": 200} for subject in subjects]
             scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
             self.guess("field spectra")
+
+    def _compare(self, scenario: Entry) -> None:
+        """Add a scenario, and the usual comparisons of the subjects that it and the collection have."""
+        scene, lit = scenario["scene"], "atmosphere" in scenario
+        panels = [panel["name"] for panel in scene.get("panels", [])] if lit else []
+        known = [c["name"] for c in scene["classes"] if "measured" not in c["spectrum"]]
+        reflects = "empirical_line" in self.collection or self.quantity == "reflectance"
+        targets = scene.get("targets", [])
+        subjects = {
+            "RADIANCE": [*known, *panels] if lit else [],
+            "PANELS": panels if panels == self.collection.get("snr_regions") else [],
+            "REFLECTANCE": known if reflects else [],
+            "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
+            "BACKGROUNDS": [background_of(target["name"]) for target in targets],
+        }
+        usual = [{**entry, "subjects": subjects[entry["subjects"]]} for entry in _templates()["comparisons"]]
+        self.content |= {"scenarios": [scenario], "comparisons": [entry for entry in usual if entry["subjects"]]}
 
     # Counts, or an image without wavelengths: a map of objects, and what they stand before ----------------------------
 
@@ -448,10 +447,9 @@ class Draft:
         if pixels < _FEW:
             scene = {**scene, "targets": [{**scene["targets"][0], "covariance": {"relative_sd": 0.05}}]}
         model = {"schema": 1, "name": self.name, "scene": scene, "processing": usual["processing"]}
-        self.content["scenarios"] = [model]
         self.guess("objects", why=why, scored=len(scored), pixels=pixels)
         self.guess("objects filled")
-        self.content["comparisons"] = usual_comparisons(self.content)
+        self._compare(model)
 
     def _object_masks(self) -> tuple[list[Mask], str]:
         """The objects of the map, the largest first, and words on them."""
@@ -465,26 +463,6 @@ class Draft:
                 raise
             return [], f"{none}: {error.what}"
         return groups_by_size(np.logical_or.reduce([region.mask for region in regions.values()]))
-
-
-def usual_comparisons(content: Mapping[str, Any]) -> list[Entry]:
-    """Comparisons for the content of a campaign file, as that file states them: those of the subjects that it has."""
-    collection, scenario = content["collection"], content["scenarios"][0]
-    scene = scenario["scene"]
-    panels = [panel["name"] for panel in scene.get("panels", [])]
-    known = [c["name"] for c in scene["classes"] if "measured" not in c["spectrum"]]
-    lit = "atmosphere" in scenario
-    reflects = "empirical_line" in collection or collection["cube"]["quantity"] == "reflectance"
-    targets = scene.get("targets", [])
-    subjects = {
-        "RADIANCE": [*known, *panels] if lit else [],
-        "PANELS": panels if lit and panels == collection.get("snr_regions") else [],
-        "REFLECTANCE": known if reflects else [],
-        "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
-        "BACKGROUNDS": [background_of(target["name"]) for target in targets],
-    }
-    usual = [{**entry, "subjects": subjects[entry["subjects"]]} for entry in _templates()["comparisons"]]
-    return [entry for entry in usual if entry["subjects"]]
 
 
 def _words(name: str) -> frozenset[str]:
@@ -507,23 +485,21 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
             values = one.values[in_window(one.wavelength_nm)]
             flat = bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
             own = one.name if len(records) > 1 else None
-            source = {"file": reference, "record": own, "reflectance_unit": unit}
-            source = {key: value for key, value in source.items() if value is not None}
+            more = {"record": own, "reflectance_unit": unit}
+            source = {"file": reference} | {key: value for key, value in more.items() if value is not None}
             out.append(RecordedSpectrum(own or path.stem, source, flat))
         return out
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
 
 
-def _size(target: TargetObject) -> str | None:
-    return target.attributes.get("side_m")
-
-
-def _sizes(members: Sequence[TargetObject]) -> list[str]:
-    """Sides of squares of known sizes, greatest first; empty where they are all alike, not known, or many."""
-    sides = {size: target.side_m for target in members if (size := _size(target)) and math.isfinite(target.side_m)}
-    complete = all(_size(target) in sides for target in members)
-    return sorted(sides, key=lambda size: -sides[size]) if complete and 1 < len(sides) <= _MOST_SIZES else []
+def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
+    """Squares of known sizes by their side, greatest first; empty where they are all alike, not known, or many."""
+    each: dict[str, list[TargetObject]] = {}
+    for target in sorted(members, key=lambda target: -target.side_m):
+        each.setdefault(target.attributes.get("side_m", ""), []).append(target)
+    is_known = "" not in each and all(math.isfinite(target.side_m) for target in members)
+    return each if is_known and 1 < len(each) <= _MOST_SIZES else {}
 
 
 def _host(place: Place, members: Sequence[TargetObject], classes: Sequence[str]) -> str:
@@ -549,16 +525,14 @@ def _fill(place: Place, members: Sequence[TargetObject]) -> Entry:
     pixels = float(np.mean([target.part.sum() for target in members]))
     sides = [target.side_m for target in members if math.isfinite(target.side_m)]
     side = float(np.mean(sides)) if sides else gsd * math.sqrt(pixels)
-    shape = {"side_m": round(side, 3), "heading_deg": "random", "gsd_m": round(gsd, 4)}
-    return {"geometry": {**shape, "pixels": "ranked", "n": max(1, min(400, round(pixels)))}}
+    shape = {"side_m": round(side, 3), "heading_deg": "random", "gsd_m": round(gsd, 4), "pixels": "ranked"}
+    return {"geometry": {**shape, "n": max(1, min(400, round(pixels)))}}
 
 
-def stated_quantity(raster: Raster) -> str | None:
-    """Whether an image holds radiance or reflectance, by its metadata, else by its name; None: nothing says."""
-    about = raster.description
-    if about.quantity is not None:
-        return about.quantity
-    told = (text for key, text in about.entries.items() if re.search(r"unit|plot titles|description|level", key))
+def told_quantity(raster: Raster) -> str | None:
+    """Whether an image holds radiance or reflectance, by words of its header, else by its name; None: nothing says."""
+    entries = raster.description.entries
+    told = (text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
     for text in (" ".join(told).lower(), raster.path.name.lower()):
         named = [quantity for quantity, pattern in _NAMED.items() if re.search(pattern, text)]
         if len(named) == 1:
@@ -577,7 +551,4 @@ def _stated_unit(raster: Raster) -> str | None:
 
 def _is_list(path: Path) -> bool:
     """Whether a file is a list of target centres: a table with a column of materials."""
-    if path.suffix.lower() != ".csv":
-        return False
-    with path.open("r", encoding="utf-8-sig", errors="replace") as file:
-        return "material" in file.readline(4096).lower()
+    return path.suffix.lower() == ".csv" and b"material" in head_of(path, 4096).partition(b"\n")[0].lower()
