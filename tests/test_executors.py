@@ -47,9 +47,9 @@ def dies(_):
 def test_results_come_in_the_order_of_the_pieces(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with ThreadPoolExecutor(3) as pool:
-        assert list(executors.in_order(pool, square, range(50))) == [k * k for k in range(50)]
+        assert list(executors.in_order(executors.Workers(pool, 3), square, range(50))) == [k * k for k in range(50)]
         assert capsys.readouterr().err == ""  # who hands pieces out draws the bars
-        results = executors.in_order(pool, fails_at_three, range(6))
+        results = executors.in_order(executors.Workers(pool, 3), fails_at_three, range(6))
         assert [next(results) for _ in range(3)] == [0, 1, 2]
         with pytest.raises(ValueError, match="three"):
             next(results)
@@ -187,8 +187,8 @@ def test_what_all_pieces_need_is_packed_once(count):
             found = list(executors.in_order(where, first_of, [(packed, k) for k in range(5)]))
         assert isinstance(packed, bytes) or not packed.exists()
     assert found == [(k * k, count == 2) for k in range(5)]
-    with ThreadPoolExecutor(1) as pool, executors.parcel(pool, [3, 4]) as packed:  # pieces for others carry it
-        assert list(executors.in_order(pool, first_of, [(packed, 1)])) == [(4, False)]
+    with ThreadPoolExecutor(1) as pool, executors.parcel(executors.Workers(pool), [3, 4]) as packed:  # they carry it
+        assert list(executors.in_order(executors.Workers(pool), first_of, [(packed, 1)])) == [(4, False)]
 
 
 def unwind(number, frame):

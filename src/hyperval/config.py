@@ -18,7 +18,7 @@ from yaml.resolver import Resolver
 
 from hyperval.errors import UsageError, needed, reader, refusal, refuse
 from hyperval.storage import content_of, installed_file, write_text
-from hyperval.units import radiance_to_internal, wavelength_to_nm
+from hyperval.units import to_internal
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
@@ -131,12 +131,12 @@ class OneOf(Model):
         return super()._is_consistent()  # type: ignore[operator, no-any-return]
 
 
-def _unit_known_to(factor: Callable[[str], float]) -> AfterValidator:
+def _unit_of(quantity: str) -> AfterValidator:
     """Refuses an unknown unit when the file is read, so that a dry run tells and the line is known."""
 
     def known(unit: str) -> str:
         try:
-            factor(unit)
+            to_internal(unit, quantity)
         except UsageError as error:
             raise ValueError(f"{error.what}; {error.expected}") from None
         return unit
@@ -144,8 +144,8 @@ def _unit_known_to(factor: Callable[[str], float]) -> AfterValidator:
     return AfterValidator(known)
 
 
-RadianceUnit = Annotated[str, _unit_known_to(radiance_to_internal)]
-WavelengthUnit = Annotated[str, _unit_known_to(wavelength_to_nm)]
+RadianceUnit = Annotated[str, _unit_of("radiance")]
+WavelengthUnit = Annotated[str, _unit_of("wavelength")]
 
 M = TypeVar("M", bound=BaseModel)
 Location = tuple[str | int, ...]

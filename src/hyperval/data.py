@@ -163,16 +163,11 @@ class SampleStatistics:
         b2 = max(0.0, (self.fourth - self.n * float(np.sum(s**2))) / self.n**2)
         return min(1.0, b2 / d2)
 
-    @property
-    def shrunk_covariance(self) -> Array:
-        """(B, B) well-conditioned covariance: (1 - a) S + a (tr S/B) I with a = :attr:`shrinkage`."""
-        return self.shrunk(self.shrinkage).covariance
-
-    def shrunk(self, intensity: float) -> SampleStatistics:
-        """With the covariance shrunk towards the same variance in every band."""
-        s = self.covariance
+    def shrunk(self, intensity: float | None = None) -> SampleStatistics:
+        """With the well-conditioned covariance (1 - a) S + a (tr S/B) I; a is :attr:`shrinkage` unless given."""
+        a, s = self.shrinkage if intensity is None else intensity, self.covariance
         level = float(np.trace(s)) / s.shape[0]
-        return replace(self, covariance=(1.0 - intensity) * s + intensity * level * np.eye(s.shape[0]))
+        return replace(self, covariance=(1.0 - a) * s + a * level * np.eye(s.shape[0]))
 
 
 def statistics_of(pixels: npt.ArrayLike) -> SampleStatistics:

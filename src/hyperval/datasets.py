@@ -126,9 +126,8 @@ def _reason(error: Exception) -> str:
 
     if isinstance(error, requests.HTTPError) and error.response is not None:
         return f"the server answered {error.response.status_code}"
-    if isinstance(error, requests.Timeout):
-        return "no answer in time"
-    return "no connection" if isinstance(error, requests.ConnectionError) else type(error).__name__
+    words = {requests.Timeout: "no answer in time", requests.ConnectionError: "no connection"}
+    return next((own for kind, own in words.items() if isinstance(error, kind)), type(error).__name__)
 
 
 class DataSet(Model):
@@ -269,14 +268,10 @@ def fetch(name: str) -> list[Path]:
     """
     entry = dataset(name)
     refuse(not entry.public, "data.held", name=name, holder=entry.holder, how=how_to_get(entry))
-    needed = []
-    for file in dataset(name).files:
-        path = _find(file.path)
-        if path is not None and file.matches(path):
-            continue
+    needed = {f: path for f in entry.files if (path := _find(f.path)) is None or not f.matches(path)}
+    for file, path in needed.items():
         if path is not None and not path.is_relative_to(cache_dir()):
             raise _another_file(name, file, path)
-        needed.append(file)
     again = f"check the connection and repeat: hyperval data fetch {name}; or name a copy with HYPERVAL_DATA"
     return [download(file, cache_dir() / file.path, again) for file in track(needed, f"fetching {name}")]
 
@@ -311,7 +306,7 @@ class InputLog:
         self.base = Path(base) if base is not None else Path()
         self.simulated: Path | None = None
         self._entries: dict[str, dict[str, Any]] = {}
-        self._seen: set[Path] = set()
+        self._names: dict[Path, str] = {}  # the first of each file
 
     @classmethod
     def of_file(cls, path: Path) -> InputLog:
@@ -334,10 +329,8 @@ class InputLog:
 
     def add(self, path: Path, reference: str | None = None) -> Path:
         """Record a file that was found otherwise, such as the header beside a cube; once, by its first name."""
-        if reference is None and path.resolve() in self._seen:
-            return path
-        self._seen.add(path.resolve())
-        reference = reference or self._relative(path)
+        reference = reference or self._names.get(path.resolve()) or self._relative(path)
+        self._names.setdefault(path.resolve(), reference)
         if reference not in self._entries:
             check_copy(reference, path)
             owner, own = owner_of(reference), {"sha256": sha256_of(path), "bytes": size_of(path)}
@@ -383,22 +376,20 @@ def _by_path() -> dict[str, tuple[DataSet, DataFile]]:
 
 
 def _resolve_data(path: str) -> Path:
-    path_here = _find(path)
-    if path_here is not None:
+    if (path_here := _find(path)) is not None:
         return path_here
     looked = ", ".join(str(root) for root in _roots())
     of = fnmatchcase if is_pattern(path) else str.__eq__
-    owner = next((owner for known, (owner, _) in _by_path().items() if of(known, path)), None)
-    holder = set_on_request(PREFIX + path)
-    if owner:
-        mend = f"hyperval data fetch {owner.name}"
-    elif holder:
-        mend = f"the collection is not public, it is held by {holder.holder}: {how_to_get(holder)}"
-    else:  # neither the registry nor this machine knows it: the names nearest to it
+    known = (owner for known, (owner, _) in _by_path().items() if of(known, path))
+    owner = next(known, None) or set_on_request(PREFIX + path)
+    if owner is None:  # neither the registry nor this machine knows it: the names nearest to it
         folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
         beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
         close = nearest(path, [*_by_path(), *beside]) or nearest(path.split("/")[0], registry())
         perhaps = f"perhaps {', '.join(PREFIX + name for name in close)}" if close else ""
         raise refusal("data.unknown", PREFIX + path, looked=looked, perhaps=perhaps)
+    mend = f"hyperval data fetch {owner.name}"
+    if not owner.public:
+        mend = f"the collection is not public, it is held by {owner.holder}: {how_to_get(owner)}"
     # Reports say what is missing, and not which folders a machine has: that is for whoever runs it.
     raise MissingDataError("not on this machine", where=PREFIX + path, expected=f"it below {looked}", mend=mend)

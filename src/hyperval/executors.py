@@ -1,6 +1,6 @@
 """Where independent pieces run: in this process, in others, or on the workers of a Dask scheduler.
 
-Callers take any ``concurrent.futures.Executor``.  :func:`workers` makes one; :func:`in_order` hands the pieces out
+:func:`workers` makes them, of any ``concurrent.futures.Executor``; :func:`in_order` hands the pieces out
 and gives the results back in the order of the pieces, a bounded number on the way, so that what comes out does not
 depend on where the pieces ran.  Every piece has one BLAS thread: workers share the processors, and the last digits
 of a solve depend on the number of threads.
@@ -46,7 +46,7 @@ Prepare = Callable[[], object]
 _RENEWALS = 3  # of a process that died with a piece
 _SCHEDULER_S = 20.0  # for a scheduler to answer
 _CONNECT_S = 5.0  # a worker that is gone is not called for longer
-_START_S = 600.0  # for a process to load what it needs: the first on a machine computes an atmosphere
+_START_S = 600  # for a process to load what it needs: the first on a machine computes an atmosphere
 _UNWIND_S = 5.0  # for a piece to remove its temporary files when its run has ended
 _TICK_S = 0.1
 NOTHING: tuple[str, Any] = ("", None)
@@ -94,11 +94,14 @@ class Worker(Protocol):
     def is_alive(self) -> bool:
         """Whether it can take a task."""
 
-    def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
-        """Hand a task in, and return when it has begun."""
+    def begin(self, task: WorkerTask) -> None:
+        """Hand a task in."""
 
     def news(self) -> tuple[str, Any]:
-        """What comes in a moment: ("progress", how far it is), ("result", value), ("error", exception) or NOTHING."""
+        """What comes in a moment: ("progress", how far it is), ("result", value), ("error", exception) or NOTHING.
+
+        The first progress tells that the task has begun.
+        """
 
     def end(self) -> None:
         """End what is on its way, and whatever it started."""
@@ -160,15 +163,11 @@ class TaskPool:
             self._idle.put(worker if worker.is_alive() or self._is_closed else self._start())
 
     def _result(self, task: WorkerTask, worker: Worker) -> Any:
-        def is_over() -> bool:
-            return self._is_closed or task.is_cancelled
-
-        if is_over():
+        if self._is_closed or task.is_cancelled:
             raise Cancelled("cancelled before it began")
-        worker.begin(task, is_over)
-        task.started = time.monotonic()
-        while not is_over():
-            if time.monotonic() - task.started > self._seconds:
+        worker.begin(task)
+        while not (self._is_closed or task.is_cancelled):
+            if task.started and time.monotonic() - task.started > self._seconds:
                 worker.end()
                 raise TaskFailed(f"it took longer than {self._seconds:g} s, which is the limit of this server")
             what, value = worker.news()
@@ -177,7 +176,7 @@ class TaskPool:
             if what == "error":
                 raise value
             if what == "progress":
-                task.progress = value
+                task.progress, task.started = value, task.started or time.monotonic()
         worker.end()
         raise Cancelled("the server was stopped" if self._is_closed else "cancelled")
 
@@ -200,21 +199,13 @@ class Process:
         self._process = context.Process(target=_serve, args=arguments, daemon=True)
         self._process.start()
         other.close()
-        self._is_ready = False
 
     def is_alive(self) -> bool:
         """Whether the process runs."""
         return bool(self._process.is_alive())
 
-    def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
-        """Wait until the process has loaded what it needs, and hand a task in."""
-        end = time.monotonic() + _START_S
-        while not self._is_ready:
-            if is_over():
-                raise Cancelled("cancelled before it began")
-            if time.monotonic() > end:
-                raise Lost("a worker could not be started")
-            self._is_ready = self.news() == ("ready", None)
+    def begin(self, task: WorkerTask) -> None:
+        """Hand a task in, which begins when the process has loaded what it needs."""
         try:
             self._connection.send((task.task, task.arguments))
         except OSError:
@@ -229,8 +220,9 @@ class Process:
 
     def end(self) -> None:
         """End the process, whose task unwinds first, and whatever it started."""
-        self._connection.close()  # which it sees
-        self._process.join(2 * _UNWIND_S)
+        self._process.terminate()
+        self._process.join(_UNWIND_S)
+        self._connection.close()
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid or 0, signal.SIGKILL)
         self._process.join(_UNWIND_S)
@@ -243,15 +235,16 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the process that hands out the tasks
     signal.signal(signal.SIGTERM, _unwind)
     os.environ["HYPERVAL_WORKERS"] = "1"
-    calls: SimpleQueue[Any] = SimpleQueue()
-    threading.Thread(target=_attend, args=(connection, calls), daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     if memory_bytes is not None:
         import resource  # of the systems that a server runs on
 
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
     if prepare is not None:
+        signal.alarm(_START_S)  # which ends this process
         prepare()
+        signal.alarm(0)
     latest = [0.0]
 
     def report(what: str, done: int, total: int | None) -> None:
@@ -260,21 +253,19 @@ def _serve(connection: Connection, perform: Perform, prepare: Prepare | None, me
             connection.send(("progress", (what, done, total)))
 
     set_listener(report)
-    connection.send(("ready", None))
     while True:
-        answer = _answer(perform, calls.get())
         try:
-            connection.send(answer)
+            connection.send(_answer(perform, connection))
         except OSError:
             return
         except Exception as error:  # it cannot be packed
             connection.send(("error", TypeError(f"{type(error).__name__}: {error}")))
 
 
-def _answer(perform: Perform, call: Any) -> tuple[str, Any]:
+def _answer(perform: Perform, connection: Connection) -> tuple[str, Any]:
     try:
-        if isinstance(call, Exception):  # it could not be unpacked
-            raise call
+        call = connection.recv()
+        connection.send(("progress", ("", 0, None)))
         return "result", perform(*call)
     except Exception as error:
         error.add_note(traceback.format_exc())
@@ -293,15 +284,9 @@ def _unwind(signum: int, frame: FrameType | None) -> NoReturn:
     raise SystemExit(1)
 
 
-def _attend(connection: Connection, calls: SimpleQueue[Any]) -> None:
-    """In a process: take calls until the other end is closed, by its run or by the end of that, however it came."""
-    while True:
-        try:
-            calls.put(connection.recv())
-        except (EOFError, OSError):
-            break
-        except Exception as error:
-            calls.put(error)
+def _end_with_parent() -> None:
+    """In a process: end it with the one that made it, however that came to its end."""
+    multiprocessing.parent_process().join()  # type: ignore[union-attr]
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(_UNWIND_S)
     os.killpg(0, signal.SIGKILL)
@@ -341,26 +326,24 @@ def opened(packed: Parcel) -> Any:
 
 
 @contextmanager
-def parcel(where: Workers | Executor, value: Any) -> Iterator[Parcel]:
+def parcel(where: Workers, value: Any) -> Iterator[Parcel]:
     """``value`` packed for the pieces that run inside the block.
 
     Pieces for a cluster carry it; processes of this machine read it from a file of their own, once each, since
     handing it to them piece by piece takes longer than the work does where the work is quick.
     """
     content = pickle.dumps(value, protocol=5)
-    if not isinstance(where, Workers) or not isinstance(where.executor, TaskPool):
+    if isinstance(where.executor, TaskPool):
+        with scratch_folder("parcel") as folder:
+            (folder / "parcel").write_bytes(content)
+            yield folder / "parcel"
+    else:
         yield content
-        return
-    with scratch_folder("parcel") as folder:
-        (folder / "parcel").write_bytes(content)
-        yield folder / "parcel"
 
 
 def available_cores() -> int:
     """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
@@ -409,12 +392,12 @@ def workers(count: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     elif count <= 1:
         yield Workers()
     else:
-        with closing(TaskPool(partial(Process, _single_threaded), count, renewals=_RENEWALS)) as pool:
+        with closing(TaskPool(partial(Process, _elsewhere), count, renewals=_RENEWALS)) as pool:
             yield Workers(pool, count)
 
 
 def in_order(
-    where: Workers | Executor, function: Callable[[T], R], pieces: Iterable[T], *, ahead: int | None = None
+    where: Workers, function: Callable[[T], R], pieces: Iterable[T], *, ahead: int | None = None
 ) -> Iterator[R]:
     """Results of ``function`` for every piece, in the order of the pieces, with one BLAS thread each.
 
@@ -426,20 +409,19 @@ def in_order(
     ------
     WorkersLostError : processes died again and again.
     """
-    at = where if isinstance(where, Workers) else Workers(where, int(getattr(where, "_max_workers", 1)))
-    if at.executor is None:
-        yield from (_single_threaded(function, piece) for piece in pieces)
+    if where.executor is None:
+        yield from map(single_blas_thread()(function), pieces)
         return
     source, futures = iter(pieces), deque[Future[R]]()
     try:
         while True:
             try:  # handing a piece in can be what finds a pool broken
-                left = (ahead or 2 * at.width) - len(futures)
-                futures.extend(at.submit(function, piece) for piece in islice(source, left))
+                left = (ahead or 2 * where.width) - len(futures)
+                futures.extend(where.submit(function, piece) for piece in islice(source, left))
                 if not futures:
                     return
                 result = futures.popleft().result()
-            except at.losses as error:
+            except where.losses as error:
                 mend = "give it more memory, or fewer workers"
                 raise WorkersLostError(f"a worker process died: {error}", mend=mend) from error
             yield result
@@ -448,14 +430,10 @@ def in_order(
             future.cancel()
 
 
-def _single_threaded(function: Callable[[T], R], piece: T) -> R:
-    with single_blas_thread():
-        return function(piece)
-
-
 @bars(False)
+@single_blas_thread()
 def _elsewhere(function: Callable[[T], R], piece: T) -> R:
-    return _single_threaded(function, piece)
+    return function(piece)
 
 
 def _dask(address: str) -> Iterator[Workers]:

@@ -33,12 +33,10 @@ def check_hdf5(path: Path | str) -> None:
 
     Nothing is said of files that the library itself refuses, or on systems that cannot fork.
     """
-    try:
+    if os.path.exists(path):  # else the reader has words for it
         status = os.stat(path)
-    except OSError:
-        return  # the reader has words for it
-    reason = _trial(str(path), status.st_mtime_ns, status.st_size)
-    refuse(reason, "hdf5.damaged", path, reason=reason)
+        reason = _trial(str(path), status.st_mtime_ns, status.st_size)
+        refuse(reason, "hdf5.damaged", path, reason=reason)
 
 
 @lru_cache(maxsize=256)
@@ -53,9 +51,8 @@ def _trial(path: str, changed_ns: int, size: int) -> str:
 
 def trial(function: Callable[[], None]) -> str:
     """What a function does that it must not, called in a process of its own; any other error is as good as none."""
-    with warnings.catch_warnings():
-        # A process with threads: the child calls this function alone, and ends without cleaning up.
-        warnings.simplefilter("ignore", DeprecationWarning)
+    # A process with threads: the child calls this function alone, and ends without cleaning up.
+    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
         child = os.fork()
     if child == 0:
         code = 0
@@ -66,12 +63,10 @@ def trial(function: Callable[[], None]) -> str:
             code = 1
         finally:
             os._exit(code)
-    _, status = os.waitpid(child, 0)
-    if os.WIFSIGNALED(status):
-        ended = os.WTERMSIG(status)
-        late = ended in (signal.SIGXCPU, signal.SIGKILL)
-        return f"does not return within {CPU_SECONDS} s" if late else f"crashes (signal {ended})"
-    return f"asks for more than {MEMORY_BYTES >> 20} MiB" if os.WEXITSTATUS(status) else ""
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    if -code in (signal.SIGXCPU, signal.SIGKILL):
+        return f"does not return within {CPU_SECONDS} s"
+    return f"asks for more than {MEMORY_BYTES >> 20} MiB" if code > 0 else f"crashes (signal {-code})" if code else ""
 
 
 def _limit_this_process() -> None:
@@ -81,9 +76,8 @@ def _limit_this_process() -> None:
     faulthandler.disable()  # a crash is an answer here
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     limits = {resource.RLIMIT_CORE: 0, resource.RLIMIT_CPU: CPU_SECONDS}
-    memory = Path("/proc/self/statm")
-    if memory.is_file():
-        present = int(memory.read_text().split()[0]) * resource.getpagesize()
+    with suppress(FileNotFoundError):  # on systems without it
+        present = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         limits[resource.RLIMIT_AS] = present + MEMORY_BYTES
     for kind, limit in limits.items():
         with suppress(ValueError):  # where the system's own limit is lower still
@@ -129,8 +123,7 @@ def opened_netcdf(
 
     check_hdf5(path)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a dimension that stands twice
+        with warnings.catch_warnings(action="ignore"):  # of a dimension that stands twice
             data = xr.open_dataset(path, engine="h5netcdf", decode_times=False)
         with data:
             lacking = ", ".join(name for name in axes_of if name not in data.variables and name not in may_lack)

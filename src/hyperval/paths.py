@@ -49,14 +49,14 @@ def matching(path: Path) -> list[Path]:
 
 def nearest(name: str, known: Iterable[str]) -> list[str]:
     """The known names most like ``name``, case left aside; the best first."""
-    by_lower: dict[str, str] = {}
-    for one in known:
-        by_lower.setdefault(one.lower(), one)
+    by_lower = {one.lower(): one for one in reversed([*known])}
     return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, 3, 0.6)]
 
 
-def checked_file(path: Path | str, *, root: Path | None = None, what: str = "file", most: int | None = None) -> Path:
-    """The path of a regular file that lies under ``root``, of at most ``most`` bytes.
+def checked_file(
+    path: Path | str, *, root: Path | None = None, what: str = "file", most: int | None = None, folder: bool = False
+) -> Path:
+    """The path of a regular file, or folder, that lies under ``root``, of at most ``most`` bytes.
 
     Symbolic links are followed before the check, so a link that leads out of ``root`` is refused.
 
@@ -68,31 +68,8 @@ def checked_file(path: Path | str, *, root: Path | None = None, what: str = "fil
     text = os.fspath(path)
     scheme = re.match(r"^[A-Za-z][A-Za-z0-9+._-]+:", text)
     refuse(scheme or text.startswith("/vsi") or "\0" in text, "path.local", text[:200], what=what)
-    out = _checked(Path(text), root, what, folder=False)
-    refuse(most is not None and out.stat().st_size > most, "path.large", text, most=most, what=what)
-    return out
-
-
-def checked_folder(path: Path | str) -> Path:
-    """The path of a folder that holds all of its files, by the rules of :func:`checked_file`."""
-    given = _checked(Path(path), None, "Zarr store", folder=True)
-    real = given.resolve()
-    refuse(any(not p.resolve().is_relative_to(real) for p in given.rglob("*")), "path.zarr", str(path))
-    return given
-
-
-def checked_store(path: Path | str) -> Path:
-    """A file by the rules of :func:`checked_file`, or a Zarr store, which is a folder."""
-    store = Path(path)
-    if store.suffix == ".zarr" and store.is_dir():
-        return checked_folder(store)
-    return checked_file(path)
-
-
-def _checked(given: Path, root: Path | None, what: str, *, folder: bool) -> Path:
-    text = os.fspath(given)
     try:
-        real = given.resolve(strict=True)
+        real = Path(text).resolve(strict=True)
         mode = real.stat().st_mode
     except FileNotFoundError:
         raise InputError(f"no such {what}", where=text) from None
@@ -103,7 +80,22 @@ def _checked(given: Path, root: Path | None, what: str, *, folder: bool) -> Path
     if not (stat.S_ISDIR(mode) if folder else stat.S_ISREG(mode)):
         kind = "a folder" if stat.S_ISDIR(mode) else "a file" if stat.S_ISREG(mode) else "a pipe, socket or device"
         raise InputError(f"is {kind}, not a {what}", where=text, expected="a folder" if folder else "a regular file")
+    refuse(most is not None and real.stat().st_size > most, "path.large", text, most=most, what=what)
+    return Path(text)
+
+
+def checked_folder(path: Path | str) -> Path:
+    """The path of a folder that holds all of its files, by the rules of :func:`checked_file`."""
+    given = checked_file(path, what="Zarr store", folder=True)
+    real = given.resolve()
+    refuse(any(not p.resolve().is_relative_to(real) for p in given.rglob("*")), "path.zarr", str(path))
     return given
+
+
+def checked_store(path: Path | str) -> Path:
+    """A file by the rules of :func:`checked_file`, or a Zarr store, which is a folder."""
+    is_zarr = Path(path).suffix == ".zarr" and Path(path).is_dir()
+    return checked_folder(path) if is_zarr else checked_file(path)
 
 
 def head_of(path: Path, count: int = 512) -> bytes:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, _GeneratorContextManager, contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, _GeneratorContextManager, closing, contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -26,18 +26,6 @@ def set_listener(listener: Listener | None) -> None:
     """
     global _listener  # noqa: PLW0603 - one for a process, as its standard error is
     _listener = listener
-
-
-def _with_listener(
-    items: Iterable[T], what: str, total: int | None, size: Callable[[T], int] = lambda _: 1
-) -> Iterator[T]:
-    """The items; the listener, where there is one, learns of each."""
-    done = 0
-    for item in items:
-        if _listener is not None:
-            _listener(_step.get() + what, done, total)
-        done += size(item)
-        yield item
 
 
 @contextmanager
@@ -62,13 +50,8 @@ def bars(show: bool | None) -> _GeneratorContextManager[None]:
 @contextmanager
 def working(what: str) -> Iterator[None]:
     """A bar that moves and counts the time while the block works on what has no parts to count."""
-    if _listener is not None:
-        _listener(_step.get() + what, 0, None)
-    if not _shown():
-        yield
-        return
-    with _bar("TimeElapsed") as bar:
-        bar.add_task(_step.get() + what, total=None)
+    with closing(track(iter([None]), what, columns=("TimeElapsed",))) as whole:
+        next(whole)
         yield
 
 
@@ -87,33 +70,32 @@ def _bar(*columns: str) -> Progress:
     return progress.Progress(words, *parts, console=Console(stderr=True), transient=True)
 
 
-def track(items: Iterable[T], what: str, total: int | None = None, *, show: bool | None = None) -> Iterator[T]:
-    """Yield ``items`` while a progress bar named ``what`` is drawn on standard error.
+def track(
+    items: Iterable[T], what: str, total: int | None = None, *, show: bool | None = None,
+    columns: Sequence[str] = ("MofNComplete", "TaskProgress", "TimeRemaining"), size: Callable[[T], int] = lambda _: 1,
+) -> Generator[T, None, None]:  # fmt: skip
+    """Yield ``items`` while a progress bar named ``what`` is drawn on standard error, and the listener learns of each.
 
     ``show`` defaults to what :func:`bars` says, else to whether standard error is a terminal.  The bar is removed when
-    done.
+    done.  ``size`` says how much of the ``total`` an item is.
     """
     if total is None and hasattr(items, "__len__"):
         total = len(items)  # type: ignore[arg-type]
-    items = _with_listener(items, what, total)
-    if not _shown(show):
-        yield from items
-        return
-    with _bar("MofNComplete", "TaskProgress", "TimeRemaining") as bar:
-        yield from bar.track(items, description=_step.get() + what, total=total)
+    done, name = 0, _step.get() + what
+    with _bar(*columns) if _shown(show) else nullcontext() as bar:
+        task: Any = bar and bar.add_task(name, total=total)
+        for item in items:
+            if _listener is not None:
+                _listener(name, done, total)
+            yield item
+            done += size(item)
+            if bar:
+                bar.update(task, completed=done)
 
 
 def watch_lines(what: str, bytes_per_line: int, lines: int) -> Callable[[Parts], Parts]:
     """A wrapper of the parts of a pass over an image: bytes done, rate and time left on standard error."""
-
-    def counted(parts: Parts) -> Parts:
-        return _with_listener(parts, what, lines, lambda part: len(part[0]))
-
-    def watched(parts: Parts) -> Parts:
-        with _bar("Download", "TransferSpeed", "TimeRemaining") as bar:
-            task = bar.add_task(_step.get() + what, total=lines * bytes_per_line)
-            for part in counted(parts):
-                bar.advance(task, len(part[0]) * bytes_per_line)
-                yield part
-
-    return watched if _shown() else counted
+    columns, show = ("Download", "TransferSpeed", "TimeRemaining"), _shown()
+    return lambda parts: track(
+        parts, what, lines * bytes_per_line, show=show, columns=columns, size=lambda part: len(part[0]) * bytes_per_line
+    )

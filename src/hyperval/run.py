@@ -10,7 +10,8 @@
 ============================  =====================================================================================
 
 The folder of several campaigns has a folder for each.  Its tables are joined from theirs, text by text, and its
-``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign.
+``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign and
+the text of ``MOST_JOINED`` rows.
 
 Numbers are written as their shortest exact representation, and the same run gives the same bytes.
 
@@ -25,21 +26,22 @@ and read back it is a thousand values evenly spread between the outermost of the
 from __future__ import annotations
 
 import csv
+import fnmatch
 import io
 import json
 import math
 import re
+import sys
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
-from functools import cache, cached_property
-from itertools import chain, dropwhile, islice, takewhile
+from functools import cache, cached_property, partial
+from itertools import chain, count, takewhile
 from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -291,10 +293,9 @@ def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) ->
     InputError : a folder without results.
     UsageError : a run with several times, or none of the runs has such a row.
     """
-    days = []
+    days, asked = [], {"product": product, "subject": subject, "metric": metric}
     for run in map(Run.open, runs_in(folders)):
-        rows = [r for r in run.table if (r.product, r.subject, r.metric) == (product, subject, metric)]
-        rows = [r for r in rows if not math.isnan(r.value)]
+        rows = [row for row in run.table.where(**asked) if not math.isnan(row.value)]
         refuse(rows and len(run.times) != 1, "results.times", run.folder, count=len(run.times))
         days += [(when, rows[0]) for when in run.times if rows]
     refuse(not days, "results.row", row=f"{product}, {subject}, {metric}")
@@ -307,11 +308,9 @@ def file_stems(names: Iterable[str]) -> dict[str, str]:
     taken: set[str] = set()
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:100] or "_"
-        candidate, number = stem, 2
-        while candidate.lower() in taken:
-            candidate, number = f"{stem}_{number}", number + 1
-        taken.add(candidate.lower())
-        stems[name] = candidate
+        candidates = chain([stem], (f"{stem}_{number}" for number in count(2)))
+        stems[name] = next(one for one in candidates if one.lower() not in taken)
+        taken.add(stems[name].lower())
     return stems
 
 
@@ -322,20 +321,15 @@ def _write_score_map(path: Path, name: str, score_map: ScoreMap) -> None:
     from rasterio.errors import NotGeoreferencedWarning
 
     values = np.asarray(score_map.values, dtype=np.float32)
-    profile = {
-        "driver": "GTiff", "height": values.shape[0], "width": values.shape[1], "count": 1, "dtype": "float32",
-        "nodata": float("nan"), "compress": "deflate", "predictor": 3,
-    }  # fmt: skip
-    if score_map.transform is not None:
-        profile["transform"] = Affine(*[float(number) for number in list(score_map.transform)[:6]])
-    if score_map.crs:
-        profile["crs"] = score_map.crs
-    with warnings.catch_warnings():
-        # A map in image geometry is a legitimate product.
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile) as out:
-            out.write(values, 1)
-            out.set_band_description(1, f"{name} score [1]")
+    transform = None if score_map.transform is None else Affine(*map(float, list(score_map.transform)[:6]))
+    # A map in image geometry is a legitimate product.
+    quiet = warnings.catch_warnings(action="ignore", category=NotGeoreferencedWarning)
+    with quiet, rasterio.open(
+        path, "w", driver="GTiff", height=values.shape[0], width=values.shape[1], count=1, dtype="float32",
+        nodata=math.nan, compress="deflate", predictor=3, transform=transform, crs=score_map.crs or None,
+    ) as out:  # fmt: skip
+        out.write(values, 1)
+        out.set_band_description(1, f"{name} score [1]")
 
 
 # The table ------------------------------------------------------------------------------------------------------------
@@ -345,13 +339,14 @@ _values = attrgetter(*COLUMNS)
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _ROWS = ' "rows": [\n'  # the last line before the rows of a table
-_INFINITE = {"inf": math.inf, "-inf": -math.inf}
-_NUMBERS = tuple(f.name for f in fields(Result) if f.type == "float")
 _KNOWN = set(COLUMNS)
-# What the third version had not: a row tells its effect; the first of the fourth had no subjects_seen.
-_NEW: dict[str, Any] = dict.fromkeys(COLUMNS[COLUMNS.index("effect") :])
-_NEW |= {"effect_unit": "", "set_after": False, "subjects_seen": ""}
-_TYPES = {"role": Role, "evidence": Evidence, "outcome": Outcome, "cause": Cause}
+_OLD = set(COLUMNS[: COLUMNS.index("effect")])  # in every version
+# What the values of a column are read by, by the type of the field; rows repeat their words, which are kept once.
+_READ: dict[str, Callable[[Any], Any]] = {
+    "str": sys.intern, "float": lambda value: math.nan if value is None else float(value), "Role": Role,
+    "Evidence | None": Evidence, "Outcome": Outcome, "Cause": Cause,
+}  # fmt: skip
+_READ_COLUMN = {f.name: _READ.get(str(f.type), lambda value: value) for f in fields(Result)}
 
 
 def write_table(table: Iterable[Result], folder: Path) -> None:
@@ -381,39 +376,23 @@ def write_joined(
                 with open(parts / part / name, encoding="utf-8", newline="") as own:
                     next(own)
                     out.writelines(own)
-    heads = [_json_head(parts / name / TABLE) for name in names]
-    counts = {o: sum(int(head["counts"][o]) for head in heads) for o in map(str, Outcome)}
-    is_small = sum(counts.values()) <= MOST_JOINED
-    lines = chain.from_iterable(_row_lines(parts / name / TABLE) for name in names) if is_small else []
-    write_text(folder / TABLE, _document(lines, counts, {"runs": list(names)}))
+    counts, lines = Counter(dict.fromkeys(map(str, Outcome), 0)), list[str]()
+    for name in names:
+        with open(parts / name / TABLE, encoding="utf-8") as stream:
+            head = "".join(takewhile(_ROWS.__ne__, stream))
+            counts.update(json.loads(head[:-2] + "}" if head.endswith(",\n") else head)["counts"])
+            if counts.total() <= MOST_JOINED:
+                lines += (line.rstrip(",\n") for line in takewhile(" ]\n".__ne__, stream))
+    is_small = counts.total() <= MOST_JOINED
+    write_text(folder / TABLE, _document(lines if is_small else [], counts, {"runs": list(names)}))
     write_text(folder / JUNIT, junit_xml(planned))
     write_text(folder / PAGE, page)
 
 
-def _is_joined(path: Path) -> bool:
-    """Whether a table names the runs that have its rows."""
-    with suppress(OSError), open(path, "rb") as stream:
-        return b'"runs": [' in stream.read(1000) and stream.seek(0, 2) <= MAX_BYTES
-    return False
-
-
-def _json_head(path: Path) -> dict[str, Any]:
-    """What a table says before its rows."""
-    with open(path, encoding="utf-8") as stream:
-        text = "".join(takewhile(_ROWS.__ne__, stream)).rstrip()
-    return dict(json.loads(text.removesuffix(",") + "}" if text.endswith(",") else text))
-
-
-def _row_lines(path: Path) -> Iterator[str]:
-    """The rows of a table as they are written there."""
-    with open(path, encoding="utf-8") as stream:
-        rows = islice(dropwhile(_ROWS.__ne__, stream), 1, None)
-        yield from (line.rstrip(",\n") for line in takewhile(" ]\n".__ne__, rows))
-
-
 def results_csv(rows: Iterable[Result]) -> str:
     """The table as CSV: the columns ``results.COLUMNS``, an empty cell for NaN and None."""
-    return csv_text(chain([COLUMNS], ([_cell(value) for value in _values(row)] for row in rows)))
+    cells = ([harmless(x) if isinstance(x, str) else json_value(x) for x in _values(row)] for row in rows)
+    return csv_text(chain([COLUMNS], cells))
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:
@@ -447,32 +426,27 @@ def _document(lines: Iterable[str], counts: Mapping[str, int], more: Mapping[str
 
 def junit_xml(rows: Iterable[Result]) -> str:
     """One test case for each gate and each error; what disagrees fails, what is undecided counts as skipped."""
-    suites: dict[str, list[Result]] = {}
-    for row in rows:
-        suites.setdefault(row.campaign, [])
-        if row.gates or row.outcome is Outcome.ERROR:
-            suites[row.campaign].append(row)
-    root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(chain.from_iterable(suites.values()))})
-    for campaign, own in suites.items():
-        suite = ElementTree.SubElement(root, "testsuite", {"name": _in_xml(campaign), **_tally(own)})
+    rows = list(rows)
+    cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
+    root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
+    for campaign in dict.fromkeys(row.campaign for row in rows):
+        own = [row for row in cases if row.campaign == campaign]
+        suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(own)})
         for row in own:
-            names = {"classname": _in_xml(f"{row.campaign}.{row.product}"), "name": _in_xml(row_name(row))}
+            names = {"classname": f"{row.campaign}.{row.product}", "name": row_name(row)}
             case = ElementTree.SubElement(suite, "testcase", names)
             if element := OUTCOMES[row.outcome].element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
-                ElementTree.SubElement(case, element, message=_in_xml(undecided + _why(row)))
+                ElementTree.SubElement(case, element, message=undecided + _why(row))
     ElementTree.indent(root, " ")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
+    text = _NOT_XML.sub("\ufffd", ElementTree.tostring(root, "unicode"))
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
 def _tally(rows: Iterable[Result]) -> dict[str, str]:
     count = Counter(OUTCOMES[row.outcome].element for row in rows)
-    parts = {"tests": count.total(), **{f"{name}s": count[name] for name in ("failure", "error")}}
-    return {name: str(number) for name, number in {**parts, "skipped": count["skipped"]}.items()}
-
-
-def _in_xml(text: str) -> str:
-    return _NOT_XML.sub("\ufffd", text)
+    names = {"failures": "failure", "errors": "error", "skipped": "skipped"}
+    return {"tests": str(count.total())} | {name: str(count[element]) for name, element in names.items()}
 
 
 def _why(row: Result) -> str:
@@ -485,12 +459,10 @@ def _why(row: Result) -> str:
 
 def json_value(value: Any) -> Any:
     """A value that JSON can hold: NaN becomes null, an infinity its name, anything unknown its text."""
-    if isinstance(value, str):
-        return str(value)
+    if value is None or isinstance(value, str | int):
+        return value
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None if math.isnan(value) else str(value)
-    if value is None or isinstance(value, int):
-        return value
     if isinstance(value, list | tuple):
         return [json_value(item) for item in value]
     if hasattr(value, "tolist"):  # NumPy scalars and arrays
@@ -505,13 +477,8 @@ def harmless(text: str) -> str:
 
     A carriage return becomes a line feed: readers of CSV take a bare one for the end of the row.
     """
-    if "\r" in text:
-        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
     return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\n") else text
-
-
-def _cell(value: Any) -> Any:
-    return harmless(value) if isinstance(value, str) else json_value(value)
 
 
 def read_rows(folder: Path, *, every: bool = True) -> Iterator[Result]:
@@ -534,7 +501,7 @@ def read_rows(folder: Path, *, every: bool = True) -> Iterator[Result]:
 
 @reader
 def _document_of(path: Path) -> dict[str, Any]:
-    document = _json_head(path) | {"rows": []} if _is_joined(path) else _json(path)
+    document = _json(path)
     lists = all(isinstance(document.get(name, []), list) for name in ("runs", "columns", "rows"))
     is_known = document.get("schema_version") in _READABLE and lists and {"columns", "rows"} <= document.keys()
     refuse(not is_known, "results.table", path, version=SCHEMA_VERSION)
@@ -543,34 +510,25 @@ def _document_of(path: Path) -> dict[str, Any]:
 
 @reader
 def _rows(path: Path, columns: list[Any], rows: list[Any], every: bool) -> list[Result]:
-    out, words = [], dict[str, str]()  # rows repeat their words, which are kept once
+    out = []
     for i, item in enumerate(rows, start=1):
         if isinstance(item, list) and len(item) == len(columns):
             item = dict(zip(map(str, columns), item, strict=True))
-        if not isinstance(item, dict) or not _KNOWN - _NEW.keys() <= item.keys() <= _KNOWN:
+        if not isinstance(item, dict) or not _OLD <= item.keys() <= _KNOWN:
             raise refusal("results.columns", f"{path}, row {i}", columns=", ".join(sorted(_KNOWN)))
         if every or item["band_nm"] is None or item["outcome"] != Outcome.NONE:
-            out.append(_row(item, words, f"{path}, row {i}"))
+            try:
+                out.append(Result(**{name: _READ_COLUMN[name](value) for name, value in item.items()}))
+            except (TypeError, ValueError, UsageError) as error:
+                raise refusal("results.values", f"{path}, row {i}", why=error) from error
     return out
-
-
-def _row(item: dict[str, Any], words: dict[str, str], where: str) -> Result:
-    values: dict[str, Any] = {k: words.setdefault(v, v) if isinstance(v, str) else v for k, v in (_NEW | item).items()}
-    try:
-        for name in _NUMBERS:
-            value = values[name]
-            values[name] = math.nan if value is None else float(_INFINITE.get(value, value))
-        for name, kind in _TYPES.items():
-            values[name] = kind(values[name])
-        return Result(**values)
-    except (TypeError, ValueError, UsageError) as error:
-        raise refusal("results.values", where, why=error) from error
 
 
 def _json(path: Path) -> dict[str, Any]:
     raw = content_of(path, ("results.file", "results.large"), most=MAX_BYTES)
-    try:
-        content: dict[str, Any] = json.loads(raw)
+    head, rows, _ = raw.partition(b"\n" + _ROWS.encode())
+    try:  # the rows of a table that names its runs are read from the folders of these
+        content: dict[str, Any] = json.loads(head + b'"rows": []}' if rows and b'\n "runs": [' in head else raw)
     except (ValueError, RecursionError) as error:
         raise refusal("results.json", path, why=error) from error
     refuse(not isinstance(content, dict), "results.object", path)
@@ -609,8 +567,8 @@ class Layout(NamedTuple):
     kind: type | None
     axis: str
     key: tuple[str, ...]
-    columns: tuple[Column, ...] = ()
-    inner: Mapping[str, Layout] = MappingProxyType({})
+    columns: tuple[Column, ...]
+    inner: Mapping[str, Layout]
 
 
 @cache
@@ -657,17 +615,14 @@ def to_xarray(products: Products) -> Any:
     """One side as a dataset of xarray, which takes 80 MB with pandas and is loaded where it is asked for."""
     import xarray as xr
 
-    parts: tuple[Arrays, Arrays] = ({}, {})
-    for name, entry in to_arrays(products).items():
-        parts[_is_label(name, entry)][name] = entry
-    return xr.Dataset(*parts)
+    arrays = to_arrays(products)
+    return xr.Dataset(arrays).set_coords([name for name, entry in arrays.items() if _is_label(name, entry)])
 
 
 def to_arrays(products: Products) -> Arrays:
     """One side as arrays along ``band``, ``band_2``, ``PRODUCT_subject``, ``roc_curve``, ``roc_point``, ..."""
     axis, data = products.axis, _bands(products.axis)
-    unit = data["wavelength"][2]["units"]
-    words = {"units": unit, "long_name": "wavelength, second index"}
+    words = {"units": data["wavelength"][2]["units"], "long_name": "wavelength, second index"}
     data["wavelength_2"] = (("band_2",), axis.centre_nm, words)
     flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "not_used used"}
     good = {"units": "1", "long_name": "whether the band is used", **flags}
@@ -705,20 +660,22 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
     for i, part in enumerate(layout.key):
         names = np.array([str(key[i]) for key, _ in entries], dtype=object)
         data[f"{layout.prefix}_{part}"] = ((layout.axis,), names, {"long_name": _PARTS[part]})
-    each = [(c, [item if c.field == "self" else getattr(item, c.field) for _, item in entries]) for c in layout.columns]
-    longest = {axis: 0 for column in layout.columns for axis in column.axes}
-    for column, values in each:
-        for array in (v for value in values for v in (value.values() if isinstance(value, Mapping) else [value])):
-            longest.update({a: max(longest[a], n) for a, n in zip(column.axes, np.shape(array), strict=False)})
-    for column, values in each:
-        shape = [longest[axis] for axis in column.axes]
+    each: list[tuple[Column, list[Any], dict[str, str]]] = []
+    for column in layout.columns:
+        values = [item if column.field == "self" else getattr(item, column.field) for _, item in entries]
         if "{}" not in column.name:
-            _add_column(data, layout, column, values, shape)
+            each.append((column, values, {}))
             continue
         for source in sorted({source for value in values for source in value}):
             suffix = re.sub(r"[^A-Za-z0-9]", "_", source)
             own = column._replace(name=column.name.format(suffix), text=column.text.format(source.replace("_", " ")))
-            _add_column(data, layout, own, [value.get(source) for value in values], shape, source=source)
+            each.append((own, [value.get(source) for value in values], {"source": source}))
+    longest = dict.fromkeys((axis for column in layout.columns for axis in column.axes), 0)
+    for column, values, _ in each:
+        for value in values:
+            longest.update({a: max(longest[a], n) for a, n in zip(column.axes, np.shape(value), strict=False)})
+    for column, values, more in each:
+        _add_column(data, layout, column, values, [longest[axis] for axis in column.axes], more)
     for name, inner in layout.inner.items():
         found = []
         for key, item in entries:
@@ -729,14 +686,14 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
 
 
 def _add_column(
-    data: Arrays, layout: Layout, column: Column, values: Sequence[Any], shape: Sequence[int], **more: str
+    data: Arrays, layout: Layout, column: Column, values: list[Any], shape: list[int], more: dict[str, str]
 ) -> None:
     """Numbers or arrays below each other, NaN where one is None or has ended; nothing where all arrays are None."""
     name, axes, words = column.name, (layout.axis, *column.axes), {"long_name": column.text, **more}
     if not column.unit:
         data[name] = (axes, np.array([str(value) for value in values], dtype=object), words)
     elif not shape or any(value is not None for value in values):
-        out = np.full((len(values), *shape), np.nan, dtype=np.float32 if _is_packed(name) else float)
+        out = np.full((len(values), *shape), np.nan, dtype=np.float32 if name.endswith("_covariance") else float)
         for row, value in zip(out[..., None], values, strict=True):
             if value is not None:
                 row[tuple(slice(n) for n in np.shape(value))] = np.asarray(value)[..., None]
@@ -766,32 +723,27 @@ def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
     subjects = list(dict.fromkeys(s for side in each for name in products for s in getattr(side, name)))
     data["side"] = (("side",), np.array(list(sides), dtype=object), {"long_name": "predicted or observed"})
     data["subject"] = (("subject",), np.array(subjects, dtype=object), {"long_name": _PARTS["subject"]})
+    none = np.full(len(each[0].axis), np.nan)
     for name in products:
         for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):
-            values = np.full((len(each), len(subjects), len(each[0].axis)), np.nan)
-            for i, side in enumerate(each):
-                for subject, estimate in getattr(side, name).items():
-                    values[i, subjects.index(subject)] = getattr(estimate, column.field)
+            estimates = [[getattr(side, name).get(subject) for subject in subjects] for side in each]
+            values = np.array([[getattr(one, column.field, none) for one in own] for own in estimates])
             words = {"units": column.unit, "long_name": column.text}
             data[column.name] = (("side", "subject", "band"), values, words)
     return data
-
-
-def _is_packed(name: str) -> bool:
-    return name.endswith("_covariance")
 
 
 def _write_group(group: Any, data: Arrays) -> None:
     labels = sorted(name for name, entry in data.items() if _is_label(name, entry))
     for name, (axes, values, attributes) in data.items():
         array = np.asarray(values)
-        for axis, size in zip(axes, array.shape, strict=True):
-            if axis not in group.dimensions:
-                group.dimensions[axis] = size
+        new = {axis: size for axis, size in zip(axes, array.shape, strict=True) if axis not in group.dimensions}
+        group.dimensions.update(new)
         options: dict[str, Any] = {"dtype": h5py.string_dtype() if array.dtype.kind == "O" else array.dtype}
         if array.dtype.kind == "f" and name not in labels:
             options["fillvalue"] = array.dtype.type(np.nan)
-            options |= {"compression": "gzip", "compression_opts": 4, "shuffle": True} if _is_packed(name) else {}
+            is_packed = array.dtype == np.float32
+            options |= {"compression": "gzip", "compression_opts": 4, "shuffle": True} if is_packed else {}
         variable = group.create_variable(name, axes, data=array, **options)
         variable.attrs.update(attributes)
         beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
@@ -823,8 +775,7 @@ def read_products(folder: Path) -> dict[str, Products]:
     InputError : no products.nc, or one that is not of this kind.
     """
     with _opened(folder) as file:
-        kinds = {name: SIDES.get(name, PredictedProducts) for name in file.groups}
-        return {name: _products(file.groups[name], kind) for name, kind in kinds.items()}
+        return {name: _products(group, SIDES.get(name, PredictedProducts)) for name, group in file.groups.items()}
 
 
 def read_pair(folder: Path) -> tuple[PredictedProducts | None, ObservedProducts | None]:
@@ -843,14 +794,13 @@ def _products(group: Any, kind: type[Products]) -> Products:
     centre, fwhm, good = (group[name][...] for name in ("wavelength", "fwhm", "good_band"))
     axis = SpectralAxis(centre, fwhm, good.astype(bool))
     held = {name: entries for name, layout in _layouts().items() if (entries := _entries(group, layout))}
-    scores, each = dict[Any, ObjectScores](), dict[Any, list[tuple[str, float]]]()
+    scores: dict[Any, ObjectScores] = {}
     for key, quantiles in held.pop("object_score_law", []):
         at = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES
         scores[key] = ObjectScores(np.interp(at, group[_PROBABILITY][...], quantiles)[None])
-    for (subject, detector, name), value in held.pop("object_score", []):
-        each.setdefault((subject, detector), []).append((name, float(value)))
-    for key, own in each.items():
-        scores[key] = ObjectScores(np.array([value for _, value in own]), tuple(name for name, _ in own))
+    for (*target, name), value in held.pop("object_score", []):
+        one = scores.get(tuple(target), ObjectScores(np.empty(0)))
+        scores[tuple(target)] = ObjectScores(np.append(one.values, value), (*one.names, name))
     content: dict[str, Any] = {
         name: {key[0] if len(key) == 1 else key: item for key, item in entries} for name, entries in held.items()
     }
@@ -864,14 +814,14 @@ def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
     keys = list(zip(*(_texts(group[f"{layout.prefix}_{part}"]) for part in layout.key), strict=True))
     items: list[dict[str, Any]] = [{} for _ in keys]
     for column in layout.columns:
-        name = column.field
-        for source, variable in _variables(group, column).items():
+        for name in fnmatch.filter(group.variables, column.name.format("*")):
+            variable = group[name]
             values = variable[...] if column.unit else _texts(variable)
             for item, value in zip(items, values, strict=True):
-                if source and not np.isnan(value).all():
-                    item.setdefault(name, {})[source] = value
-                elif not source:
-                    item[name] = value
+                if "{}" not in column.name:
+                    item[column.field] = value
+                elif not np.isnan(value).all():
+                    item.setdefault(column.field, {})[str(variable.attrs["source"])] = value
     for axes in {column.axes for column in layout.columns if column.axes and "band" not in column.axes}:
         for item in items:
             _trim(item, [column.field for column in layout.columns if column.axes == axes])
@@ -883,14 +833,6 @@ def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
     return [(key, _made(layout.kind, key, item)) for key, item in zip(keys, items, strict=True)]
 
 
-def _variables(group: Any, column: Column) -> dict[str, Any]:
-    """Source -> variable of a column, where it stands for several; else "" -> the one, where there is one."""
-    if "{}" not in column.name:
-        return {"": group[column.name]} if column.name in group else {}
-    found = [variable for name, variable in group.variables.items() if name.startswith(column.name.format(""))]
-    return {str(variable.attrs["source"]): variable for variable in found}
-
-
 def _texts(variable: Any) -> list[str]:
     return [text.decode() if isinstance(text, bytes) else str(text) for text in variable[...]]
 
@@ -898,9 +840,15 @@ def _texts(variable: Any) -> list[str]:
 def _trim(item: dict[str, Any], names: Sequence[str]) -> None:
     """Cut off what fills arrays of one length up to the longest of their kind."""
     arrays = {name: item[name] for name in names if name in item}
-    ends = [np.flatnonzero(~np.isnan(values)) for values in arrays.values()]
-    size = max((int(places[-1]) + 1 for places in ends if places.size), default=0)
-    item.update({name: values[:size] for name, values in arrays.items()})
+    filled = np.flatnonzero(np.any(~np.isnan(list(arrays.values())), axis=0))
+    item.update({name: values[: filled.max(initial=-1) + 1] for name, values in arrays.items()})
+
+
+# The value of a field by its type.
+_OF_FIELD: dict[str, Callable[[Any], Any]] = {
+    "int": int, "bool": bool, "float": float, "Array": partial(np.array, dtype=float),
+    "Counts": partial(np.array, dtype=np.int64),
+}  # fmt: skip
 
 
 def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
@@ -914,19 +862,9 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
         item["error_covariance"] = covariance
     if kind is product_types.RocCurve:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
-    for name, hint in _hints(kind).items():
+    for name, hint in ((f.name, str(f.type)) for f in fields(kind)):
         value = item.get(name)
-        if not isinstance(value, np.ndarray | np.floating):
-            continue
-        if "None" in hint and np.isnan(value).all():
-            item[name] = None
-        elif isinstance(value, np.ndarray):
-            item[name] = value.astype(np.int64 if hint.startswith("Counts") else float)
-        else:
-            item[name] = int(value) if hint.startswith("int") else bool(value) if hint == "bool" else float(value)
+        if isinstance(value, np.ndarray | np.floating):
+            is_none = "None" in hint and np.isnan(value).all()
+            item[name] = None if is_none else _OF_FIELD[hint.partition(" ")[0]](value)
     return kind(**item)
-
-
-@cache
-def _hints(kind: type) -> dict[str, str]:
-    return {f.name: str(f.type) for f in fields(kind)}

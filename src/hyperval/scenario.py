@@ -328,7 +328,7 @@ class Fill(OneOf):
     truth: Literal[True] | None = Field(
         None, description="true: those of the collection's truth, which a finer image or abundances tell by pixel"
     )
-    listed: list[Annotated[list[Fraction], Field(min_length=1, max_length=4096)]] | None = Field(
+    listed: tuple[Annotated[tuple[Fraction, ...], Field(min_length=1, max_length=4096)], ...] | None = Field(
         None, min_length=1, max_length=4096, description="of the pixels of each of some equally likely objects"
     )
 

@@ -222,10 +222,8 @@ _SHAPES: dict[str, Callable[..., Array]] = {
 
 def _curve(terms: str | list[list[Any]], w: Array) -> Array:
     """(B,) the sum of the terms of a curve, or of the curve of that name, at ``w`` (B,) [nm]."""
-    total = np.zeros_like(w)
-    for height, shape, *where in _CURVES[terms] if isinstance(terms, str) else terms:
-        total = total + height * _SHAPES[shape](w, *where)
-    return total
+    listed = _CURVES[terms] if isinstance(terms, str) else terms
+    return sum((height * _SHAPES[shape](w, *where) for height, shape, *where in listed), np.zeros_like(w))
 
 
 def _level(name: str) -> float | None:
@@ -240,10 +238,8 @@ def _mean(name: str, w: Array) -> Array:
         slope = _PANELS["slope"].get(name, _PANELS["slope"]["grey"])
         return np.asarray(level * (1 - slope * (w - 400) / 2100 - 0.05 * _rise(-w, -385, 12)))
     surface = _SURFACES[name]
-    mean, exponent = _curve(surface["level"], w), np.zeros_like(w)
-    for factor, curve in surface.get("absorbance", ()):
-        exponent = exponent - factor * _curve(curve, w)
-    return np.asarray(mean * np.exp(exponent) * (1 - _curve(surface.get("dips", []), w)))
+    depth = sum((factor * _curve(curve, w) for factor, curve in surface.get("absorbance", ())), np.zeros_like(w))
+    return np.asarray(_curve(surface["level"], w) * np.exp(-depth) * (1 - _curve(surface.get("dips", []), w)))
 
 
 def _modes(surface: dict[str, Any], mean: Array, w: Array) -> Iterator[Array]:

@@ -19,6 +19,7 @@ import json
 import math
 import os
 import re
+import secrets
 import shutil
 import socket
 import subprocess
@@ -95,16 +96,12 @@ def whole_file(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     prefix = f".{path.name[:60]}.hyperval-"  # the name itself may be as long as a name can be
     remove_left(path.parent, prefix, path.suffix)
-    handle, name = tempfile.mkstemp(prefix=f"{prefix}{os.getpid()}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    temporary = path.with_name(f"{prefix}{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
+    temporary.touch(exist_ok=False)  # with the permissions of any new file, which mkstemp would not give
     try:
         yield temporary
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
-        mask = os.umask(0)  # which is read by setting it
-        os.umask(mask)
-        os.chmod(temporary, 0o666 & ~mask)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -192,10 +189,7 @@ def size_of(path: Path) -> int:
 
 def installed_file(package: str, *parts: str) -> Path:
     """A file of an installed package, which is not imported for it."""
-    spec = find_spec(package)
-    assert spec is not None  # noqa: S101
-    assert spec.origin is not None  # noqa: S101
-    return Path(spec.origin).parent.joinpath(*parts)
+    return Path(find_spec(package).origin).parent.joinpath(*parts)  # type: ignore[union-attr, arg-type]
 
 
 def files_within(folder: Path) -> list[Path]:
@@ -232,10 +226,8 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
         another run at this moment, or cannot be written.
     Unplaced : the new content is complete but could not be put there.
     """
-    try:
+    with _making(Path(path)):
         place = Path(path).resolve()
-    except (OSError, RuntimeError) as error:
-        raise _no_folder(Path(path), error) from error
     with _claimed(place, Path(path)):
         _finish(place)
         held, files = _list(place)  # hidden files stay as they are
@@ -243,10 +235,8 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         refuse(foreign, "folder.foreign", place, names=", ".join(foreign[:3]) + more)
         refuse(held not in ("", kind), "folder.kind", place, held=held, kind=kind)
-        try:
+        with _making(place):
             new = Path(tempfile.mkdtemp(prefix=_NEW, dir=place))
-        except OSError as error:
-            raise _no_folder(place, error) from error
         try:
             yield new
         except BaseException:
@@ -273,34 +263,37 @@ def partial_folder(path: Path) -> Path:
 @contextmanager
 def _claimed(place: Path, given: Path) -> Iterator[None]:
     """The folder, made where it is not there, and nobody else's for the block."""
-    lock, made, is_done = place / LOCK, False, False
-    try:
+    lock = place / LOCK
+    with _making(given):
         refuse(place.exists() and not place.is_dir(), "folder.file", given)
         made = not place.exists()
         place.mkdir(parents=True, exist_ok=True)
-        handle = _claim(lock)
-    except BlockingIOError as error:
-        who = "it does not say which"
-        with suppress(OSError):
-            who = lock.read_text("utf-8", "replace")[:200].strip() or who
-        raise refusal("folder.claimed", given, who=who) from error
-    except OSError as error:
-        raise _no_folder(given, error) from error
+        try:
+            handle = _claim(lock)
+        except BlockingIOError as error:
+            who = "it does not say which"
+            with suppress(OSError):
+                who = lock.read_text("utf-8", "replace")[:200].strip() or who
+            raise refusal("folder.claimed", given, who=who) from error
     try:
         yield
-        is_done = True
     finally:
         if _is_at(handle, lock):
             lock.unlink(missing_ok=True)
         os.close(handle)
-        if made and not is_done:
-            with suppress(OSError):
+        if made:
+            with suppress(OSError):  # it holds what was written
                 place.rmdir()
 
 
-def _no_folder(path: Path, error: Exception) -> HypervalError:
-    why = getattr(error, "strerror", None) or str(error)
-    return refusal("folder.none", str(path)[:300], why=why)
+@contextmanager
+def _making(path: Path) -> Iterator[None]:
+    """Inside, a folder that cannot be there is the user's to mend."""
+    try:
+        yield
+    except (OSError, RuntimeError) as error:  # RuntimeError: a circle of links
+        why = getattr(error, "strerror", None) or str(error)
+        raise refusal("folder.none", str(path)[:300], why=why) from error
 
 
 def _finish(place: Path) -> None:
@@ -347,9 +340,6 @@ def _list(folder: Path) -> tuple[str, set[str]]:
     return "", set()
 
 
-_NOT_STARTED = (126, 127)  # exit codes of setpriv, as of a shell
-
-
 def ending_with_this_process(command: Sequence[str]) -> list[str]:
     """The command line by which a program ends with the process that starts it, killed ones too.
 
@@ -360,7 +350,7 @@ def ending_with_this_process(command: Sequence[str]) -> list[str]:
 
 def is_no_program(code: int) -> bool:
     """Whether a command that ends with this process ended with ``code`` since it could not be started."""
-    return bool(_tie()) and code in _NOT_STARTED
+    return bool(_tie()) and code in (126, 127)  # of setpriv, as of a shell
 
 
 def last_line(text: str) -> str:

@@ -43,16 +43,25 @@ _QUANTITIES = {
 }
 
 
-def wavelength_to_nm(unit: str) -> float:
-    """Factor that turns a wavelength in ``unit`` into nm; raises UsageError for an unknown unit."""
-    return _factor(unit, "wavelength")
+def to_internal(unit: str, quantity: str) -> float:
+    """Factor that turns a ``unit`` of wavelength, radiance or irradiance into that of the project.
+
+    >>> to_internal("um", "wavelength"), to_internal("W m-2 sr-1 um-1", "radiance")
+    (1000.0, 0.1)
+
+    Raises
+    ------
+    UsageError : an unknown unit.
+    """
+    known = _QUANTITIES[quantity][2]
+    return needed(_known(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=known)
 
 
 def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
     """The unit, nm or um, in which all of the wavelengths are plausible; None where both are, or neither is."""
     numbers = np.asarray(values, dtype=float)
     low, high = PLAUSIBLE_NM
-    each = {unit: numbers * wavelength_to_nm(unit) for unit in ("nm", "um") if numbers.size}
+    each = {unit: numbers * to_internal(unit, "wavelength") for unit in ("nm", "um") if numbers.size}
     fits = [unit for unit, nm in each.items() if nm.min() >= low and nm.max() <= high]
     return fits[0] if len(fits) == 1 else None
 
@@ -63,16 +72,6 @@ def wavelength_unit_note(values: npt.ArrayLike, unit: str) -> str:
     return f"the file states no wavelength unit: {numbers.min():g} to {numbers.max():g} can only be {unit}"
 
 
-def radiance_to_internal(unit: str) -> float:
-    """Factor that turns a spectral radiance in ``unit`` into uW cm-2 sr-1 nm-1."""
-    return _factor(unit, "radiance")
-
-
-def irradiance_to_internal(unit: str) -> float:
-    """Factor that turns a spectral irradiance in ``unit`` into uW cm-2 nm-1."""
-    return _factor(unit, "irradiance")
-
-
 def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_cm: npt.ArrayLike) -> Array:
     """Radiance per wavelength [uW cm-2 sr-1 nm-1] from W cm-2 sr-1 / cm-1.
 
@@ -81,7 +80,7 @@ def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_c
     """
     nu = np.asarray(wavenumber_cm, dtype=float)
     per_wavelength = np.asarray(radiance_per_wavenumber, dtype=float) * nu**2
-    return np.asarray(per_wavelength * radiance_to_internal("W m-2 sr-1 um-1"))
+    return np.asarray(per_wavelength * to_internal("W m-2 sr-1 um-1", "radiance"))
 
 
 def in_nm(unit: str | None) -> float | None:
@@ -107,11 +106,6 @@ def _known(unit: str, quantity: str) -> float | None:
     if {_SYMBOLS[symbol][0]: power for symbol, power in parts} != powers or len(parts) != len(powers):
         return None
     return float(f"1e{sum(_SYMBOLS[symbol][1] * power for symbol, power in parts) - own}")
-
-
-def _factor(unit: str, quantity: str) -> float:
-    known = _QUANTITIES[quantity][2]
-    return needed(_known(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=known)
 
 
 def _parts(unit: str) -> list[tuple[str, int]]:

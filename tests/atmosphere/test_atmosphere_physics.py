@@ -11,7 +11,7 @@ from stored_cases import CASES
 from hyperval import atmosphere as air
 from hyperval.atmosphere import OXYGEN, AtmosphericState, EngineRatio, sixs
 from hyperval.spectra import SpectralAxis, band_average
-from hyperval.units import irradiance_to_internal
+from hyperval.units import to_internal
 
 STATE = AtmosphericState(
     water_vapour_g_cm2=2.0, ozone_atm_cm=0.3, aot550=0.1, ground_altitude_km=0.4, sensor_altitude_km=2.3,
@@ -206,7 +206,7 @@ def test_direct_sunlight_is_that_of_astm_g173():
     terms = air.atmospheric_terms(state, show_progress=False)
     direct = terms.ground_irradiance * (1.0 - terms.diffuse_fraction) / np.cos(np.radians(zenith_deg))
     table = spectrum.get_reference_spectra(standard="ASTM G173-03")
-    standard = table["direct"].to_numpy(float) * irradiance_to_internal("W m-2 nm-1")
+    standard = table["direct"].to_numpy(float) * to_internal("W m-2 nm-1", "irradiance")
     ratio = band_average(terms.wavelength_nm, direct, axis) / band_average(table.index.to_numpy(float), standard, axis)
     # Water bands agree too though the ratio came from another program: 6S alone is 1.31 and 1.13 here; carbon dioxide
     # at 2 um remains, told in validation/atmosphere/README.md.

@@ -313,20 +313,20 @@ def test_a_finished_run_of_a_campaign_that_waits_for_its_collection_is_read(tmp_
     assert "skipped: radcalnet-sensor is not on this machine" in capsys.readouterr().err
 
 
-def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere):
-    data = sensor_data()
+def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere, monkeypatch):
+    monkeypatch.setattr("hyperval.sensor_check.suite.atmospheric_terms", stand_in_atmosphere)
+    data, folder = sensor_data(), place / "b"
     file = str(write_yaml(tmp_path / "mine.yaml", data))
-    folder = place / "b"
-    (done,) = accept([], [file], reason="First", baselines=folder, engine=stand_in_atmosphere)
+    (done,) = accept([], [file], reason="First", baselines=folder)
     assert (done.owner, bool(done.changes)) == ("sensor small-sensor", True)
     assert (folder / "sensors/small-sensor.yaml").is_file()
-    (done,) = check([], [file], baselines=folder, engine=stand_in_atmosphere)
+    (done,) = check([], [file], baselines=folder)
     assert done.rows.exit_code() == 0
     told = shlex.split(done.acceptance(folder))  # the command that is printed names the file
     assert told[told.index("--sensors") + 1] == file
     data["measured_noise"]["table"][0][1] *= 1.01
     write_yaml(tmp_path / "mine.yaml", data)
-    wrong = check([], [file], baselines=folder, engine=stand_in_atmosphere)[0].rows.where(outcome=Outcome.DISAGREES)
+    wrong = check([], [file], baselines=folder)[0].rows.where(outcome=Outcome.DISAGREES)
     moved = {row.metric for row in wrong}
     assert {"median_snr", "median_electrons_per_radiance", "median_noise_shot"} <= moved
     assert not any("SWIR2" in row.subject for row in wrong)  # its noise stands in another row of the table

@@ -14,7 +14,7 @@ from hyperval.campaign import command_without_output
 from hyperval.errors import InputError
 from hyperval.results import COLUMNS, Cause, Outcome
 from hyperval.run import Run
-from hyperval.units import wavelength_to_nm
+from hyperval.units import to_internal
 from small_campaign import files_of, scenario_data, scene_data, write_yaml
 
 PAGES = {"results.csv", "summary.csv", "results.json", "report.html"}
@@ -98,7 +98,7 @@ def test_a_missing_data_set_is_skipped_with_the_command_that_fetches_it(lacking,
 
 
 def test_a_fault_of_ours_is_named_with_its_place_in_the_rows_of_its_campaign(make_small, tmp_path, monkeypatch):
-    monkeypatch.setattr("hyperval.campaign.run.run_campaign", lambda *_, **__: wavelength_to_nm(None))
+    monkeypatch.setattr("hyperval.campaign.run.run_campaign", lambda *_, **__: to_internal(None, "wavelength"))
     one, two = make_small("one"), make_small("two")
     two.data["name"] = "other"
     out = tmp_path / "out"

@@ -213,9 +213,9 @@ def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held()
         low, high = compare.size_intervals(0.1 + 0.02 * rng.standard_normal(40), 0.0004 * c)[0]
         inside += low <= 0.1 <= high
     median, greatest = np.array(low_of_nothing).T
-    # A limit of one standard deviation is never said to be passed by the median; of the greatest seldom.
-    assert np.max(median) < 0.05
-    assert np.mean(greatest > 0.1) < 0.05
+    # 95 % of 200 is 190, sd 3.1.
+    assert np.mean(median > 0.0) < 0.07
+    assert np.mean(greatest > 0.0) < 0.07
     assert inside >= 186  # 95 % of 200 is 190, sd 3.1
 
 

@@ -16,7 +16,7 @@ from hyperval.collection import AbundanceTruth
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import Cube, layouts, open_cube, open_raster, read_regions, sun_zenith_deg, table_of, write_cube
 from hyperval.observe import image_targets
-from hyperval.units import radiance_to_internal
+from hyperval.units import to_internal
 
 LINES, SAMPLES = shells.LINES, shells.SAMPLES
 
@@ -217,8 +217,8 @@ def test_every_layout_names_its_source_and_states_what_is_read():
         assert all(ARRAY_KEYS.fullmatch(key) for array in tree.arrays for key in array)
         assert all(re.fullmatch("[lsb]{3}", array.dimensions) for array in tree.arrays)
         assert tree.quantity in ("radiance", "reflectance")
-        assert tree.unit == "1" or radiance_to_internal(tree.unit) > 0
-    assert all(radiance_to_internal(s.radiance_unit) > 0 and s.source for s in layouts().sidecars)
+        assert tree.unit == "1" or to_internal(tree.unit, "radiance") > 0
+    assert all(to_internal(s.radiance_unit, "radiance") > 0 and s.source for s in layouts().sidecars)
 
 
 # Metadata beside a GeoTIFF ----------------------------------------------------------------------

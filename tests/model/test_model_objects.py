@@ -128,7 +128,7 @@ def placed(square=(0, 0), beside=(0, 1.4), **changes) -> Scenario:
 
 
 def shares(position=None, beside=(0, 1.4)) -> model.Shares:
-    populations = [(t.name, p) for t in placed(beside=beside).scene.targets for p in t.populations]
+    populations = tuple((t.name, p) for t in placed(beside=beside).scene.targets for p in t.populations)
     found = model.shares_of(*populations[1], populations, position, 1)
     assert found is not None
     return found

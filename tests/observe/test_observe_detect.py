@@ -247,7 +247,7 @@ def test_few_pixels_shrink_the_covariance_and_say_so(world):
     inside = world.values[40:44, 30:35].reshape(-1, BANDS)
     (note,) = [n for n in seen.observation.notes if "shrunk" in n]
     assert note.startswith("20 background pixels are few: covariance shrunk by ")
-    shrunk, unbiased = statistics_of(inside).shrunk_covariance, moments(inside)[1]
+    shrunk, unbiased = statistics_of(inside).shrunk().covariance, moments(inside)[1]
     expected = matched_filter(world.values, world.on_bands(), inside.mean(axis=0), shrunk)
     assert seen.detected.score_maps["paint-cem"] == pytest.approx(expected, rel=1e-8, abs=1e-10)
     # The model's filter is made of the same covariance.

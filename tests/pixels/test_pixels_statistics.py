@@ -120,7 +120,7 @@ def test_equal_to_numpy_and_exact_on_a_bright_flat_scene():
 
 def test_the_shrunk_covariance_of_few_pixels_is_positive():
     few = statistics_of(np.random.default_rng(2).normal(size=(5, 12)))
-    assert np.linalg.eigvalsh(few.shrunk_covariance)[0] > 0
+    assert np.linalg.eigvalsh(few.shrunk().covariance)[0] > 0
 
 
 def peer(module):
@@ -135,7 +135,7 @@ def test_shrinkage_of_ledoit_and_wolf():
         found, (matrix, intensity) = statistics_of(x), covariance.ledoit_wolf(x)
         assert found.shrinkage == pytest.approx(intensity, rel=1e-9)
         # Theirs has divisor n.
-        assert found.shrunk_covariance * (n - 1) / n == pytest.approx(matrix, rel=1e-9, abs=1e-12)
+        assert found.shrunk().covariance * (n - 1) / n == pytest.approx(matrix, rel=1e-9, abs=1e-12)
 
 
 KINDS = {

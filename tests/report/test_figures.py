@@ -183,7 +183,7 @@ def test_sides_without_a_difference_have_none_drawn(run):
     moved = dataclasses.replace(run.pair[1], axis=dataclasses.replace(axis_of, centre_nm=axis_of.centre_nm + 40.0))
     for other in (moved, None):
         alone = figures.spectra_figure((run.pair[0], other), "radiance")
-        assert [mark.label for mark in alone.marks()] == ["predicted"] * 2
+        assert [mark.label for view in alone.views for mark in view.parts[0].marks] == ["predicted"] * 2
     assert figures.spectra_figure((run.pair[0], dataclasses.replace(run.pair[1], snr={})), "snr") is None
     one = dataclasses.replace(run.pair[0], snr={"grass": run.pair[0].snr["grass"]})
     compared = figures.spectra_figure((one, run.pair[1]), "snr")
@@ -243,7 +243,7 @@ def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(
 
 def test_statements_hold_the_numbers_and_a_view_each(charts):
     """The ratio below eigenvalues is that of the columns above; of classes without error the axis has an end."""
-    predicted, measured, ratio = (mark.columns for mark in charts["radiance-eigenvalues"].marks())
+    predicted, measured, ratio = (m.columns for p in charts["radiance-eigenvalues"].views[0].parts for m in p.marks)
     np.testing.assert_allclose(predicted["y"] / measured["y"], ratio["y"], rtol=1e-6)
     assert np.all((ratio["low"] < 1.0) & (ratio["high"] > 1.0))
     (view,) = charts["class-error"].views
@@ -264,7 +264,7 @@ def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(charts, drawin
     (cells,) = stated(effects)[0]["parts"]
     assert cells["marks"][0]["columns"]["value"].tolist() == pytest.approx([0.01, 0.02, 0.03, 0.04])
     assert len(cells["x"]["names"]) == 1
-    assert [mark.marker for mark in what_ifs.marks()] == ["circle", "left", "right"]
+    assert [mark.marker for mark in what_ifs.views[0].parts[0].marks] == ["circle", "left", "right"]
     assert {"after, closer", "after, farther"} <= set(words_of(drawings["what-ifs"]))
     assert "104" in words_of(drawings["attribution-subjects"])
     # Labels stay inside: each is a group that is moved to where its first letter stands.

@@ -24,7 +24,7 @@ from hyperval import campaign as campaigns
 from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, refuse
 from hyperval.figures.catalogue import SPECTRA as PRODUCT_LABELS
-from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, row_names, single
+from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, single
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
 from hyperval.model import Z95, detection_at
@@ -341,7 +341,7 @@ class Results(_Shown, ResultTable):
             for side in ("limit_low", "limit_high")
         ]
         labels = rows[["subject", "method", "metric"]].astype(str).agg(" ".join, axis=1)
-        part = Part(row_names(labels.to_list(), 80), tuple(marks))
+        part = Part(Axis.named(labels.to_list(), 80), tuple(marks))
         return _drawn(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))
 
 

@@ -51,10 +51,10 @@ from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.progress import track
 from hyperval.storage import last_line, number_of, scratch_folder, sha256_of
-from hyperval.units import radiance_per_wavelength, radiance_to_internal
+from hyperval.units import radiance_per_wavelength, to_internal
 
 MAX_BYTES = 256 << 20
-_RADIANCE = radiance_to_internal("W cm-2 sr-1 nm-1")
+_RADIANCE = to_internal("W cm-2 sr-1 nm-1", "radiance")
 _TABLE = package_table("atmosphere/modtran.yaml")
 RADIANCE_COLUMNS = tuple(_TABLE["tape7"]["names"])
 TOTAL_PARTS = ("thermal", "path", "ground")  # of the total radiance

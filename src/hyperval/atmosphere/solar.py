@@ -18,7 +18,7 @@ from hyperval.errors import MissingDataError, UsageError, refusal, refuse
 from hyperval.paths import read_text
 from hyperval.spectra.text import number_table
 from hyperval.storage import installed_file
-from hyperval.units import irradiance_to_internal
+from hyperval.units import to_internal
 
 TSIS_1 = "solar_tsis_1.csv"  # made by validation/atmosphere/solar_table.py
 _KURUCZ = "data:sensors/kurudz_0.1nm.dat.gz"
@@ -156,10 +156,10 @@ def _spectrum(name: str, *places: str) -> tuple[Array, Array]:
     """The same; ``places`` tell one data directory from another."""
     if name == "tsis-1":
         nm, irradiance = np.loadtxt(Path(__file__).with_name(TSIS_1), delimiter=",", unpack=True)
-        return nm, irradiance * irradiance_to_internal("mW m-2 nm-1")
+        return nm, irradiance * to_internal("mW m-2 nm-1", "irradiance")
     if name == "astm-g173":
         table = np.loadtxt(installed_file("pvlib", "data", "ASTMG173.csv"), delimiter=",", skiprows=2, usecols=(0, 1))
-        return table[:, 0], table[:, 1] * irradiance_to_internal("W m-2 nm-1")
+        return table[:, 0], table[:, 1] * to_internal("W m-2 nm-1", "irradiance")
     refuse(name not in SPECTRA, "sun.spectrum", name=name, known=", ".join(SPECTRA))
     try:
         path = resolve(_KURUCZ)
@@ -167,4 +167,4 @@ def _spectrum(name: str, *places: str) -> tuple[Array, Array]:
         words = refusal("sun.absent", name=name, mend=error.mend)
         raise MissingDataError(words.what, where=error.where, mend=words.mend) from error
     nm, irradiance = number_table(read_text(path, _MAX_BYTES), path)[1][:, :2].T
-    return nm, irradiance * irradiance_to_internal("mW m-2 nm-1")
+    return nm, irradiance * to_internal("mW m-2 nm-1", "irradiance")

@@ -132,7 +132,7 @@ class Fit:
     @property
     def in_words(self) -> str:
         """How far it would have to move."""
-        return self.candidate.in_words(self.amplitudes) + ", as far as it can" * self.limited
+        return self.candidate.in_words(self.amplitudes) + ", at its limit" * self.limited
 
 
 @lru_cache(maxsize=256)
@@ -432,7 +432,7 @@ class Posterior:
         if self.first == NOTHING:
             return f"no input explains the differences: {before} (p = {self.p_value:.2g})"
         if self.first == NONE:
-            nearest = max(self.fits, key=lambda f: f.evidence, default=None)
+            nearest = max((f for f in self.fits if not f.limited), key=lambda f: f.evidence, default=None)
             near = f" (the nearest: {nearest.name}, {nearest.in_words})" if nearest and nearest.evidence > 0.0 else ""
             return f"none of the causes tried{near}: {before}"
         return f"{self._causes}: {before}, {self.left / self.dof:.3g} after"
@@ -441,8 +441,9 @@ class Posterior:
     def _causes(self) -> str:
         """ "check the time of overflight (+1 h explains 94 % of the difference), then the sensor gain (x 1.02)" """
         first, *more = self.best.causes
-        part = max(1.0 - self.best.left[0] / self.chi_square, 0.0)
-        words = f"check the {first.name} ({first.in_words} explains {100.0 * part:.0f} % of the difference"
+        percent = max(100.0 - 100.0 * self.best.left[0] / self.chi_square, 0.0)
+        part = "over 99" if percent >= 99.5 and not self.enough else f"{percent:.0f}"
+        words = f"check the {first.name} ({first.in_words} explains {part} % of the difference"
         words += f"; not distinguished from {' and '.join(self.alike[:3])})" if self.alike else ")"
         words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not UNKNOWN)
         if any(c.candidate is UNKNOWN for c in more):
@@ -545,8 +546,9 @@ class Reasoner:
             probability[h.first] += float(weight)
         first = max(probability, key=lambda name: probability[name])
         p_value = float(scipy.stats.chi2.sf(whole, e.size))
-        alike = self._alike(singles, first, probability)
-        return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
+        alike = self._alike(singles, first, probability, e)
+        fits = tuple(sorted(singles, key=lambda fit: -float(f"{probability[fit.name]:.6g}")))
+        return Posterior(group, whole, e.size, p_value, fits, tuple(found), probability, alike)
 
     def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
         """Worlds with one cause each, from half to five times what can just be seen, with what none describes, and with
@@ -636,7 +638,7 @@ class Reasoner:
         fit = effect_of(candidate, self.columns[candidate]).fit(e)
         return float(np.sum(_after(fit, e - fit.made) ** 2))
 
-    def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float]) -> tuple[str, ...]:
+    def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float], e: Array) -> tuple[str, ...]:
         """Candidates whose odds are near those of the first, or whose effect has its pattern.
 
         >>> a, b, c = (Candidate(name, "input", "1 %", False, sizes=(-20.0, 25.0)) for name in "abc")
@@ -645,6 +647,14 @@ class Reasoner:
         >>> found = Reasoner(columns, np.eye(9)).posterior("all", 3.0 + np.cos(np.arange(9.0)))
         >>> found.first, found.alike
         ('a', ('b',))
+
+        Of a change, what leaves nearly as little of it by itself is not told apart either.
+
+        >>> wave = Candidate("wave", "input", "1 %", False)
+        >>> nearly = {a: columns[a], wave: np.column_stack([np.ones(9), np.cos(np.arange(9.0))])}
+        >>> change = 20.0 + 0.6 * np.cos(2.0 * np.arange(9.0))
+        >>> [Reasoner(nearly, np.eye(9), noisy=noisy).posterior("all", change).alike for noisy in (True, False)]
+        [(), ('wave',)]
         """
         best = next((f for f in singles if f.name == first), None)
         if best is None:
@@ -655,6 +665,9 @@ class Reasoner:
             lengths = float(np.linalg.norm(f.shown) * np.linalg.norm(best.shown))
             if one and abs(float(f.shown @ best.shown)) > CORRELATED * lengths:
                 near.add(f.name)
+        if not self.noisy:  # without chance, what explains a change nearly as well by itself is as good a reason
+            left = {f.name: float(np.sum(_after(f, e - f.made) ** 2)) for f in singles if not f.limited}
+            near |= {name for name, rest in left.items() if rest <= ALIKE * left.get(first, 0.0)}
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
 

@@ -7,10 +7,10 @@ count them twice.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -90,10 +90,12 @@ class ResidualBlock:
     ----------
     product, subject, method : as in the results table
     observed : (n,) what the collection says
-    covariance : (n, n) of the error of ``observed``, the numerical floor of the model included
+    covariance : (n, n) of the error of ``observed`` but for its calibration, the numerical floor of the model included
     read : the same (n,) from a prediction
     bands : (n,) index of the band of each entry, None for what is no spectrum
-    calibration : (B, B) relative error covariance that all spectra of the collection share, in all bands; None
+    calibration : (B, B) relative error covariance that all spectra of the collection share, in all bands, and (n,) what
+        was predicted, of which it is a part: of what was measured, which is noisy, the error would be less where the
+        noise is negative, and a gain seem smaller than it is (Peelle's puzzle; Chiba & Smith 1991, ANL/NDM-121); None
         without
     """
 
@@ -104,7 +106,7 @@ class ResidualBlock:
     covariance: Array
     read: Callable[[Products], Array]
     bands: Index | None = None
-    calibration: Array | None = None
+    calibration: tuple[Array, Array] | None = None
 
     @property
     def quantity(self) -> str:
@@ -136,10 +138,10 @@ class Stack:
     def covariance(self) -> Array:
         """(n, n): different blocks err independently of each other, but for the calibration that spectra share."""
         out = np.asarray(linalg.block_diag(*[b.covariance for b in self.blocks]))
-        for (a, rows), (b, columns) in permutations(self.placed(), 2):
+        for (a, rows), (b, columns) in itertools.product(self.placed(), repeat=2):
             if a.calibration is not None and a.bands is not None and b.calibration is not None and b.bands is not None:
-                shared = a.calibration[np.ix_(a.bands, b.bands)]
-                out[rows, columns] = np.outer(a.observed, b.observed) * shared
+                (relative, level), (_, other) = a.calibration, b.calibration
+                out[rows, columns] += np.outer(level, other) * relative[np.ix_(a.bands, b.bands)]
         return out
 
     def since(self, other: Stack) -> Array:
@@ -263,7 +265,17 @@ class Stack:
 
 
 def stacked(predicted: Products, observed: Products) -> Stack:
-    """Everything both sides hold, as far as both have values there."""
+    """Everything both sides hold, as far as both have values there.
+
+    An error of the calibration is a part of what is predicted, whatever the noise of what was measured.
+
+    >>> from hyperval.products import PredictedProducts
+    >>> axis, noisy = SpectralAxis(np.array([500.0, 600.0]), 5.0), np.array([0.8, 1.2])
+    >>> error = 1e-4 * np.outer(noisy, noisy)
+    >>> sides = [SpectralEstimate(np.ones(2), 0.0 * error), SpectralEstimate(noisy, error, calibration=error)]
+    >>> stacked(*(PredictedProducts(axis, radiance={"lawn": side}) for side in sides)).covariance.round(7).tolist()
+    [[0.0001, 0.0001], [0.0001, 0.0001]]
+    """
     return Stack(tuple(_blocks(predicted, observed)))
 
 
@@ -292,15 +304,14 @@ def _spectrum(product: str, subject: str, predicted: Products, estimate: Spectra
     use &= mean > 0.01 * np.nanmax(mean, initial=0.0)  # bands without light say nothing
     if not use.any():
         return
-    relative = None
+    covariance, shared = sampled_covariance(estimate, use, np.diag((SPECTRUM_FLOOR * mean[use]) ** 2)), None
     if estimate.calibration is not None:
         level = np.where(estimate.mean == 0.0, np.inf, estimate.mean)
-        relative = estimate.calibration / np.outer(level, level)
+        shared = estimate.calibration / np.outer(level, level), mean[use]
+        covariance -= np.nan_to_num(estimate.calibration[np.ix_(use, use)])
     yield ResidualBlock(
-        product, subject, "", estimate.mean[use],
-        sampled_covariance(estimate, use, np.diag((SPECTRUM_FLOOR * mean[use]) ** 2)),
-        lambda p: np.asarray(getattr(p, product)[subject].mean[use]),
-        np.flatnonzero(use), relative,
+        product, subject, "", estimate.mean[use], covariance,
+        lambda p: np.asarray(getattr(p, product)[subject].mean[use]), np.flatnonzero(use), shared,
     )  # fmt: skip
 
 

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
-from functools import cached_property, partial
-from importlib import metadata
-from operator import attrgetter
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,15 +23,14 @@ import numpy as np
 from pydantic import Field, model_validator
 
 import hyperval
-from hyperval.campaign import Job, as_before, command_without_output, jobs_of, validate
+from hyperval.campaign import Job, as_before, command_without_output, jobs_of, package_versions, validate
 from hyperval.compare import row
 from hyperval.config import FILL_IN, Model, load_model
 from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
-from hyperval.report import write_index, write_outputs
-from hyperval.report.verdict import accepted_words
+from hyperval.report import accepted_words, write_index, write_outputs
 from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import Sensor, library_names, load_sensor
@@ -184,7 +180,7 @@ def sensor_metrics(sensor: Sensor, engine: suite.Engine | None = None) -> dict[s
     """
     check = SensorCheck(sensor, engine=engine)
     rows = [*_bands(check.axis), *_noise(check), *_scenarios(check)]
-    return {row.key: row for row in sorted(rows, key=attrgetter("key"))}
+    return dict(sorted({row.key: row for row in rows}.items()))
 
 
 def _item(product: str, subject: str, metric: str, value: float, **more: Any) -> Result:
@@ -256,10 +252,9 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
 
 def today() -> str:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
-    text = os.environ.get("SOURCE_DATE_EPOCH", "")
-    refuse(text and not text.isdigit(), "baseline.date", text=text)
-    now = datetime.fromtimestamp(int(text), UTC) if text else datetime.now(UTC)
-    return now.date().isoformat()
+    from hyperval.report.html import stated_time  # with its templates, not before the imagery is done with
+
+    return (stated_time() or datetime.now(UTC)).date().isoformat()
 
 
 def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:
@@ -305,6 +300,7 @@ class RunNumbers:
     ----------
     kind, run : what was run, with all its rows; of a sensor these are its numbers
     reference : what a command names it by: the campaign file, or the sensor
+    metrics : its numbers by name
     rows : one for each number of either side once it is checked, or one that says why there are none
     before : what was accepted, where there was a run and a baseline
     after : what is accepted now
@@ -313,20 +309,16 @@ class RunNumbers:
     kind: Kind
     run: Run
     reference: str
+    metrics: Mapping[str, Result]
     rows: ResultTable = field(default_factory=ResultTable)
     before: Baseline | None = None
     after: Baseline | None = None
-
-    @cached_property
-    def metrics(self) -> Mapping[str, Result]:
-        """Its numbers by name."""
-        return campaign_metrics(self.run.table) if self.kind == "campaign" else {r.key: r for r in self.run.table}
 
     @property
     def versions(self) -> dict[str, str]:
         """What the numbers were computed with: by the run's record where it says so, else in this process."""
         record = self.run.provenance
-        there = record.get("packages") or {name: metadata.version(name) for name in PACKAGES}
+        there = record.get("packages") or package_versions()
         known = {name: there[name] for name in PACKAGES if name in there}
         return {"hyperval": hyperval.__version__, "python": record.get("python") or platform.python_version(), **known}
 
@@ -388,12 +380,7 @@ class RunNumbers:
 
 
 def all_runs(
-    campaigns: Sequence[Path],
-    sensors: Sequence[str],
-    *,
-    source: Path | None = None,
-    keep: Path | None = None,
-    engine: suite.Engine | None = None,
+    campaigns: Sequence[Path], sensors: Sequence[str], *, source: Path | None = None, keep: Path | None = None
 ) -> list[RunNumbers]:
     """The numbers of campaigns and sensors.
 
@@ -403,7 +390,6 @@ def all_runs(
     sensors : names of the library, sensor files, or "all"
     source : folder of a finished ``validate``, read instead of running the campaigns
     keep : folder for the results of the campaigns, thrown away without
-    engine : stands in for the atmosphere engine of the sensors' scenarios
 
     Raises
     ------
@@ -412,17 +398,17 @@ def all_runs(
     """
     refuse(not campaigns and not sensors, "baseline.nothing")
     given = [part for text in sensors for part in text.split(",") if part]
-    names = dict.fromkeys(n for part in given for n in (library_names() if part == ALL else (part,)))
-    chosen = {name: load_sensor(name) for name in names}
-    with ExitStack() as stack:
-        jobs = jobs_of(*campaigns) if campaigns else []
-        folder = source or keep or stack.enter_context(scratch_folder("check")) / RUNS
+    chosen = {n: load_sensor(n) for part in given for n in (library_names() if part == ALL else (part,))}
+    jobs = jobs_of(*campaigns) if campaigns else []
+    with scratch_folder("check") as scratch:
+        folder = source or keep or scratch / RUNS
         if jobs and source is None:
             validate(campaigns, folder)
         runs = [_read(job, folder, finished=source is not None) for job in jobs]
     for name, sensor in track(chosen.items(), "sensors", len(chosen)):
-        numbers = ResultTable(sensor_metrics(sensor, engine).values())
-        runs.append(RunNumbers("sensor", Run(numbers, campaign=sensor.name, title=sensor.specification.title), name))
+        numbers = sensor_metrics(sensor)
+        run = Run(ResultTable(numbers.values()), campaign=sensor.name, title=sensor.specification.title)
+        runs.append(RunNumbers("sensor", run, name, numbers))
     return runs
 
 
@@ -435,7 +421,7 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     stale = finished and (folder / RECORD).is_file() and as_before(job, folder) is None
     refuse(stale, "baseline.stale", folder, name=name)
     run = replace(run, table=table, campaign=name, title=title, simulated=bool(job.outline.simulated))
-    return RunNumbers("campaign", run, str(job.path))
+    return RunNumbers("campaign", run, str(job.path), campaign_metrics(table))
 
 
 def rows_of(runs: Iterable[RunNumbers]) -> ResultTable:
@@ -451,7 +437,6 @@ def check(
     source: Path | None = None,
     output: Path | None = None,
     junit: Path | None = None,
-    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """Compare campaigns and sensors with what was accepted.
 
@@ -463,14 +448,13 @@ def check(
     source : folder of a finished ``validate`` of these campaigns, read instead of running them
     output : folder for the differences as a results table and pages; the campaigns' own results in ``runs/``
     junit : file for the verdicts
-    engine : stands in for the atmosphere engine of the sensors' scenarios
 
     Raises
     ------
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
     with whole_folder(output) if output is not None else nullcontext() as folder:
-        runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS, engine=engine)
+        runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS)
         runs = [_against(run, baselines) for run in runs]
         if folder is not None:
             _write(runs, baselines, folder)
@@ -524,7 +508,6 @@ def accept(
     reason: str,
     baselines: Path,
     source: Path | None = None,
-    engine: suite.Engine | None = None,
 ) -> list[RunNumbers]:
     """Store the numbers of campaigns and sensors as accepted, with the reason.
 
@@ -540,7 +523,7 @@ def accept(
     """
     words = " ".join(reason.split())
     refuse(not words, "baseline.reason")
-    runs = all_runs(campaigns, sensors, source=source, engine=engine)
+    runs = all_runs(campaigns, sensors, source=source)
     for run in runs:
         refuse(run.broken, "baseline.broken", owner=run.owner, why="; ".join(run.broken[:1]))
     before = {run.owner: run.stored(baselines) for run in runs}  # all are read before one is written

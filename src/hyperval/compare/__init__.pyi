@@ -1,9 +1,17 @@
 """Prediction against observation: spectra, covariances, detection; and what the rows conclude."""
 
-from .covariance import compare_covariance, compare_distribution, independent_pixels
+from .covariance import (
+    MOST_EIGENVALUES,
+    Sampled,
+    compare_covariance,
+    compare_distribution,
+    independent_pixels,
+    sampled,
+)
 from .detection import (
     EVERY_OBJECT,
     alarm_rows,
+    central,
     compare_abundance,
     compare_area_errors,
     compare_classification,
@@ -28,7 +36,7 @@ from .judge import (
     tail_probability,
     told_apart,
 )
-from .products import compare_products, product_rows
+from .products import SPREAD, compare_products, product_rows
 from .rows import COMPARISON, difference_interval, named, row, scientific, skipped
 from .spectra import (
     ChiSquare,
@@ -54,10 +62,14 @@ from .spectra import (
 __all__ = [
     "COMPARISON",
     "EVERY_OBJECT",
+    "MOST_EIGENVALUES",
+    "SPREAD",
     "ChiSquare",
     "Gate",
+    "Sampled",
     "against_range",
     "alarm_rows",
+    "central",
     "chi_square_diagonal",
     "chi_square_full",
     "chi_square_shape",
@@ -93,6 +105,7 @@ __all__ = [
     "product_rows",
     "regions",
     "row",
+    "sampled",
     "scientific",
     "share_inside",
     "size_intervals",

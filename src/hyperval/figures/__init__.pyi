@@ -7,7 +7,6 @@ from .catalogue import (
     first_figures,
     further_figures,
     many_objects_figure,
-    reason_figures,
     spectra_figure,
 )
 from .pictures import draw_pictures
@@ -29,5 +28,5 @@ __all__ = [
     "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part",
     "campaigns_figure", "canvas_of", "criteria_figure", "data_uri",
     "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure", "first_figures", "further_figures",
-    "house_style", "many_objects_figure", "outcome_words", "reason_figures", "spectra_figure", "statement",
+    "house_style", "many_objects_figure", "outcome_words", "spectra_figure", "statement",
 ]  # fmt: skip

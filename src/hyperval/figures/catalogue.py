@@ -7,14 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import betaincinv
 
-from hyperval.compare.covariance import MOST_EIGENVALUES, Sampled, sampled
-from hyperval.compare.detection import central, probability_integral_transform
-from hyperval.compare.products import SPREAD
+from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, central, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
-from hyperval.figures.rows import MET, NOT_MET
+from hyperval.figures.rows import MET, NOT_MET, grouped
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
@@ -30,17 +27,15 @@ from hyperval.figures.spec import (
     Part,
     Rules,
     a_view_each,
-    by_kind,
+    columns_of,
     left_out,
     measured_mark,
     of_rows,
     predicted_mark,
     robust_limits,
-    row_names,
     single,
 )
-from hyperval.model import Z95, detection_at
-from hyperval.model.intervals import clopper_pearson, difference_ratio, difference_ratio_uncertainty
+from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
 from hyperval.pixels import band_limits, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable
@@ -103,21 +98,18 @@ def a_row_each(
     if not shown:
         return None
     marks, looks = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
-    for own, (make, marker, shift) in zip(both, looks, strict=True):
-        here = [(i + shift, key) for i, key in enumerate(shown) if key in own]
+    names, told = [", ".join(key) for key in shown], list[list[str]]([[] for _ in shown])
+    for side, own, (make, marker, shift) in zip(SIDES, both, looks, strict=True):
+        here = [(i, own[key]) for i, key in enumerate(shown) if key in own]
         if here:
-            numbers = np.array([(y, *own[key][:3]) for y, key in here]).T
-            columns = dict(zip(("y", "x", "low", "high"), numbers, strict=True))
-            words = tuple(f"{', '.join(key)}: {own[key][3]}" for _, key in here)
+            columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
+            words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
-    told = "; ".join(
-        f"{', '.join(key)}: "
-        + ", ".join(f"{side} {own[key][3]}" for side, own in zip(SIDES, both, strict=True) if key in own)
-        for key in shown
-    )
+        for i, entry in here:
+            told[i].append(f"{side} {entry[3]}")
     title += left_out(len(shown), len(keys))
-    y = row_names([", ".join(key) for key in shown])
-    return of_rows(name, section, title, f"{title}: {told}.", x, y, marks, legend, rules)
+    alt = "; ".join(f"{one}: {', '.join(words)}" for one, words in zip(names, told, strict=True))
+    return of_rows(name, section, title, f"{title}: {alt}.", x, Axis.named(names), marks, legend, rules)
 
 
 def wavelengths(axis: SpectralAxis) -> Axis:
@@ -159,13 +151,13 @@ def spectra_figure(
         for subject, (gap, _) in gaps.items() if np.isfinite(gap[keep]).any()
     ]  # fmt: skip
     alt = f"{title} against {wavelengths(axis).label.partition(' [')[0]}, a subject at a time: {names[0]} (dashed) and "
-    alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}."
-    alt += f" Subjects: {', '.join(shown)}."
+    alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}. "
+    alt += f"Subjects: {', '.join(shown)}."
     alt += f" Median absolute {below} in the windows: {'; '.join(medians)}." if medians else ""
     words = " and ".join(names) if paired else names[0] if sides[0] is not None else names[1]
     head = f"{title}: {words}{', which are identical' * identical}{'' if axis.numbered else ' (grey: absorption)'}"
-    every = {*both[0], *both[1]}
-    return Figure(product, product, head + left_out(len(shown), len(every)), alt, views, head=head, together="offered")
+    title = head + left_out(len(shown), len({*both[0], *both[1]}))
+    return Figure(product, product, title, alt, views, head=head, together="offered")
 
 
 def _difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
@@ -259,10 +251,10 @@ def eigenvalue_figures(sides: Sides) -> list[Figure | None]:
 
 
 def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) -> Figure | None:
-    known = {s: e.n for s, e in getattr(observed, quantity).items() if e.n and e.pixel_covariance is not None}
-    known = {s: n for s, n in known.items() if s in getattr(predicted, quantity)}
-    most = sorted(known, key=lambda s: -known[s])[:_MOST_SPREADS]
-    found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s in most}
+    both = both_of((predicted, observed), quantity)
+    known = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
+    most = sorted(known, key=lambda one: -one[1])[:_MOST_SPREADS]
+    found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s, _ in most}
     spreads = {s: one for s, one in found.items() if isinstance(one, Sampled)}
 
     def view(subject: str) -> Panels:
@@ -406,14 +398,13 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     """P_D against P_FA on a logarithmic axis, a view for each subject, a tab for each detector and unit."""
     both, drawn, _ = drawn_of(sides, "roc")
     measured: Mapping[Key, RocCurve] = both[1]
-    kinds = dict.fromkeys(key[1:] for key in drawn)
+    kinds = grouped(drawn, lambda key: key[1:])  # detector and unit
     counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in drawn}
     # Two decades past what the background can resolve are enough.
     seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
     views = []
-    for kind in kinds:
+    for own in kinds.values():
         # Of too many those with the most targets, pools of targets among them.
-        own = [key for key in drawn if key[1:] == kind]
         chosen = sorted(own, key=lambda key: -counts[key])[: MOST_CURVES // len(kinds) or 1]
         keys = [key for key in own if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
@@ -458,7 +449,7 @@ def _roc_words(curves: Sequence[RocCurve | None], names: tuple[str, str]) -> str
     return "; ".join(words)
 
 
-def _detection(curve: RocCurve, pfa: npt.ArrayLike) -> tuple[Any, list[Any]]:
+def _detection(curve: RocCurve, pfa: Array | float) -> tuple[Any, list[Any]]:
     """P_FA within the curve, and P_D there with its limits."""
     at = np.clip(pfa, curve.pfa[0], curve.pfa[-1])
     return at, [detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper)]
@@ -535,7 +526,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     return a_view_each(
         "exceedance", "scores", "False-alarm probability against the threshold",
         "Fraction of the background above each score, predicted (dashed) and measured.",
-        [key for key in both_first(predicted, measured) if key in predicted], view, "results.csv",
+        sorted(predicted, key=lambda key: key not in measured), view, "results.csv",
         legend=legend if measured else "",
     )  # fmt: skip
 
@@ -594,16 +585,14 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
         looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
         for own, (make, marker, name, shift) in zip(both, looks, strict=True):
             each = {key: own[key] for key in place if key in own}
-            nominal = np.array([a.nominal_m2 for a in each.values()])
-            area, u = np.array([(a.area_m2, a.standard_uncertainty) for a in each.values()]).reshape(-1, 2).T
-            places = np.array([place[key] * shift for key in each])
-            columns = {"x": places, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
+            every = [(place[key], a.nominal_m2, a.area_m2, a.standard_uncertainty) for key, a in each.items()]
+            at, nominal, area, u = np.array(every).reshape(-1, 4).T
+            columns = {"x": at * shift, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
             said = tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items())
             above.append(make("dots", columns, marker=marker, words=said))
             points = sorted((float(r.subject.removesuffix(" m2").rpartition(" ")[2]), r.value, r.lower, r.upper)
                             for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
-            columns = dict(zip(("x", "y", "low", "high"), np.array(points).reshape(-1, 4).T, strict=True))
-            below.append(make("line", columns, "", marker=marker))
+            below.append(make("line", columns_of(points), "", marker=marker))
             told = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
             words += [f"{method}, {name.replace('observed', 'measured')}: {told}"] if told else []
         ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
@@ -623,8 +612,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
 def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
     """Where each target stands: those of one area beside each other within a quarter of a decade."""
     places: dict[Any, float] = {}
-    for area in dict.fromkeys(nominal.values()):
-        keys = [key for key, own in nominal.items() if own == area]
+    for area, keys in grouped(nominal, nominal.__getitem__).items():
         steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,)
         places |= {key: area * 10**step for key, step in zip(keys, steps, strict=True)}
     return places
@@ -649,12 +637,11 @@ def object_score_figure(sides: Sides) -> Figure | None:
 
 def transform_figure(sides: Sides) -> Figure | None:
     """Probability integral transforms of all objects in order, with a band, by detector."""
-    by_detector: dict[str, list[Array]] = {}
-    for (_, detector), draws, measured in _objects(sides):
-        by_detector.setdefault(detector, []).append(probability_integral_transform(measured, draws))
+    objects = _objects(sides)
 
     def view(detector: str) -> Panels:
-        u = np.sort(np.concatenate(by_detector[detector]))
+        own = [probability_integral_transform(scores, draws) for (_, by), draws, scores in objects if by == detector]
+        u = np.sort(np.concatenate(own))
         n, rank = u.size, np.arange(1, u.size + 1)
         at = (rank - 0.5) / n
         low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
@@ -672,7 +659,7 @@ def transform_figure(sides: Sides) -> Figure | None:
         "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction",
         "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
         "95 % band for independent objects. Objects share errors of the inputs, which the band leaves out.",
-        list(by_detector), view,
+        list(dict.fromkeys(detector for (_, detector), *_ in objects)), view,
     )  # fmt: skip
 
 
@@ -792,7 +779,6 @@ def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
 
 
 _MOST_INPUTS = 14
-_MOST_GROUPS = 26
 _MOST_QUANTITIES = 26
 _STATED = {
     True: {"label": "uncertainty stated", "colour": "#0072B2"},
@@ -811,37 +797,34 @@ _LONGEST = 34  # characters of an input's name
 _TELLING = 10.8
 
 
-def reason_figures(table: ResultTable) -> list[Figure]:
+def reason_figures(table: ResultTable) -> list[Figure | None]:
     """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
-    gains = [r for r in table.where(product="attribution") if r.metric == "likelihood_gain"]
-    whole = sorted((r for r in gains if r.subject == "all"), key=lambda r: -r.value)
-    others = [r for r in gains if r.subject != "all"]
-    told = [r for r in table if math.isfinite(r.before)]  # older tables say it in words alone
-    moves = [r for r in told if r.product == "sensitivity"]
-    tests = [r for r in told if r.metric == "reduced_chi_square"]
-    outcomes, left = ([r for r in tests if r.product == name] for name in ("what-if", "attribution"))
-    left = sorted(left, key=lambda r: -r.before)[:_MOST_QUANTITIES]
+    gains = table.where(product="attribution", metric="likelihood_gain")
+    whole = sorted(gains.where(subject="all"), key=lambda r: -r.value)
+    told = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
+    tests, moves = told.where(metric="reduced_chi_square"), told.where(product="sensitivity")
+    left = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
     first = next((f"Residuals before and after: {r.method}" for r in left), "")
-    made = (
+    outcomes = tests.where(product="what-if")
+    return [
         _before_and_after("residuals", "attribution", left, [r.subject for r in left], first),
         _inputs(whole[:_MOST_INPUTS], table) if whole else None,
         _gain(table),
-        _by_subject(others) if others else None,
+        _by_subject([r for r in gains if r.subject != "all"]),
         _effects(moves) if moves else None,
         _before_and_after("what-ifs", "what-if", outcomes, [r.method for r in outcomes], "What-ifs: before and after"),
-    )
-    return [figure for figure in made if figure is not None]
+    ]
 
 
 def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
-    needed = [r for r in table.where(product="attribution") if r.metric == "needed_uncertainty"]
+    needed = table.where(product="attribution", metric="needed_uncertainty")
     stated, names = {r.method for r in needed if r.cause is not Cause.NO_UNCERTAINTY}, [r.method for r in rows]
     best, at, ends = rows[0], np.arange(float(len(rows))), np.array([max(r.value, 0.1) for r in rows])
     columns = {"left": np.full(at.size, 0.1), "right": ends, "bottom": at - 0.35, "top": at + 0.35}
     # An input that explains nothing has nothing to say, however far it moves.
     words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
-    marks = by_kind(bars, [name in stated for name in names], _STATED)
+    marks = bars.by_kind([name in stated for name in names], _STATED)
     alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
     alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
     numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
@@ -849,7 +832,7 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
-    y = row_names(names, _LONGEST)
+    y = Axis.named(names, _LONGEST)
     return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
 
 
@@ -858,8 +841,7 @@ def _gain(table: ResultTable) -> Figure | None:
 
     def marks(name: str, label: str, **look: Any) -> list[Mark]:
         rows = [r for r in table.where(product="radiance") if r.metric.startswith(f"{name}@")]
-        numbers = np.array([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
-        columns = dict(zip(("x", "y", "low", "high"), numbers.reshape(-1, 4).T, strict=True))
+        columns = columns_of([(float(r.metric.partition("@")[2]), r.value, r.lower, r.upper) for r in rows])
         return [Mark("dots", columns, f"{label}, 95 % interval", marker="circle", **look)] if rows else []
 
     gains = marks("sensor_gain", "gain without an offset", colour=DIFFERENCE)
@@ -885,7 +867,7 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     every = [s for s in asked if s in telling]
     if not every:
         return None
-    subjects = every[:_MOST_GROUPS]
+    subjects = every[:_MOST_QUANTITIES]
     best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
     inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
     gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
@@ -893,14 +875,14 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     at = np.nonzero(gains > 0.0)
     columns = {"x": at[1].astype(float), "y": at[0].astype(float), "size": 14.0 * np.sqrt(part[at])}
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[at])
-    marks = by_kind(Mark("dots", columns, marker="circle", words=words), part[at] >= 0.999, _GREATEST)
+    marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[at] >= 0.999, _GREATEST)
     legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
     quiet = len(asked) - len(every)
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
     legend += left_out(len(subjects), len(every), "results.csv")
     tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
     title, alt = "The same for each subject", f"For each subject the input that gains most: {tops}."
-    names = row_names(inputs, _LONGEST), row_names(subjects, _LONGEST)
+    names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
     return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
 
 
@@ -933,7 +915,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
     legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
-    ways = row_names(names, _LONGEST), row_names(quantities, 56)
+    ways = Axis.named(names, _LONGEST), Axis.named(quantities, 56)
     title = "Change by one unit of each input"
     return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
 
@@ -946,13 +928,13 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     start = Mark("dots", {"x": before, "y": at}, "as in the campaign", marker="circle", hollow=True)
     columns = {"x": after, "y": at, "low": np.minimum(before, after), "high": np.maximum(before, after)}
     end = Mark("dots", columns, along="x", words=tuple(f"{value:.3g}" for value in after), beside="right")
-    marks = [start, *by_kind(end, after < before, _CLOSER)]
+    marks = [start, *end.by_kind(after < before, _CLOSER)]
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
     each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
     alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
-    return of_rows(name, product, title, alt, x, row_names(names, _LONGEST), marks, legend, (1.0,))
+    return of_rows(name, product, title, alt, x, Axis.named(names, _LONGEST), marks, legend, (1.0,))
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:
@@ -960,16 +942,15 @@ def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[s
 
     ``names`` : what the two sides are, where they are no prediction and collection
     """
-    made = [*(spectra_figure(sides, product, table or (), names) for product in SPECTRA), roc_figure(sides, names)]
-    return [figure for figure in made if figure is not None]
+    spectra = (spectra_figure(sides, product, table or (), names) for product in SPECTRA)
+    return list(filter(None, [*spectra, roc_figure(sides, names)]))
 
 
 def further_figures(sides: Sides, table: ResultTable, margin: float | None) -> list[Figure]:
     """What else the products and the rows of a run give, with its margin of P_D."""
-    made = [
+    return list(filter(None, [
         budget_figure(sides), *eigenvalue_figures(sides), tail_figure(sides), class_error_figure(sides),
         score_figure(sides), object_score_figure(sides), transform_figure(sides), exceedance_figure(sides),
         roc_difference_figure(sides, margin), abundance_figure(sides),
         unmixing_figure(sides, list(table.where(product="abundance"))), *reason_figures(table),
-    ]  # fmt: skip
-    return [figure for figure in made if figure is not None]
+    ]))  # fmt: skip

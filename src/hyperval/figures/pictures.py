@@ -137,13 +137,12 @@ class _Canvas:
         """The finished picture with the outlines of regions, their numbers, and a scale."""
         labels = []
         for number, (mask, colour) in enumerate(zip(regions.values(), cycle(_OUTLINES)), start=1):
-            own = outline_segments(mask)
-            x, y = self._at(own[..., 0], own[..., 1])
+            ends = self._at(outline_segments(mask)).reshape(-1, 4)
             for tone, width in ((_BLACK, 5), (colour, 3)):
-                for ends in np.stack([x, y], -1).reshape(-1, 4).tolist():
-                    self._pen.line(ends, tone, width)
-            if len(own):
-                labels.append((x.max() + 4, y.min() - 3, str(number), colour, "lb"))
+                for one in ends.tolist():
+                    self._pen.line(one, tone, width)
+            if len(ends):
+                labels.append((ends[:, ::2].max() + 4, ends[:, 1::2].min() - 3, str(number), colour, "lb"))
         for label in labels if len(labels) <= _MOST_NUMBERED else ():  # more would hide what they name
             self._label(*label)
         if pixel_size_m and math.isfinite(pixel_size_m):
@@ -160,9 +159,10 @@ class _Canvas:
         width_px = round(self._image.width / _PER_CSS)
         return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)
 
-    def _at(self, sample: Any, line: Any) -> tuple[Any, Any]:
+    def _at(self, places: npt.ArrayLike) -> Array:
+        """Where (..., 2) samples and lines of the image lie in the picture."""
         lines, samples = self._view
-        return _LEFT + (sample - samples.start) * self._per_pixel, _TOP + (line - lines.start) * self._per_pixel
+        return np.asarray((np.asarray(places) - (samples.start, lines.start)) * self._per_pixel + (_LEFT, _TOP))
 
     def _axes(self) -> None:
         right, bottom = self._end
@@ -171,11 +171,11 @@ class _Canvas:
         self._pen.text(((_LEFT + right) / 2, bottom + 44), "sample [pixel]", _BLACK, _font(_LETTER), anchor="ma")
         lines, samples = self._view
         for sample in _ticks(samples):
-            x, _ = self._at(sample, 0)
+            x, _ = self._at((sample, 0.0))
             self._pen.line((x, bottom, x, bottom + 9), _GREY, 2)
             self._pen.text((x, bottom + 14), f"{sample:g}", _BLACK, _font(_SMALL), anchor="ma")
         for line in _ticks(lines):
-            _, y = self._at(0, line)
+            _, y = self._at((0.0, line))
             self._pen.line((_LEFT - 11, y, _LEFT - 2, y), _GREY, 2)
             self._pen.text((_LEFT - 16, y), f"{line:g}", _BLACK, _font(_SMALL), anchor="rm")
 
@@ -229,12 +229,12 @@ def _size(view: Window) -> tuple[int, int]:
 def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
     """Ends of the colour scale: almost all of the image, and the better half of the targets' pixels."""
     values = np.asarray(score_map.values, dtype=float)
-    finite = values[np.isfinite(values)]
-    if finite.size == 0:
+    finite = np.isfinite(values)
+    if not finite.any():
         return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(finite, [1.0, 99.9]))
+    low, high = map(float, np.percentile(values[finite], [1.0, 99.9]))
     on_target = functools.reduce(np.logical_or, score_map.outlines.values(), np.zeros(values.shape, bool))
-    scores = values[on_target & np.isfinite(values)]
+    scores = values[on_target & finite]
     if scores.size:
         high = max(high, float(np.percentile(scores, 75.0)))
     return low, max(high, low + 1e-9)
@@ -256,13 +256,11 @@ def outline_segments(mask: Mask) -> Array:
     lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     if not lines.size:
         return np.empty((0, 2, 2))
-    corner = samples[0], lines[0]
-    padded = np.pad(mask[lines[0] : lines[-1] + 1, samples[0] : samples[-1] + 1], 1)
-    row, column = np.nonzero(padded[1:-1, 1:] != padded[1:-1, :-1])
-    upright = np.stack([np.stack([column, row], -1), np.stack([column, row + 1], -1)], axis=1)
-    row, column = np.nonzero(padded[1:, 1:-1] != padded[:-1, 1:-1])
-    level = np.stack([np.stack([column, row], -1), np.stack([column + 1, row], -1)], axis=1)
-    return np.asarray(np.concatenate([upright, level]) + corner, dtype=float)
+    padded, edges = np.pad(mask[lines[0] : lines[-1] + 1, samples[0] : samples[-1] + 1], 1), []
+    for along, back in ((1, (0, 1)), (0, (1, 0))):  # neighbours beside each other differ, then those above each other
+        ends = np.argwhere(np.diff(padded, axis=along))[:, ::-1]
+        edges.append(np.stack([ends - back, ends], axis=1))
+    return np.asarray(np.add(np.concatenate(edges), (samples[0], lines[0])), float)
 
 
 def _round_length(length: float) -> float:

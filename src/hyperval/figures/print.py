@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any
 
 import matplotlib.style
 import numpy as np
@@ -20,22 +20,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
 
-from hyperval.figures.spec import (
-    GREY,
-    MAX_PANELS,
-    PALETTES,
-    WAVELENGTH,
-    Axis,
-    ColourScale,
-    Drawing,
-    Figure,
-    Mark,
-    Panels,
-    Part,
-    left_out,
-    shortened,
-)
-from hyperval.spectra.axis import ABSORPTION_BANDS_NM
+from hyperval.figures.spec import GREY, Axis, ColourScale, Drawing, Figure, Kind, Mark, Panels, Part, shortened
 
 _MARKERS = {
     "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "plus": "P", "star": "*",
@@ -43,16 +28,12 @@ _MARKERS = {
 }  # fmt: skip
 _ABSORPTION = "#e9e9e9"
 _ROW_IN = 0.3  # [in] of a named row
-_MOST_PAGES = 2
 _FEW_DECADES = 2.5  # below which an axis has plain numbers at 1, 2 and 5
 _JOURNAL_SCALE = 0.72  # of 10 in: 183 mm, two columns
 _METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None}, "png": {"Software": None},
     "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
 }  # fmt: skip
-
-
-Kind = Literal["svg", "pdf", "png"]
 
 
 @contextmanager
@@ -75,9 +56,7 @@ def drawings_of(
     out = []
     with house_style(journal):
         for figure in figures:
-            shown = figure.views[: MAX_PANELS * _MOST_PAGES]
-            pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
-            title = figure.title + left_out(len(shown), len(figure.views))
+            pages, title = figure.pages
             for number, views in enumerate(pages, start=1):
                 name = figure.name if len(pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
@@ -144,7 +123,7 @@ def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:
             entries.setdefault(mark.label, _handle(mark))
     if any(mark.kind in ("line", "steps") and {"low", "half"} & set(mark.columns) for mark in marks):
         entries["95 % interval"] = Patch(color=GREY, alpha=0.3, linewidth=0)
-    if views[0].x.label == WAVELENGTH:
+    if views[0].x.absorption:
         entries["absorption band"] = Patch(color=_ABSORPTION)
     return list(entries.values()), [plain(label) for label in entries]
 
@@ -154,11 +133,10 @@ def draw_part(axes: Axes, view: Panels, part: Part) -> None:
     x = part.x or view.x
     for way, axis in (("x", x), ("y", part.y)):
         _scale(axes, way, axis, view.ends(way, part))  # type: ignore[arg-type]
-    if x.label == WAVELENGTH:
-        low, high = view.ends("x", part)
-        for start, end, _ in ABSORPTION_BANDS_NM:
-            if end > low and start < high:
-                axes.axvspan(max(start, low), min(end, high), color=_ABSORPTION, linewidth=0, zorder=0)
+    low, high = view.ends("x", part)
+    for start, end in x.absorption:
+        if end > low and start < high:
+            axes.axvspan(max(start, low), min(end, high), color=_ABSORPTION, linewidth=0, zorder=0)
     for mark in part.marks:
         _mark(axes, mark)
     for way, place in part.rules:
@@ -233,7 +211,7 @@ def _words(axes: Axes, mark: Mark, x: Any, y: Any) -> None:
 
 def _colours(axes: Axes, scale: ColourScale) -> dict[str, Any]:
     """Colours of a scale, with their bar beside the plot."""
-    cmap = LinearSegmentedColormap.from_list(scale.kind, PALETTES[scale.kind])
+    cmap = LinearSegmentedColormap.from_list(scale.kind, scale.palette)
     norm = Normalize(scale.low, scale.high)
     if scale.label:
         axes.figure.colorbar(ScalarMappable(norm, cmap), ax=axes, label=plain(scale.label), shrink=0.8)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, by_kind, of_rows, row_names
+from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, of_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result
+from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
 
 # Of outcomes and ranges, as in the style sheet of pages: blue, maroon and ochre, which no colour deficiency mixes up.
 MET, NOT_MET, INCONCLUSIVE, NOT_RUN, ACCEPTED = "#1f6f9f", "#7a1338", "#b07a10", "#8c959f", "#d8eaf5"
@@ -24,15 +25,14 @@ _LOOKS: dict[Outcome, dict[str, Any]] = {
         (Outcome.SKIPPED, NOT_RUN, "triangle"),
     )
 }  # fmt: skip
+T = TypeVar("T")
 _MOST_ROWS = 11
 _MOST_PARTS = 5
 _HALF = 0.36  # of a row: what the accepted range fills to either side
 _P_VALUE = "p-value"  # of a test, which has no size in units of the field
 _LEAST_P = 1e-6
-_REGIONS = {
-    "vnir": "400–1000 nm", "swir1": "1000–1800 nm", "swir2": "1800–2500 nm", "absorption": "absorption bands",
-    "windows": "",
-}  # fmt: skip
+_REGIONS = {name.lower(): f"{low:g}–{high:g} nm" for name, (low, high) in SPECTRAL_REGIONS_NM.items()}
+_REGIONS["absorption"] = "absorption bands"
 _SHORT = {"%": " %", "nm": " nm", "percentage points": " pp", "difference / stated": " ×", "standard dev": " sd"}
 
 
@@ -73,7 +73,7 @@ def effect_text(row: Result) -> str:
 
 
 def _sign(row: Result) -> str:
-    return "+" if row.ideal == 0.0 else ""
+    return "+" if row.ideal == 0.0 and metric_of(row.metric).low < 0.0 else ""  # a size has no side
 
 
 def short_text(value: float, sign: str = "") -> str:
@@ -112,6 +112,14 @@ def criteria_of(rows: Sequence[Result]) -> list[Result]:
     ]  # fmt: skip
 
 
+def grouped(items: Iterable[T], key: Callable[[T], Any]) -> dict[Any, list[T]]:
+    """Items in lists by a key, as they come."""
+    groups: dict[Any, list[T]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
+
+
 def _words(row: Result) -> str:
     return plain_words(row.metric, row.product).partition(" of the ")[0]
 
@@ -137,9 +145,7 @@ def outcome_words(rows: Iterable[Result]) -> str:
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     """Criteria as effects: a plot for each product and unit, the worst first; what is alike is folded into one row."""
     every = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
-    groups: dict[tuple[str, str], list[Result]] = {}
-    for row in every:
-        groups.setdefault((row.product, row.effect_unit or _words(row)), []).append(row)
+    groups = grouped(every, lambda row: (row.product, row.effect_unit or _words(row)))
     if not groups:
         return None
     apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())
@@ -185,7 +191,7 @@ def _part(own: Sequence[Result], most: int) -> Part:
     folded = (replace(row, detectable_low=math.nan, detectable_high=math.nan) for row in rest)
     at = [*((float(i), row) for i, row in enumerate(own[:most])), *((float(most), row) for row in folded)]
     ideal = (("x", first.ideal),) if math.isfinite(first.ideal) else ()
-    y = replace(row_names(names), notes=tuple(notes))
+    y = replace(Axis.named(names), notes=tuple(notes))
     return Part(y, _marks(at, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
 
 
@@ -220,11 +226,11 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
         columns = edges | {"bottom": y - _HALF, "top": y + _HALF}
         marks.append(Mark("bars", columns, "accepted range", ACCEPTED, alpha=1.0))
     known = [(y, row) for y, row in at if math.isfinite(row.effect)]
-    numbers = np.array([(row.effect, row.effect_lower, row.effect_upper, y) for y, row in known]).reshape(-1, 4).T
-    columns = dict(zip(("x", "low", "high", "y"), numbers, strict=True))
+    numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in known]
+    columns = columns_of(numbers, ("x", "low", "high", "y"))
     columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
     words = tuple(f"{row_label(row)}: {effect_text(row)}" for _, row in known)
-    marks += by_kind(Mark("dots", columns, along="x", words=words), [row.outcome for _, row in known], _LOOKS)
+    marks += Mark("dots", columns, along="x", words=words).by_kind([row.outcome for _, row in known], _LOOKS)
     found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
         x, y = np.array(found).T
@@ -253,5 +259,5 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
     return of_rows(
         "campaigns", "criteria", "Acceptance criteria of the model by campaign, the worst first",
         f"Share of acceptance criteria by outcome. {words}.",
-        Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(row_names(names), notes=notes), marks,
+        Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(Axis.named(names), notes=notes), marks,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -32,9 +32,11 @@ VIRIDIS = (
     "#20A585", "#2EB27C", "#45BF6F", "#64CB5D", "#88D547", "#AFDC2E", "#D7E219", "#FDE724",
 )  # fmt: skip
 MAX_PANELS = 12
+_MOST_PAGES = 2
 WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Way = Literal["x", "y"]
+Kind = Literal["svg", "pdf", "png"]
 Rules = tuple[tuple[Way, float], ...]
 _TONES = 33  # of a scale in a page
 _REACH = {"x": {"x", "left", "right"}, "y": {"y", "bottom", "top"}}
@@ -58,6 +60,16 @@ class Axis:
     ends: tuple[float, float] | None = None
     notes: tuple[str, ...] = ()
 
+    @classmethod
+    def named(cls, names: Sequence[str], length: int = 44) -> Axis:
+        """An axis of named rows."""
+        return cls("", "names", tuple(shortened(name, length) for name in names))
+
+    @property
+    def absorption(self) -> list[tuple[float, float]]:
+        """Where gases absorb [nm], which is shaded over wavelengths; nowhere on another axis."""
+        return [band[:2] for band in ABSORPTION_BANDS_NM if self.label == WAVELENGTH]
+
 
 @dataclass(frozen=True)
 class ColourScale:
@@ -67,6 +79,11 @@ class ColourScale:
     low: float
     high: float
     label: str = ""
+
+    @property
+    def palette(self) -> tuple[str, ...]:
+        """Its colours, those of low values first."""
+        return PALETTES[self.kind]
 
 
 @dataclass(frozen=True)
@@ -109,6 +126,17 @@ class Mark:
             half = out.pop("half")
             out |= {"low": out["y"] - half, "high": out["y"] + half}
         return out
+
+    def by_kind(self, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, Any]]) -> list[Mark]:
+        """A mark for each kind of its points that there is, each kind with its own look."""
+        marks = []
+        for kind, look in looks.items():
+            own = [i for i, one in enumerate(kinds) if one == kind]
+            if own:
+                columns = {name: np.asarray(values)[own] for name, values in self.columns.items()}
+                words = tuple(self.words[i] for i in own if self.words)
+                marks.append(replace(self, columns=columns, words=words, **look))
+        return marks
 
     @property
     def shades(self) -> list[str]:
@@ -203,15 +231,16 @@ class Figure:
     width_in: float = 10.0
 
     @property
+    def pages(self) -> tuple[list[tuple[Panels, ...]], str]:
+        """Views of each page on paper, and the title with how many these are."""
+        shown = self.views[: MAX_PANELS * _MOST_PAGES]
+        pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
+        return pages, self.title + left_out(len(shown), len(self.views))
+
+    @property
     def caption(self) -> str:
         """Title and legend."""
         return self.title + (f". {self.legend[0].upper()}{self.legend[1:]}" if self.legend else "")
-
-    def marks(self) -> Iterator[Mark]:
-        """Every mark of every view."""
-        for view in self.views:
-            for part in view.parts:
-                yield from part.marks
 
 
 @dataclass(frozen=True)
@@ -231,7 +260,7 @@ class Drawing:
     title: str
     alt: str
     content: bytes
-    kind: Literal["svg", "png", "pdf"]
+    kind: Kind
     width_px: int | None = None
     legend: str = ""
 
@@ -266,12 +295,12 @@ def statement(figure: Figure) -> str:
         return {name: value for name, value in {**vars(what), **more}.items() if value}
 
     def axis(own: Axis, ends: tuple[float, float]) -> dict[str, Any]:
-        return said(own, ends=ends, absorption=own.label == WAVELENGTH)
+        return said(own, ends=ends, absorption=bool(own.absorption))
 
     def mark(own: Mark) -> dict[str, Any]:
         more: dict[str, Any] = {"columns": {name: place(values) for name, values in own.columns.items()}}
         if own.scale is not None:
-            more["scale"] = {**vars(own.scale), "palette": tones(PALETTES[own.scale.kind], _TONES)}
+            more["scale"] = {**vars(own.scale), "palette": tones(own.scale.palette, _TONES)}
             more["shades"] = own.shades if own.beside == "centre" else None
         return said(own, **more)
 
@@ -285,8 +314,8 @@ def statement(figure: Figure) -> str:
     ]  # fmt: skip
     whole: dict[str, Any] = {"views": views, "columns": list(columns)}
     whole |= {key: getattr(figure, key) for key in ("name", "section", "together", "legend_title")}
-    if any(view.x.label == WAVELENGTH for view in figure.views):
-        whole["absorption"] = [band[:2] for band in ABSORPTION_BANDS_NM]
+    if bands := next((view.x.absorption for view in figure.views if view.x.absorption), None):
+        whole["absorption"] = bands
     return json.dumps(whole, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
 
 
@@ -296,9 +325,9 @@ def _extent(mark: Mark, way: Way) -> list[Array]:
     return [values for name, values in mark.numbers.items() if name in names]
 
 
-def row_names(names: Sequence[str], length: int = 44) -> Axis:
-    """An axis of named rows."""
-    return Axis("", "names", tuple(shortened(name, length) for name in names))
+def columns_of(rows: Sequence[Sequence[float]], names: Sequence[str] = ("x", "y", "low", "high")) -> dict[str, Array]:
+    """Rows of numbers as columns."""
+    return dict(zip(names, np.array(rows, float).reshape(-1, len(names)).T, strict=True))
 
 
 def predicted_mark(kind: Any, columns: Mapping[str, Any], label: str = "predicted", **more: Any) -> Mark:
@@ -309,18 +338,6 @@ def predicted_mark(kind: Any, columns: Mapping[str, Any], label: str = "predicte
 def measured_mark(kind: Any, columns: Mapping[str, Any], label: str = "measured", **more: Any) -> Mark:
     """A mark in the look of the measured side."""
     return Mark(kind, columns, label, MEASURED, **more)
-
-
-def by_kind(mark: Mark, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, Any]]) -> list[Mark]:
-    """A mark as one for each kind of its points that there is, each kind with its own look."""
-    marks = []
-    for kind, look in looks.items():
-        own = [i for i, one in enumerate(kinds) if one == kind]
-        if own:
-            columns = {name: np.asarray(values)[own] for name, values in mark.columns.items()}
-            words = tuple(mark.words[i] for i in own if mark.words)
-            marks.append(replace(mark, columns=columns, words=words, **look))
-    return marks
 
 
 def single(x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = ()) -> Panels:

@@ -394,8 +394,13 @@ def open_raster(
 
 
 def kind_of(path: Path) -> str | None:
-    """What kind of image file this is by its first bytes, or its name as a GeoTIFF; None when it is none known."""
-    with open(path, "rb") as stream:
+    """What kind of image file this is by its first bytes, or its name as a GeoTIFF; None when it is none known.
+
+    >>> kind_of(Path("no.tif"))
+    Traceback (most recent call last):
+    hyperval.errors.InputError: no.tif: no such file
+    """
+    with open(checked_file(path), "rb") as stream:
         head = stream.read(16)
     kind = next((name for mark, name in _MARKS.items() if head.startswith(mark)), None)
     if kind == _HDF5 and path.suffix.lower() == _MATLAB_SUFFIX:

@@ -29,7 +29,7 @@ from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, wavelengths_i
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
 from hyperval.storage import number_of
-from hyperval.units import RADIANCE_UNIT, radiance_to_internal, wavelength_to_nm
+from hyperval.units import RADIANCE_UNIT, to_internal
 
 Bands = SpectralAxis | Literal["numbers"] | None
 
@@ -192,7 +192,7 @@ class Description:
         listed, notes = bands.wavelength[has], list(bands.notes)
         at = {key: bands.where.get(key, where) for key in ("wavelength", "wavelength units", "fwhm", "bbl")}
         centre, unit, note = wavelengths_in_nm(listed, bands.unit, given_unit, at["wavelength units"])
-        to_nm = wavelength_to_nm(unit)
+        to_nm = to_internal(unit, "wavelength")
         notes += note
         if has.size < bands.wavelength.size:
             notes.append(f"{bands.wavelength.size - has.size} stored bands without a wavelength are left out")
@@ -247,7 +247,7 @@ class Description:
                 raise refusal("scale.two", where, first=active[0].source, second=active[1].source)
             stated = active[0] if active else UNSCALED
             own, note = stated.unit or self.unit, stated.source
-            if quantity == "radiance" and unit and own and radiance_to_internal(unit) != radiance_to_internal(own):
+            if quantity == "radiance" and unit and own and to_internal(unit, quantity) != to_internal(own, quantity):
                 raise refusal("scale.unit", where, own=own, by=f" ({note})" * bool(stated.unit), unit=unit)
         factor, name = _unit_factor(quantity, unit or own)
         gain, offset = (np.broadcast_to(factor * np.asarray(v, float), bands).copy() for v in stated[:2])
@@ -316,7 +316,7 @@ def _spacing_by_detector(centre: Array) -> Array:
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
     """What one of the unit of a quantity is in the internal unit, and the name of that."""
     if quantity == "radiance":
-        return radiance_to_internal(needed(unit, "scale.no_unit", internal=RADIANCE_UNIT)), RADIANCE_UNIT
+        return to_internal(needed(unit, "scale.no_unit", internal=RADIANCE_UNIT), "radiance"), RADIANCE_UNIT
     if quantity == "reflectance":
         return reflectance_factor(unit or "fraction"), "1"
     if quantity in ("counts", "other"):

@@ -29,7 +29,7 @@ from hyperval.imagery.description import Description, ListedBands, Raster, Scale
 from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.paths import checked_file, read_xml
 from hyperval.storage import number_of
-from hyperval.units import is_radiance, radiance_to_internal
+from hyperval.units import is_radiance, to_internal
 
 MAX_BANDS = 20_000
 SAMPLED_LINES = 16
@@ -248,7 +248,7 @@ def _unit(tree: ProductTree) -> tuple[str, tuple[str, ...]]:
     arrays_of_light = layout.arrays if layout.quantity == "radiance" else ()
     for array, name in product(arrays_of_light, ("units", "Units", "unit", "Unit")):
         text = tree.text(f"{array.path}@{name}")  # one whose spelling is not known leaves that of the layout
-        if text and is_radiance(text) and radiance_to_internal(text) != radiance_to_internal(layout.unit):
+        if text and is_radiance(text) and to_internal(text, "radiance") != to_internal(layout.unit, "radiance"):
             return text, (f"radiance in {text} as the file states, where the layout has {layout.unit}",)
     return layout.unit, ()
 

@@ -459,7 +459,8 @@ def with_mean(fill: Fill, offset: float) -> Fill:
     if fill.listed is not None:
         mean = fill_distribution(fill).mean
         factor = max(mean + offset, 1e-6) / max(mean, 1e-6)
-        return fill.model_copy(update={"listed": [[min(factor * f, 1.0) for f in row] for row in fill.listed]})
+        listed = tuple(tuple(min(factor * f, 1.0) for f in row) for row in fill.listed)
+        return fill.model_copy(update={"listed": listed})
     if fill.geometry is None:
         mean = float(np.clip((fill.mean or 0.0) + offset, 1e-6, 1.0 - 1e-6))
         # A beta distribution of this mean has a variance below mean (1 - mean).

@@ -480,12 +480,9 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     if scenario.formulation == "thesis" or population.fill.geometry is None or population.position_m is None:
         return None
     models, which = world.fill_models(number)
-    position, populations = scenario.uncertainty.position_m, world.populations_at(0)
-    each: list[Shares] = []
-    for fill in models:
-        key = "shares", number, repr((fill, [p.fill for _, p in populations]))
-        moved, seed = population.model_copy(update={"fill": fill}), scenario.processing.seed
-        each.append(stated.once(key, partial(shares_of, stated.targets[t].name, moved, populations, position, seed)))
+    others, position, seed = tuple(world.populations_at(0)), scenario.uncertainty.position_m, scenario.processing.seed
+    moved = [population.model_copy(update={"fill": fill}) for fill in models]
+    each = [shares_of(stated.targets[t].name, one, others, position, seed) for one in moved]
     return each, which
 
 

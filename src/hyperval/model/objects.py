@@ -351,7 +351,12 @@ def _change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, dr
 
 @lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
 def _few_numbers(objects: Objects) -> Numbers:
-    """The same numbers each time that a population is asked for."""
+    """The same numbers each time that a population is asked for.
+
+    >>> population = TargetSubject(name="plank", fill={"listed": [[0.5, 0.2], [0.4]]})
+    >>> _few_numbers(Objects(population, (), None, 3, False, (), 1, 1)).fills.tolist()
+    [[0.5, 0.2], [0.4, 0.0]]
+    """
     return drawn_numbers(objects, np.zeros(1))
 
 
@@ -419,6 +424,7 @@ class Shares:
         return {PLACE: contrast.T @ self.covariance @ contrast, HOST: rest**2 * spread}
 
 
+@lru_cache(maxsize=512)  # a few numbers each
 def shares_of(
     owner: str, population: TargetSubject, populations: Populations, position_m: float | None, seed: int
 ) -> Shares:

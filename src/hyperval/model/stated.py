@@ -108,7 +108,7 @@ def replicate_statistics(
     mean[known], deviation[known] = sample.mean, np.sqrt(np.diag(sample.covariance))
     covariance, error, at = *np.zeros((2, len(axis), len(axis))), np.ix_(known, known)
     few = sample.n < FEW_PER_BAND * int(known.sum())
-    covariance[at] = sample.shrunk_covariance if few else sample.covariance
+    covariance[at] = sample.shrunk().covariance if few else sample.covariance
     error[at] = mean_error_covariance(sample.covariance, sample.n)
     words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
     return SurfaceStatistics(

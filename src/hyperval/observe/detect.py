@@ -196,7 +196,7 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
         # Few, so they fit in memory; the pass has not summed the fourth moment.
         pixels = place.cube.pixels(place.pixels_of(*detection.background))
         few = statistics_of(pixels[np.isfinite(pixels).all(axis=1)])
-        background, shrinkage = replace(background, covariance=few.shrunk_covariance), few.shrinkage
+        background, shrinkage = replace(background, covariance=few.shrunk().covariance), few.shrinkage
         notes.append(f"{background.n} background pixels are few: covariance shrunk by {shrinkage:.3g}")
     mean, covariance = place.in_reflectance(background)
     for name in detection.undesired:

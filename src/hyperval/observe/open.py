@@ -54,7 +54,7 @@ from hyperval.pixels import SCENE as SCENE
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
 from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table
-from hyperval.units import RADIANCE_UNIT, wavelength_to_nm
+from hyperval.units import RADIANCE_UNIT, to_internal
 
 IMAGE = "image"
 MAX_TABLE_BYTES = 10 << 20
@@ -306,7 +306,7 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     last = max(table.centre_column, table.fwhm_column or 0)
     rows, first = number_rows(path, "table of bands")
     refuse(rows.shape[1] <= last, "rows.columns", f"{path}:{first}", shape=rows.shape, least=last + 1)
-    factor = wavelength_to_nm(table.wavelength_unit)
+    factor = to_internal(table.wavelength_unit, "wavelength")
     centre = rows[:, table.centre_column] * factor
     try:
         fwhm = fwhm_from_spacing(centre) if table.fwhm_column is None else rows[:, table.fwhm_column] * factor

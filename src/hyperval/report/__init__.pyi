@@ -3,10 +3,20 @@
 from .html import MAX_BYTES, figures_to_folder, index_page, report_page
 from .outputs import write_index, write_outputs
 from .side_by_side import compare_runs
-from .verdict import first_screen, gate_fails, interval_text, last_line, limits_text, number_text, value_text
+from .verdict import (
+    accepted_words,
+    first_screen,
+    gate_fails,
+    interval_text,
+    last_line,
+    limits_text,
+    number_text,
+    value_text,
+)
 
 __all__ = [
     "MAX_BYTES",
+    "accepted_words",
     "compare_runs",
     "figures_to_folder",
     "first_screen",

@@ -5,34 +5,30 @@ The first screen: product by subject, or product by campaign, each cell with its
 
 from __future__ import annotations
 
-import datetime
 import functools
 import gzip
 import hashlib
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, cast
 
 import jinja2
 
 import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
-from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
-from hyperval.figures.spec import Drawing, Figure, base64_of, data_uri, statement
-from hyperval.metrics import Evidence, explained, plain_words
+from hyperval.figures.rows import campaigns_figure, criteria_figure, grouped, outcome_words
+from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
+from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
 from hyperval.storage import installed_file, whole_folder
-
-if TYPE_CHECKING:
-    from hyperval.figures.print import Kind
-
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
 # filters tables and links to evidence.
@@ -78,16 +74,13 @@ def matrix_of(
     """
     every = dict.fromkeys(row.product for row in planned)
     columns = [product for product in dict.fromkeys([*_COMPARED, *every]) if product in every]
-    groups: dict[str, list[Result]] = {}
-    for row in planned:
-        groups.setdefault(line_of(row), []).append(row)
 
     def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
         gates = [row for row in item[1] if row.gates]
         return not gates, WORST_FIRST.index(v.worst(gates or item[1]))
 
     lines = []
-    for name, own in sorted(groups.items(), key=rank):
+    for name, own in sorted(grouped(planned, line_of).items(), key=rank):
         here = ([row for row in own if row.product == product] for product in columns)
         lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in here]))
     return {"columns": [_COMPARED.get(p, p) for p in columns], "lines": lines}
@@ -96,7 +89,8 @@ def matrix_of(
 def _matrices(run: Run, rows: Sequence[Result], *options: Callable[..., str]) -> list[tuple[str, Mapping[str, Any]]]:
     """The matrices of rows by what moves them, each with its heading, as a page of ``run`` parts them."""
     parts = _NUMBERS if run.sentence else _MATRICES
-    planned = ((title, [r for r in rows if r.planned and r.evidence in kinds]) for title, kinds in parts)
+    compared = [row for row in rows if row.planned and row.product not in _REASONS]
+    planned = ((title, [r for r in compared if r.evidence in kinds]) for title, kinds in parts)
     return [(title, matrix_of(own, *options)) for title, own in planned if own]
 
 
@@ -124,13 +118,13 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
 
     They are the same but for the subject; the first stands for all, and says how many are alike.
     """
-    alike: dict[str | int, list[Result]] = {}
-    for number, row in enumerate(rows):
-        is_background = row.subject.endswith(background_of(""))
-        alike.setdefault(repr(replace(row, subject="")) if is_background else number, []).append(row)
+
+    def key(row: Result) -> str | int:
+        return repr(replace(row, subject="")) if row.subject.endswith(background_of("")) else id(row)
+
     return [
         first if not more else replace(first, subject=f"{first.subject} and {len(more)} alike")
-        for first, *more in alike.values()
+        for first, *more in grouped(rows, key).values()
     ]
 
 
@@ -141,20 +135,12 @@ PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
 
-SECTIONS = {
-    "attribution": "Why they differ",
-    "what-if": "What-ifs",
-    "sensitivity": "Sensitivity to the inputs",
-    "radiance": "Radiance",
-    "toa_reflectance": "Reflectance at the top of the atmosphere",
-    "snr": "Signal-to-noise ratio",
-    "reflectance": "Reflectance",
-    "covariance": "Covariance",
-    "classification": "Classification",
-    "scores": "Detector scores",
-    "roc": "Detection and false alarms",
-    "abundance": "Target area",
-}
+# Products in the order of a page; titles that are not what a product is called in a sentence.
+_PRODUCTS = (*SPECTRA, "covariance", "classification", "scores", "roc", "abundance")
+_TITLES = {"toa_reflectance": "Reflectance at the top of the atmosphere", "roc": "Detection and false alarms"}
+_COMPARED = {name: _TITLES.get(name, product_words(name).capitalize()) for name in _PRODUCTS}
+_REASONS = {"attribution": "Why they differ", "what-if": "What-ifs", "sensitivity": "Sensitivity to the inputs"}
+SECTIONS = _COMPARED | _REASONS
 # Gates that the model moves stand apart from checks that it does not.
 _MATRICES = (("Model and collection", (Evidence.MODEL,)), ("Checks of the pipeline", (Evidence.PIPELINE,)))
 _NUMBERS = (("Numbers", tuple(Evidence)),)  # beside the accepted ones
@@ -164,8 +150,6 @@ _GROUPS = (
     ("Computed references", (False, True)),
     ("Simulated collections", (True, False)),
 )
-_REASONS = ("attribution", "what-if", "sensitivity")
-_COMPARED = {k: t for k, t in SECTIONS.items() if k not in _REASONS}
 
 
 def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
@@ -184,7 +168,6 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
     statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
-    compared = [row for row in shown if row.product not in _REASONS]
     return page(
         "report.html.j2", statements,
         run=run,
@@ -193,7 +176,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         worst=worst,
         compares=compares,
         warned=[f"Warning: {note.removeprefix(WARNING)}" for note in run.warnings],
-        matrices=_matrices(run, compared, lambda r: r.subject, _link),
+        matrices=_matrices(run, shown, lambda r: r.subject, _link),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
         embedded=_embedded(drawings, statements),
@@ -230,10 +213,7 @@ def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | Non
 
 
 def _link(subject: str, rows: Sequence[Result]) -> str:
-    made = [row for row in rows if row.outcome is not Outcome.SKIPPED]
-    if rows and not made:
-        return "#undone"
-    return f"#{anchor(made[0])}" if made else ""
+    return next((f"#{anchor(row)}" for row in rows if row.outcome is not Outcome.SKIPPED), "#undone" if rows else "")
 
 
 def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Validation") -> str:
@@ -244,26 +224,24 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     set beside accepted numbers.
     """
     pages = {name: f"{folder}/report.html" for name, folder in folders.items()}
+
+    def link(campaign: str, rows: Sequence[Result]) -> str:
+        return f"{pages[campaign]}#{anchor(rows[0])}" if rows else pages[campaign]
+
     groups = []
     for heading, kind in _GROUPS:
         own = [r for r in runs if not r.remedy and (r.simulated, r.computed and not r.simulated) == kind]
         if not own:
             continue
         together = [row for run in own for row in run.table]
-        matrices = _matrices(
-            own[0], [row for row in together if row.product not in _REASONS], lambda r: r.campaign,
-            lambda name, cell: f"{pages[name]}#{anchor(cell[0])}" if cell else pages[name],
-        )  # fmt: skip
+        matrices = _matrices(own[0], together, lambda r: r.campaign, link)
         entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
-        screen, sentence = v.first_screen(together), ""
-        if own[0].sentence:
-            sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
-        groups.append((heading, screen, sentence, matrices, entries))
+        sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
+        groups.append((heading, v.first_screen(together), sentence if own[0].sentence else "", matrices, entries))
     remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
     absent = [(remedy, [(run, pages[run.campaign]) for run in runs if run.remedy == remedy]) for remedy in remedies]
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
-    drawn = [forest] if forest else []
-    return page("index.html.j2", drawn, forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
+    return page("index.html.j2", [forest], forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
 
 
 def strict_templates(package: str) -> jinja2.Environment:
@@ -289,7 +267,7 @@ def environment() -> jinja2.Environment:
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         about=lambda row: plain_words(row.metric, row.product),
         outcome=lambda word: OUTCOMES[Outcome(word)].word,
-        subject=_subject_text,
+        subject=functools.partial(re.sub, r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0"),  # a number beside its unit: "3 m"
         anchor=anchor,
     )
     return environment
@@ -297,44 +275,36 @@ def environment() -> jinja2.Environment:
 
 def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
     """The margin that the campaign of a run states, as its provenance records it."""
-    campaign = (provenance.get("configuration") or {}).get("campaign") or {}
-    margin = campaign.get("equivalence_margin")
-    return float(margin) if isinstance(margin, int | float) else None
+    campaign = provenance.get("configuration", {}).get("campaign", {})
+    return cast("float | None", campaign.get("equivalence_margin"))
 
 
-def page(template: str, drawn: Sequence[Figure] | Mapping[str, str] = (), /, **words: Any) -> str:
+def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (), /, **words: Any) -> str:
     """One page: its template with what every page says, and the figures that it holds with the scripts that draw them.
 
     ``drawn`` : the figures, or their statements by name, where these are known already
     """
-    statements = dict(drawn) if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn}
+    statements = drawn if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn if one}
+    written = f"{at:%Y-%m-%d %H:%M UTC}" if (at := stated_time()) else None
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
         starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
-        version=hyperval.__version__, generated=_generated(), page_script=script(_EVERY_PAGE).decode(),
+        version=hyperval.__version__, generated=written, page_script=script(_EVERY_PAGE).decode(),
     )  # fmt: skip
 
 
-def _generated() -> str | None:
-    """When SOURCE_DATE_EPOCH says the page was made; None when it is not set."""
-    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    if not epoch.isdigit():
-        return None
-    return datetime.datetime.fromtimestamp(int(epoch), datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+def stated_time() -> datetime | None:
+    """When SOURCE_DATE_EPOCH says that something is made; None when it is not set."""
+    text = os.environ.get("SOURCE_DATE_EPOCH", "")
+    refuse(text and not text.isdigit(), "results.date", text=text)
+    return datetime.fromtimestamp(int(text), UTC) if text else None
 
 
 def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]:
     """Planned rows that were not made, those of one outcome, product and cause together with their names."""
-    groups: dict[tuple[Outcome, str, str], list[str]] = {}
-    for row in rows:
-        if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
-            groups.setdefault((row.outcome, row.product, row.reason or str(row.cause)), []).append(row_name(row))
-    return groups
-
-
-def _subject_text(text: str) -> str:
-    """The subject, a number kept beside its unit: "3 m"."""
-    return re.sub(r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0", text)
+    undone = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
+    groups = grouped(undone, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
+    return {key: list(map(row_name, own)) for key, own in groups.items()}
 
 
 def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figure]:
@@ -355,7 +325,7 @@ def _made(rows: Sequence[Result], product: str) -> list[Result]:
 def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Sequence[Result]) -> list[dict[str, Any]]:
     """Each product's part of the page: figures, what decides, what does not, what nothing was planned for."""
     sections = []
-    for name in dict.fromkeys([*_COMPARED, *_REASONS, *(row.product for row in rows)]):
+    for name in dict.fromkeys([*SECTIONS, *(row.product for row in rows)]):
         own_drawings = [d for d in drawings if d.section == name and d.name not in PICTURES]
         planned = sorted(_made(rows, name), key=lambda row: (WORST_FIRST.index(row.outcome), row.subject))
         own_charts = [chart for chart in charts if chart.section == name and chart.name != _BUDGET]
@@ -369,12 +339,11 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
 def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dict[str, str]:
     """Name of a figure -> its data URI, for as many as the page has room for.
 
-    What shows the most comes first: the scene, the first score map, the budget; the other score maps come last.
+    What shows the most comes first: the scene and the first score map.
     """
     sources: dict[str, str] = {}
     room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
-    order = {name: number for number, name in enumerate(PICTURES)}
-    for drawing in sorted(drawings, key=lambda d: order.get(d.name, len(order) + d.name.startswith("score-map"))):
+    for drawing in sorted(drawings, key=lambda d: d.name not in PICTURES):
         source = data_uri(drawing.content, drawing.kind)
         if len(source) <= room:
             room -= len(source)

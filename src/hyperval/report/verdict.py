@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from hyperval.figures.rows import criteria_of, effect_text, outcome_words, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
@@ -27,8 +27,7 @@ _AHEAD = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class FirstScreen:
+class FirstScreen(NamedTuple):
     """What a page, a line of an index and the terminal say of a run.
 
     Attributes
@@ -139,6 +138,8 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     >>> failed = Result("twin", "radiance", "lawn", "", "bias_ratio", role=Role.GATE, outcome=Outcome.DISAGREES)
     >>> _steps([failed], [failed], "Check the time of overflight (+1 h explains 99 % ...), since the accepted run.")
     ['Check the time of overflight: correct it, or accept the new numbers, with its reason.']
+    >>> _steps([failed], [failed], "")
+    ['Look at what is not met by subject and band, below; attribution: {} in the campaign tries causes.']
     """
     steps = []
     criteria = [row for row in told if row.gates]
@@ -148,6 +149,9 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
         steps.append(f"{reason.partition(' (')[0]}: {mend}, with its reason.")
     elif reason.startswith("None"):
         steps.append("Look beyond the causes that were tried.")
+    elif any(row.outcome in (Outcome.DISAGREES, Outcome.ERROR) for row in criteria):
+        looked = "" if reason else "; attribution: {} in the campaign tries causes"
+        steps.append(f"Look at what is not met by subject and band, below{looked}.")
     unsure = [
         row for row in criteria if row.outcome is Outcome.UNDECIDED
         and all(map(math.isfinite, (row.effect_lower, row.effect_upper, row.accepted_low, row.accepted_high)))
@@ -195,7 +199,9 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     """What a user should take from criteria that are met beside tests of the stated uncertainty that are not."""
     tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
     met = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and row.outcome is Outcome.AGREES]
-    wide = [row for row in tests if row.cause is Cause.TOO_WIDE]
+    failed = (row for row in rows if row.outcome is Outcome.DISAGREES and not tests_the_uncertainty(row))
+    apart = {(row.product, row.subject) for row in failed}
+    wide = [row for row in tests if row.cause is Cause.TOO_WIDE and (row.product, row.subject) not in apart]
     narrow = [row for row in tests if row.cause is not Cause.TOO_WIDE]
     words = []
     if met and narrow:
@@ -274,10 +280,8 @@ def last_line(rows: Iterable[Result]) -> str:
 
 def number_text(value: float, spread: float = math.nan) -> str:
     """``value`` with two digits of its ``spread``, or with four significant digits without one."""
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else short_text(value)
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         text = f"{value:.3g}"
     elif 0 < spread < math.inf:
@@ -309,12 +313,9 @@ def interval_text(row: Result) -> str:
 
 def limits_text(row: Result) -> str:
     """The accepted range of a row, empty when it has none."""
-    low, high = row.limit_low, row.limit_high
-    if math.isnan(low) and math.isnan(high):
-        return ""
-    if math.isnan(low):
-        return f"≤ {number_text(high)}"
-    return f"≥ {number_text(low)}" if math.isnan(high) else f"{number_text(low)} to {number_text(high)}"
+    ends = row.limit_low, row.limit_high
+    low, high = ("" if math.isnan(end) else number_text(end) for end in ends)
+    return f"{low} to {high}" if low and high else f"≥ {low}" if low else f"≤ {high}" if high else ""
 
 
 def _named(rows: Sequence[Result]) -> str:

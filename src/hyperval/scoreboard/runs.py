@@ -33,7 +33,7 @@ from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark, row_names
+from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark
 from hyperval.imagery import TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -773,7 +773,7 @@ _RANK_METRICS = ("log_auc@1e-3..1e-1", "auc")
 
 def detector_figure(one: Benchmarked) -> Figure | None:
     """A view for each metric on all objects: value, interval, rank with its set."""
-    detectors = row_names([" = ".join(g) for g in one.groups])
+    detectors = Axis.named([" = ".join(g) for g in one.groups])
 
     def view(metric: str) -> Panels:
         standings = [one.standing(group, metric) for group in one.groups]
@@ -836,7 +836,7 @@ def _rank_map(
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     return Figure(
         name, section, title, f"{title}. {'; '.join(captions)}.",
-        (Panels(row_names([" = ".join(g) for g in groups]), (Part(row_names(list(rows)), (mark,)),)),),
+        (Panels(Axis.named([" = ".join(g) for g in groups]), (Part(Axis.named(list(rows)), (mark,)),)),),
         head=title.partition(",")[0], width_in=2.6 + 1.35 * len(groups),
     )  # fmt: skip
 

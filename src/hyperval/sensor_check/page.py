@@ -20,19 +20,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.figures import drawings_of, outcome_words
 from hyperval.figures.catalogue import roc_figure
-from hyperval.figures.spec import (
-    SOURCES,
-    WAVELENGTH,
-    Axis,
-    Figure,
-    Mark,
-    Panels,
-    Part,
-    by_kind,
-    robust_limits,
-    row_names,
-    single,
-)
+from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Figure, Mark, Panels, Part, robust_limits, single
 from hyperval.report import verdict as v
 from hyperval.report.html import page
 from hyperval.results import Outcome
@@ -176,7 +164,7 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
         columns = {"x": np.array(x), "low": np.full(2, 1 - TOLERANCE), "high": np.full(2, 1 + TOLERANCE)}
         marks.append(Mark("area", columns, f"within {100 * TOLERANCE:g} %", SOURCES[0], alpha=0.15))
     words = tuple(f"{p.computed:.0f} / {p.published:g}" for p in points)
-    marks += by_kind(Mark("dots", {"x": w, "y": ratios}, words=words, beside="right"), kinds, looks)
+    marks += Mark("dots", {"x": w, "y": ratios}, words=words, beside="right").by_kind(kinds, looks)
     listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
     ends = min(0.6, 0.9 * float(ratios.min())), max(1.4, 1.15 * float(ratios.max()))
     title, alt = "Computed over published signal-to-noise ratio", f"Computed against published ratios: {listed}."
@@ -198,7 +186,7 @@ def _sensitivity(check: SensorCheck) -> Iterator[Figure]:
     if not swings:
         return
     kept, views = swings[:_MOST_SWINGS], list[Panels]()
-    rows, names = np.arange(len(kept), dtype=float), row_names([s.name for s in kept])
+    rows, names = np.arange(len(kept), dtype=float), Axis.named([s.name for s in kept])
     for name, changes in (
         ("change of the SNR at reflectance 0.25 [%]", np.array([s.snr for s in kept]) * 100.0),
         ("change of P_D", np.array([s.detection for s in kept])),

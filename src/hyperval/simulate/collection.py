@@ -29,7 +29,7 @@ from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Mask
 from hyperval.errors import UsageError, refusal, refuse
-from hyperval.executors import in_order, single_blas_thread
+from hyperval.executors import Workers, in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
 from hyperval.sensor import NoiseModel, load_sensor
@@ -408,5 +408,5 @@ def _check_size(scene: SceneFile, bands: int) -> None:
 def _line_by_line(work: Callable[[int], T], scene: SceneFile, words: str) -> Iterator[T]:
     """Results of ``work`` in the order of the lines, a few ahead at a time so that memory stays bounded."""
     with single_blas_thread(), ThreadPoolExecutor(WORKERS) as pool:  # the limit belongs to the process
-        done = in_order(pool, work, range(scene.lines), ahead=4 * WORKERS)
+        done = in_order(Workers(pool), work, range(scene.lines), ahead=4 * WORKERS)
         yield from track(done, words, scene.lines)

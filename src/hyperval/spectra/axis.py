@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, wavelength_to_nm, wavelength_unit_note
+from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, to_internal, wavelength_unit_note
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
 
@@ -131,11 +131,11 @@ def wavelengths_in_nm(
     text = (stated or "").strip(" \t\"'")
     text = "" if text.lower() in _UNSTATED else text
     refuse(text and in_nm(text) is None, "wavelengths.unit", where, unit=text)
-    unlike = text and given is not None and wavelength_to_nm(given) != in_nm(text)
+    unlike = text and given is not None and to_internal(given, "wavelength") != in_nm(text)
     refuse(unlike, "wavelengths.units", where, stated=text, given=given)
     unit, ends = text or given or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
     unit = needed(unit, "wavelengths.unstated", where, **ends)
-    nm, (low, high) = values * wavelength_to_nm(unit), PLAUSIBLE_NM
+    nm, (low, high) = values * to_internal(unit, "wavelength"), PLAUSIBLE_NM
     plausible = bool(np.all((nm >= low) & (nm <= high)))
     refuse(not plausible, "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
     return nm, unit, () if text or given else (wavelength_unit_note(values, unit),)

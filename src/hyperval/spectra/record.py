@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from hyperval.data import Array, Index
 from hyperval.errors import refusal, refuse
 from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.storage import number_of
-from hyperval.units import irradiance_to_internal, radiance_to_internal
+from hyperval.units import to_internal
 
 Rows = Index | slice
 
@@ -91,11 +92,6 @@ def reflectance_factor(unit: str) -> float:
     return 1.0 / scale
 
 
-_FACTORS: dict[str, Callable[[str], float]] = {
-    "reflectance": reflectance_factor, "radiance": radiance_to_internal, "irradiance": irradiance_to_internal,
-}  # fmt: skip
-
-
 def finished(
     record: FieldSpectrum,
     quantity: str = "reflectance",
@@ -118,22 +114,23 @@ def finished(
     UsageError : a unit that nobody states, or in which the file and its caller disagree.
     """
     where, of_light = record.source, quantity in ("radiance", "irradiance")
-    refuse(quantity not in (*_FACTORS, "other"), "spectrum.quantity", quantity=quantity)
+    refuse(quantity not in ("reflectance", "radiance", "irradiance", "other"), "spectrum.quantity", quantity=quantity)
     other = record.quantity and quantity not in ("other", record.quantity)
     lit = quantity == "reflectance" and record.quantity in ("radiance", "irradiance")
     refuse(other, "spectrum.lit" if lit else "spectrum.other", where, found=record.quantity, wanted=quantity)
     nm, _, notes = wavelengths_in_nm(record.wavelength_nm, record.wavelength_unit, wavelength_unit, where)
     record, factor = replace(record, wavelength_nm=nm, wavelength_unit="nm", notes=(*record.notes, *notes)), 1.0
     record = _ordered(_without_gaps(record))
-    if quantity in _FACTORS:
+    if quantity != "other":
+        factor_of: Callable[[str], float] = partial(to_internal, quantity=quantity) if of_light else reflectance_factor
         stated = record.unit if record.unit and ("W " in record.unit) == of_light else None
         given, doubt = unit if of_light else reflectance_unit, record.doubt if quantity == "reflectance" else None
         refuse(doubt and given is None, "spectrum.doubt", where, doubt=doubt)
-        unlike = stated and given and _FACTORS[quantity](stated) != _FACTORS[quantity](given)
+        unlike = stated and given and factor_of(stated) != factor_of(given)
         refuse(unlike, "spectrum.units", where, of=quantity, stated=stated, given=given)
         final = stated or given or (unit_if_unstated if of_light else "fraction")
         refuse(final is None, "spectrum.unit", where, quantity=quantity)
-        factor = _FACTORS[quantity](str(final))
+        factor = factor_of(str(final))
         if not of_light:
             _check_reflectance(record, factor)
     spread = record.standard_deviation

@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from hyperval.data import Array, Index
-from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, row_names, tones
+from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, tones
 from hyperval.model import reads_again
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
@@ -289,7 +289,7 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
     reach = [base, *(value for _, ends in bars for value, _ in ends)]
     margin = 0.12 * (max(reach) - min(reach)) or 1.0
     x = Axis(study.columns[plot.output].words, ends=(min(reach) - margin, max(reach) + margin))
-    part = Part(row_names([item.words for item, _ in bars], 60), (*outer, *inner), (("x", base),))
+    part = Part(Axis.named([item.words for item, _ in bars], 60), (*outer, *inner), (("x", base),))
     notes = f"; line: as the scenario stands, {number_text(base)}; at the ends the input's values, "
     notes += "blue where the output is lowest, orange where it is highest"
     against = ": each input alone over its values", ": each input alone"

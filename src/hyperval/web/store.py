@@ -523,15 +523,13 @@ class _Place:
         """The scheduler looks after its workers."""
         return True
 
-    def begin(self, task: WorkerTask, is_over: Callable[[], bool]) -> None:
-        """Hand a task in, and wait until a worker has it."""
+    def begin(self, task: WorkerTask) -> None:
+        """Hand a task in."""
         self._folder = Path(task.arguments.get("folder", _NOWHERE))
         with suppress(NotADirectoryError):
             for name in (_NEWS, _STOP):
                 (self._folder / name).unlink(missing_ok=True)
         self._future = self._at.submit(run, (self._module, task.task, dict(task.arguments)))
-        while self._folder != _NOWHERE and not (self._future.done() or self._told()[0] or is_over()):
-            time.sleep(_TICK_S)
 
     def news(self) -> tuple[str, Any]:
         """What has become of the task, or what it told last."""
@@ -547,7 +545,7 @@ class _Place:
     def _told(self) -> tuple[str, Any]:
         with suppress(OSError, ValueError):
             return "progress", tuple(json.loads((self._folder / _NEWS).read_text("utf-8")))
-        return NOTHING
+        return ("progress", ("", 0, None)) if self._folder == _NOWHERE else NOTHING
 
     def end(self) -> None:
         """Call the task off."""
