@@ -95,12 +95,12 @@ def is_met(cube: Path, folder: Path) -> bool:
 
 
 def test_a_scene_goes_from_its_file_to_a_report(tmp_path, scene):
-    data, marked = scene
+    data, marked = scene[0], scene[1] + 2 * (np.indices(scene[1].shape) == 0).all(axis=0)  # another material
     assert is_met(written(tmp_path / "s.h5", data, map=marked), tmp_path / "new")
     # Of objects of 9, 6, 4 and 2 pixels the second and fourth give the spectrum, the first and third are scored.
     regions = read_regions(tmp_path / "new" / "objects.csv", (LINES, SAMPLES))
     assert {name: region.n for name, region in regions.items()} == {
-        "known objects": 8, "scored object 1": 9, "scored object 2": 4,
+        "known objects": 8, "other materials": 1, "scored object 1": 9, "scored object 2": 4,
     }  # fmt: skip
     spectrum = np.loadtxt(tmp_path / "new" / "target.txt")
     assert spectrum == pytest.approx(data[regions["known objects"].mask].mean(axis=0))

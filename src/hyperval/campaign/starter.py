@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from glob import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,10 +23,10 @@ import yaml
 
 from hyperval.campaign.products import centre_of
 from hyperval.collection import CollectionSection
-from hyperval.config import FILL_IN, Location, parse_yaml
+from hyperval.config import FILL_IN, Location, parse_yaml, validate
 from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
-from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, open_cube, open_raster, read_regions
+from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, objects, open_cube, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
@@ -40,7 +41,7 @@ _RING_PIXELS = 4.0
 _MOST_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
 _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
-_SCALES = (0.01, 0.001, 0.0001)  # percent, and reflectance times 1000 or 10000
+_SCALES = (0.01, 0.0001)  # percent, and reflectance times 10000, which next to all whole numbers are
 _WHOLE = {"name": "whole image", "whole_image": True}
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
@@ -176,7 +177,7 @@ class Draft:
 
     def opened(self, **parts: Any) -> Place:
         """The collection as it stands, with only these parts beside its cube."""
-        section = CollectionSection.model_validate({"cube": self.collection["cube"], **parts})
+        section = validate(CollectionSection, {"cube": self.collection["cube"], **parts}, {}, "draft")
         return open_place(section, lambda name: Path(os.path.normpath(self.folder.resolve() / name)))
 
     def text(self) -> str:
@@ -212,10 +213,12 @@ class Draft:
             further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
             self.guess("no image", further=further or "nothing")
             return
+        if (bands := stated.listed()) is not None and not stated.sorts and np.any(np.diff(bands.wavelength) < 0.0):
+            collection["cube"]["sort_bands"] = True
+            self.guess("sort_bands")
         self._scale()
-        for entry in collection["regions"] if sources.regions else ():  # where they are not those of the format
-            kinds = {kind: {"file": entry["file"], "kind": kind} for kind in ("pixel", "map")}
-            self._stated(entry, "coordinates", kinds, regions=[entry])
+        for entry in collection["regions"] if sources.regions else ():
+            self._coordinates(entry, regions=[entry])
         place = self._place()
         if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
             collection["regions"].append(_WHOLE)
@@ -245,17 +248,22 @@ class Draft:
     def _scale(self) -> None:
         """State the scale of an image whose header does not.
 
-        Of reflectance, the largest that makes reflectances of the values; of radiance, the divisor that the header
+        Of reflectance, the larger that makes reflectances of the values; of radiance, the divisor that the header
         states for a reflectance, as some programs write it for either.
         """
         entries, tried = self.raster.description.entries, dict[float, str]()
         if self.quantity == "reflectance":
-            tried = {scale: f"{scale:g}, the largest that makes the values reflectances" for scale in _SCALES}
+            tried = {scale: f"{scale:g}, the usual one that makes the values reflectances" for scale in _SCALES}
         elif "reflectance scale factor" in entries and "data gain values" not in entries:
             factor = float(entries["reflectance scale factor"])  # the reader has found it a number
             why = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
             tried = {1.0 / factor: why}
         self._stated(self.collection["cube"], "scale", {scale: {"why": why} for scale, why in tried.items()})
+
+    def _coordinates(self, entry: Entry, **parts: Any) -> None:
+        """State those of a file of regions where they are not those of its format."""
+        kinds = {kind: {"file": entry["file"], "kind": kind} for kind in ("pixel", "map")}
+        self._stated(entry, "coordinates", kinds, **parts)
 
     def _stated(self, entry: Entry, key: str, values: Mapping[Any, Mapping[str, Any]], **parts: Any) -> None:
         """State the first value of a key with which the collection opens, and its guess; none where it opens so."""
@@ -278,10 +286,11 @@ class Draft:
             file = self.reference(self.sources.targets)
             own: Entry = {"csv": file}
             if not _is_list(self.sources.targets):
-                every = [{"material": "every region", "file": file}]
-                found = self.opened(**parts, targets={"regions": every, **truth}).targets
-                names = dict.fromkeys(target.attributes["region"] for target in found)
-                own = {"regions": [{"material": name, "file": file, "regions": [name]} for name in names]}
+                every = {"material": "every region", "file": file}
+                whole = parts | {"targets": {"regions": [every], **truth}}
+                self._coordinates(every, **whole)
+                names = dict.fromkeys(target.attributes["region"] for target in self.opened(**whole).targets)
+                own = {"regions": [{**every, "material": name, "regions": [escape(name)]} for name in names]}
             parts["targets"] = self.collection["targets"] = own | truth
         return self.opened(**parts)
 
@@ -427,12 +436,13 @@ class Draft:
         self.guess("no wavelengths" if self.raster.description.listed() is None else "no quantity")
         detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
         self.content["detection"] = detection
-        masks, why = self._object_masks()
+        masks, why, others = self._object_masks()
         if len(masks) < 2:
             self.guess("anomalies", why=why)
             return
         scored, known = masks[::2], np.logical_or.reduce(masks[1::2])
-        marked = {"known objects": known} | {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
+        marked = {"known objects": known, "other materials": others}
+        marked |= {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
         rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
         write_text(self.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
         named: Entry = {"variable": self.sources.key, "header": self.sources.header, "quantity": self.quantity}
@@ -440,8 +450,9 @@ class Draft:
         mean = "\n".join(map(repr, np.nan_to_num(cube.spectra(known).mean(axis=0)).tolist()))
         write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
         usual, pixels = _templates()["objects"], int(np.sum(known))
-        collection["regions"].append({"name": "known objects", "file": "objects.csv"})
-        collection |= usual["collection"]
+        left_out = [name for name in usual["collection"]["leave_out"] if marked[name].any()]
+        collection["regions"] += [{"name": name, "file": "objects.csv"} for name in left_out]
+        collection |= {**usual["collection"], "leave_out": left_out}
         detection |= usual["detection"]
         scene = usual["scene"]
         if pixels < _FEW:
@@ -451,18 +462,29 @@ class Draft:
         self.guess("objects filled")
         self._compare(model)
 
-    def _object_masks(self) -> tuple[list[Mask], str]:
-        """The objects of the map, the largest first, and words on them."""
+    def _object_masks(self) -> tuple[list[Mask], str, Mask]:
+        """The objects of the map, the largest first, words on them, and pixels of other materials.
+
+        Of a map of several materials those of one with most groups of touching pixels; where each value marks one
+        group, values are numbers of objects.
+        """
         targets, none = self.sources.targets, "no map of objects is there (--targets)"
+        nowhere = np.zeros(self.raster.size[:2], bool)
         if targets is None and " file" not in self.raster.description.product:  # none in the file of the image itself
-            return [], none
+            return [], none, nowhere
         try:
             regions = read_regions(targets or self.sources.cube, self.raster.size[:2])
         except HypervalError as error:
             if targets is not None:
                 raise
-            return [], f"{none}: {error.what}"
-        return groups_by_size(np.logical_or.reduce([region.mask for region in regions.values()]))
+            return [], f"{none}: {error.what}", nowhere
+        groups = {name: objects(region.mask)[1] for name, region in regions.items()}
+        most = max(groups, key=lambda name: groups[name])
+        every = np.logical_or.reduce([region.mask for region in regions.values()])
+        own = every if groups[most] < 2 else regions[most].mask
+        masks, why = groups_by_size(own)
+        others = every & ~own
+        return masks, why + f" of {most!r}; other materials of the map are left out" * bool(others.any()), others
 
 
 def _words(name: str) -> frozenset[str]:
