@@ -547,8 +547,7 @@ class Reasoner:
         first = max(probability, key=lambda name: probability[name])
         p_value = float(scipy.stats.chi2.sf(whole, e.size))
         alike = self._alike(singles, first, probability, e)
-        fits = tuple(sorted(singles, key=lambda fit: -float(f"{probability[fit.name]:.6g}")))
-        return Posterior(group, whole, e.size, p_value, fits, tuple(found), probability, alike)
+        return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
 
     def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
         """Worlds with one cause each, from half to five times what can just be seen, with what none describes, and with
@@ -667,7 +666,8 @@ class Reasoner:
                 near.add(f.name)
         if not self.noisy:  # without chance, what explains a change nearly as well by itself is as good a reason
             left = {f.name: float(np.sum(_after(f, e - f.made) ** 2)) for f in singles if not f.limited}
-            near |= {name for name, rest in left.items() if rest <= ALIKE * left.get(first, 0.0)}
+            most = min(ALIKE * left.get(first, 0.0), REMAINDER * float(e @ e))
+            near |= {name for name, rest in left.items() if rest <= most}
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
 

@@ -760,7 +760,8 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     yield from named(tests, "attribution", r.group, _EVERYTHING)
     for name in (NOTHING, NONE):
         yield from named([row("probability", r.probability[name], n=r.dof)], "attribution", r.group, name)
-    for place, item in enumerate(r.fits, start=1):
+    by_probability = sorted(r.fits, key=lambda fit: -float(f"{r.probability[fit.name]:.6g}"))
+    for place, item in enumerate(by_probability, start=1):
         none, cause = ("", Cause.NONE) if item.candidate.budgeted else (" (none is stated)", Cause.NO_UNCERTAINTY)
         unit = f"in units of the {item.candidate.unit}{none}"
         gained = {"probability": r.probability[item.name], "likelihood_gain": max(2.0 * item.evidence, 0.0)}
