@@ -177,8 +177,15 @@ def check_last_line(text: str, where: str) -> None:
 
 
 def percent_in(title: str) -> str | None:
-    """The unit of a reflectance that a column title states, None when it states none."""
-    units = (r"%\s*\*\s*100", "scaled:10000"), ("%|percent", "percent"), (r"\[1(\.0)?\]|fraction", "fraction")
+    """The unit of a reflectance that a column title states, None when it states none.
+
+    A percent behind a number is part of a name.
+
+    >>> [percent_in(t) for t in ("reflectance (%)", "% reflectance", "plot 99% [%]", "plot 99%", "5 % grey")]
+    ['percent', 'percent', 'percent', None, None]
+    """
+    percent = r"(?:^|[^0-9\s])\s*(?:%|percent)"
+    units = (r"%\s*\*\s*100", "scaled:10000"), (percent, "percent"), (r"\[1(\.0)?\]|fraction", "fraction")
     return next((unit for said, unit in units if re.search(said, title, re.IGNORECASE)), None)
 
 
@@ -254,7 +261,8 @@ def _titles(header: list[str], count: int) -> list[str]:
     titles = _split_titles(header[-1], count)
     if any(titles):
         above = _split_titles(header[-2], count) if len(header) > 1 and all(map(_UNIT_TITLE.match, titles)) else []
-        return [f"{a} {t}".strip() for a, t in zip(above, titles, strict=True)] if any(above) else titles
+        units = [f"[{t}]" if t[:1] not in "[(" else t for t in titles]
+        return [f"{a} {u}".strip() for a, u in zip(above, units, strict=True)] if any(above) else titles
     for line in reversed(header[:-1]):
         further = _split_titles(line, count)
         if _WAVE.match(further[0]):
