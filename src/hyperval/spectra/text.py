@@ -32,7 +32,11 @@ _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
 _WHOLE = re.compile(r"^[-+]?[0-9]+$")
 _END = re.compile(r"^>+\s*End\b")  # of the numbers, in files of Ocean Optics
 _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
-_SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
+# Of the words of a title: those that say standard deviation, and those that name nothing of their own.
+_SPREAD = re.compile(
+    r"\b((st|std|stand|standard) dev(iation|s)?|std(d?ev|v)?( err(or)?)?|sd|(1 )?sigma|uncertaint(y|ies))\b"
+)
+_NOTHING = re.compile(r"\b(mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent|n \d+|k 1)\b")
 _WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
 # What titles say of values that are no reflectance.
@@ -44,6 +48,7 @@ _QUANTITIES = {
     "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
     r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed)",
 }
+_POWER = re.compile(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", re.IGNORECASE)
 _NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
 _UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
 
@@ -51,8 +56,8 @@ _UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
 def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[FieldSpectrum]:
     """Spectra of a text file: the first column is the wavelength, the others values.
 
-    A column whose title says standard deviation belongs to the one before it; a column that repeats the
-    wavelengths is left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
+    A column that is the standard deviation of another belongs to it; a column that repeats the wavelengths is
+    left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
     """
     header, table, first_line = number_table(text, path)
     titles, where, whole, spread = _titles(header, table.shape[1]), str(path), "\n".join(header), dict[int, int]()
@@ -66,9 +71,7 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         counts = len(titles) > 2 and _WAVE.search(titles[1]) and not _WAVE.search(titles[0])
         if counts and table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0):
             table, titles = table[:, 1:], titles[1:]
-        for i in range(2, len(titles)):
-            if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
-                spread[i - 1] = i
+        spread = _deviations(titles)
     refuse(table.shape[1] < 2, "text.single", f"{path}:{first_line}")
     nm = table[:, 0]
     ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(whole, f"{key} X Value") or "")]
@@ -82,13 +85,37 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
         record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], where, unit)
-        if columns is None and _SPREAD.search(titles[i]):
+        named, is_spread = _names(titles[i])
+        if columns is None and is_spread and (not named or len(titles) == 2):
             record = replace(record, quantity="a standard deviation")
         notes = ("a standard deviation of 0 everywhere is none",) if unmeasured else ()
         records.append(replace(record, standard_deviation=None if unmeasured else beside, n=n, notes=notes))
     if len(records) == 1:
         return [replace(r, name=path.stem if r.name in ("", *titles) else r.name) for r in records]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
+
+
+def _names(title: str) -> tuple[str, bool]:
+    """What a title names beside what any column might be called, and whether it says standard deviation."""
+    bare = _POWER.sub(lambda m: "" if power_unit(m.group().strip()) else m.group(), title)
+    words = " ".join(re.findall(r"[^\W\d_]+|\d+", re.sub("(?<=[a-z])(?=[A-Z])", " ", bare))).lower()
+    return " ".join(_NOTHING.sub("", _SPREAD.sub("", words)).split()), _SPREAD.search(words) is not None
+
+
+def _deviations(titles: list[str]) -> dict[int, int]:
+    """Column of a mean -> that of its standard deviation, which names the same, or nothing and stands behind it.
+
+    >>> _deviations(["nm", "grass", "soil", "SD_grass", "Soil (std)"]), _deviations(["nm", "tile", "StdDev: N = 68"])
+    ({1: 3, 2: 4}, {1: 2})
+    >>> [_deviations(["nm", *two]) for two in (("NY_grass", "SD_grass"), ("train", "testdata"), ("a", "Westdale"))]
+    [{}, {}, {}]
+    """
+    named, found = [_names(title) for title in titles], dict[int, int]()
+    for i, (name, is_spread) in enumerate(named):
+        means = [j for j in range(1, i) if j not in found and not named[j][1]] if is_spread else []
+        alike = [j for j in means if named[j][0] == name] or [j for j in means if j == i - 1 and not name]
+        found |= dict.fromkeys(alike[-1:], i)
+    return found
 
 
 def _of_column(says: str, name: str, wavelength: Array, values: Array, where: str, unit: str | None) -> FieldSpectrum:
@@ -222,7 +249,7 @@ def power_unit_in(text: str) -> str | None:
 
     None where the text holds none that is known.
     """
-    match = re.search(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", text, re.IGNORECASE)
+    match = _POWER.search(text)
     return None if match is None else power_unit(match.group().strip())
 
 
