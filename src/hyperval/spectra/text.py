@@ -49,8 +49,11 @@ _QUANTITIES = {
     r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed)",
 }
 _POWER = re.compile(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", re.IGNORECASE)
-_NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
-_UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
+_WAVELENGTH_UNITS = {
+    "nm": re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE),
+    "um": re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE),
+    "angstrom": re.compile(r"[aå]ngstr[oö]m|[\[(]\s*(?-i:[AÅ\u212b])\s*[\])]", re.IGNORECASE),
+}
 
 
 def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[FieldSpectrum]:
@@ -230,6 +233,9 @@ def quantity_in(title: str) -> str:
 def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     """Wavelength unit in the title of the first column, else in an "X Units" or "Wavelength" header line.
 
+    >>> [wavelength_unit_in(t, "", "a.csv") for t in ("Wavelength (Angstrom)", "wvl [A]", "wavelength nm", "wave")]
+    ['angstrom', 'angstrom', 'nm', None]
+
     Raises
     ------
     InputError : they say wavenumbers.
@@ -237,9 +243,9 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     states = r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
     lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
     for line in lines:
-        nm, um = bool(_NM.search(line)), bool(_UM.search(line))
-        if nm != um:
-            return "nm" if nm else "um"
+        units = [unit for unit, said in _WAVELENGTH_UNITS.items() if said.search(line)]
+        if len(units) == 1:
+            return units[0]
         refuse(_WAVENUMBER.search(line), "text.wavenumbers", where, text=line[:60])
     return None
 
