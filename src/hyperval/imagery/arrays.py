@@ -44,7 +44,7 @@ MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
-_WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
+_WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
 _TRUTH = re.compile(r"map|truth|gt|mask|label", re.IGNORECASE)
@@ -563,14 +563,30 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
+def _matrix_axes(shape: tuple[int, ...], waves: set[int], beside: set[tuple[int, ...]]) -> str:
+    """Which axis of an image is lines, samples, bands.
+
+    Bands lie along the only axis that wavelengths beside it fit, by their numbers; else along the first where a map
+    beside it is as large as the last two axes and not the first two; else along the last.
+
+    >>> _matrix_axes((30, 24, 20), {30}, set()), _matrix_axes((24, 20, 30), {30, 200}, {(20, 30)})
+    ('bls', 'lsb')
+    >>> _matrix_axes((30, 24, 20), set(), {(24, 20)}), _matrix_axes((30, 30, 20), {30}, set())
+    ('bls', 'lsb')
+    """
+    fits = [axis for axis, size in enumerate(shape) if size in waves]
+    bands_first = shape[1:] in beside and shape[:2] not in beside
+    at = fits[0] if len(fits) == 1 else 0 if bands_first else 2
+    return "ls"[:at] + "b" + "ls"[at:]
+
+
 @reader
 def open_matrix(
     path: Path, kind: str, variable: str | None = None, plane: tuple[int, int] | None = None
 ) -> ArrayRaster:
     """The image (lines, samples, bands) of a MATLAB, NumPy or bare HDF5 file, or its map of the shape ``plane``.
 
-    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.  An image
-    is (lines, samples, bands) unless a map beside it is as large as its last two axes, and not its first two.
+    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.
 
     Raises
     ------
@@ -593,9 +609,10 @@ def open_matrix(
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
         raise refusal("array.memory", path, name=name, mib=size >> 20)
     tree, turn = kind not in ("MATLAB 5", "NumPy"), -1 if kind == "MATLAB 7.3" else 1
-    planes = {s for s in shapes.values() if len(s) == 2 and min(s) > 1}
-    is_bands_first = shapes[name][1:] in planes and shapes[name][:2] not in planes
-    axes, shape = ("bls" if is_bands_first else "lsb")[::turn], shapes[name][::turn]
+    vectors = {n: max(s) for n, s in shapes.items() if s and max(s) == int(np.prod(s)) > 1 and not _GOOD.search(n)}
+    waves = {size for n, size in vectors.items() if _WAVE.search(n)}
+    axes = "ls" if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
+    axes, shape = axes[::turn], shapes[name][::turn]
 
     def stored(name: str) -> Store:
         return Store(path, hdf5) if tree else Store(path, _matrix, name, kind)
@@ -603,11 +620,10 @@ def open_matrix(
     store = stored(name)
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
-    piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
+    piece = Piece((Term(name),), axes, shape, dtype.newbyteorder("="))
 
     def listed_beside(pattern: re.Pattern[str]) -> Array | None:
-        named = [n for n in shapes if pattern.search(n) and not _GOOD.search(n)]
-        named = [n for n in named if max(shapes[n]) == piece.size("b") == int(np.prod(shapes[n])) > 1]
+        named = [n for n, size in vectors.items() if pattern.search(n) and size == piece.size("b")]
         whole = (slice(None),) * len(shapes[named[0]]) if len(named) == 1 else None
         return None if whole is None else stored(named[0]).read(named[0], whole).astype(float).ravel()
 
