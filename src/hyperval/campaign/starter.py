@@ -39,7 +39,7 @@ _RING_PIXELS = 4.0
 _MOST_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
 _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
-_SCALES = (0.01, 0.001, 0.0001)  # percent, and reflectance times 1000 or 10000
+_SCALES = (1.0, 0.01, 0.001, 0.0001)  # reflectance, percent, and reflectance times 1000 or 10000
 _WHOLE = {"name": "whole image", "whole_image": True}
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
@@ -259,7 +259,7 @@ class Draft:
             self.guess("no prediction", what=error.what, expected=error.expected)
 
     def _scale(self) -> None:
-        """State the scale of an image whose header does not.
+        """State the scale of an image whose header does not, or states one that was applied before.
 
         Of reflectance, the largest that makes reflectances of the values; of radiance, the divisor that the header
         states for a reflectance, as some programs write it for either.

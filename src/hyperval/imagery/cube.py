@@ -56,6 +56,7 @@ PLAUSIBLE = {
                     "reflectance times 10000)"),
     "radiance": (200.0, "(what multiplies the stored values) or unit:"),
 }  # fmt: skip
+_DARK = 0.01  # reflectance that nothing reaches in an image that was scaled twice
 _CHECKED_LINES, _CHECKED_SAMPLES = 16, 64
 _FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
 _MOST_LISTED = 5
@@ -303,12 +304,15 @@ class Cube:
         return usable
 
 
-def _checked(cube: Cube) -> Cube:
+def _checked(cube: Cube, scale: float | None) -> Cube:
     """The cube without the bands that hold no number in any pixel seen; those that hold the same one are bad.
+
+    ``scale`` is what the caller states.
 
     Raises
     ------
-    InputError : values that are too large for the quantity: a scale that was not stated.
+    InputError : values that are too large for the quantity: a scale that was not stated.  Reflectances that the scale
+        of the file makes of numbers that are reflectances as they stand: it was applied before.
     """
     lines, samples = some_lines(cube.lines, _CHECKED_LINES), some_lines(cube.samples, _CHECKED_SAMPLES)
     values = cube.pixels((np.repeat(lines, samples.size), np.tile(samples, lines.size)))
@@ -331,7 +335,20 @@ def _checked(cube: Cube) -> Cube:
     if high > limit:
         of = {"quantity": cube.quantity, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
         raise refusal("scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **of)
+    if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
+        by, most = cube.scaling.source or "its unit", judged.max()
+        raise refusal("scale.twice", cube.raster.path, by=by, most=most, gain=gain[0])
     return cube
+
+
+def _is_twice(values: Array, gain: Array) -> bool:
+    """Whether a gain (B,) made values (n, B) that reach no usual reflectance, of numbers that are reflectances.
+
+    >>> [_is_twice(np.array([stored]) * 1e-4, np.array([1e-4])) for stored in ([0.1, 0.5], [40.0, 80.0], [400.0])]
+    [True, False, False]
+    """
+    dark = values.size and values.max() < _DARK and np.any(gain != 1.0)
+    return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"][0])
 
 
 _TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
@@ -486,7 +503,7 @@ def open_cube(
         description=" ".join(about.entries.get("description", "").split()),
         notes=notes,
     )
-    return _checked(cube) if check_values and quantity != "other" else cube
+    return _checked(cube, scale) if check_values and quantity != "other" else cube
 
 
 def _lazy_cube(cube: Any) -> Any:
