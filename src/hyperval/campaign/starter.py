@@ -459,7 +459,8 @@ class Draft:
         if targets is None and " file" not in self.raster.description.product:  # none in the file of the image itself
             return [], none
         try:
-            regions = read_regions(targets or self.sources.cube, self.raster.size[:2])
+            of, raster = targets or self.sources.cube, self.raster
+            regions = read_regions(of, raster.size[:2], transform=raster.transform, crs=raster.crs)
         except HypervalError as error:
             if targets is not None:
                 raise

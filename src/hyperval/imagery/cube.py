@@ -20,7 +20,7 @@ from rasterio.crs import CRS
 
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import data_beside, header_beside
-from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
+from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import (
     Bands,
@@ -351,11 +351,11 @@ def _is_twice(values: Array, gain: Array) -> bool:
     return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"][0])
 
 
-_TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
+_TIFF, HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
 _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which nothing here reads
-_HIERARCHIES = {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
+_HIERARCHIES = {b"\x89HDF\r\n\x1a\n": HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
 _MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | arrays.MATRICES | _HIERARCHIES | _OTHERS
-MATRICES = (*arrays.MATRICES.values(), _HDF5)  # arrays that bear no labels, or need not
+MATRICES = (*arrays.MATRICES.values(), HDF5)  # arrays that bear no labels, or need not
 _MATLAB_SUFFIX = ".mat"  # of HDF5 that a program other than MATLAB has written: without its mark, in its order
 
 
@@ -392,14 +392,14 @@ def open_raster(
         return open_tiff(data, header)
     if header is None and kind == _NETCDF3:
         return arrays.open_labelled(data, variable, "scipy")
-    if header is None and kind == _HDF5:
+    if header is None and kind == HDF5:
         arrays.check_own_values(data)
         try:
             product = open_product(data) if variable is None else None
             return product or arrays.open_labelled(data, variable, "h5netcdf")
         except HypervalError:  # such as no array with wavelengths: it may be a bare one
             with suppress(HypervalError):
-                return arrays.open_matrix(data, _HDF5, variable)
+                return arrays.open_matrix(data, HDF5, variable)
             raise
     beside = Path(header) if header is not None else header_beside(data)
     if beside is not None:
@@ -415,7 +415,7 @@ def kind_of(path: Path) -> str | None:
     with open(path, "rb") as stream:
         head = stream.read(16)
     kind = next((name for mark, name in _MARKS.items() if head.startswith(mark)), None)
-    if kind == _HDF5 and path.suffix.lower() == _MATLAB_SUFFIX:
+    if kind == HDF5 and path.suffix.lower() == _MATLAB_SUFFIX:
         return "MATLAB 7.3"
     return _TIFF if path.suffix.lower() in TIFF_SUFFIXES else kind
 
@@ -424,22 +424,6 @@ def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
     own = (_TIFF, _NETCDF3, *MATRICES)
     return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in own
-
-
-def raster_of_size(path: Path, shape: tuple[int, int], variable: str | None = None) -> Raster:
-    """Open a raster of a cube's size (lines, samples); InputError for one of another.
-
-    ``variable`` : which map of a MATLAB or NumPy file, where it holds several
-    """
-    path = checked_file(path, what="image file")
-    kind = kind_of(path)
-    raster: Raster | None = None
-    if kind in MATRICES and header_beside(path) is None:
-        with suppress(*([InputError] if kind == _HDF5 else [])):  # which may hold an image of three axes alone
-            raster = arrays.open_matrix(path, str(kind), variable, shape)
-    raster = raster or open_raster(path)
-    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
-    return raster
 
 
 @reader

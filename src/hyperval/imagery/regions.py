@@ -14,6 +14,7 @@ import re
 import struct
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import combinations
@@ -35,9 +36,10 @@ from shapely.geometry.base import BaseGeometry
 
 from hyperval.data import Array, Mask
 from hyperval.envi_header import header_beside
-from hyperval.errors import HypervalError, needed, reader, refusal, refuse
-from hyperval.imagery.cube import MATRICES, kind_of, raster_of_size
-from hyperval.imagery.description import crs_of_wkt, equals
+from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
+from hyperval.imagery import arrays
+from hyperval.imagery.cube import HDF5, MATRICES, kind_of, open_raster
+from hyperval.imagery.description import Raster, crs_of_wkt, equals
 from hyperval.imagery.placing import MAX_VERTICES, LookupTable
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
@@ -45,6 +47,7 @@ from hyperval.storage import number_of
 
 Placing = Callable[[BaseGeometry, str], BaseGeometry]
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
+_OFF_GRID = 0.25  # [pixel] that a raster may lie off the image; half of one puts a pixel on another
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
 WARNING = "warning: "
 _CHECK = "check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube"
@@ -138,6 +141,57 @@ def _reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Arra
     if not np.all(np.isfinite(placed)):
         raise refusal("region.no_place", where, low=xy.min(axis=0), high=xy.max(axis=0), source=source, why=why)
     return placed
+
+
+def raster_of_size(
+    path: Path,
+    shape: tuple[int, int],
+    variable: str | None = None,
+    *,
+    transform: Position = None,
+    crs: CRS | None = None,
+) -> Raster:
+    """Open a raster that lies on a cube, pixel on pixel.
+
+    Parameters
+    ----------
+    shape, transform, crs : (lines, samples) and position of the cube
+    variable : which map of a MATLAB or NumPy file, where it holds several
+
+    Raises
+    ------
+    InputError : one of another size, or one that says that it lies elsewhere.
+    """
+    path = checked_file(path, what="image file")
+    kind = kind_of(path)
+    raster: Raster | None = None
+    if kind in MATRICES and header_beside(path) is None:
+        with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
+            raster = arrays.open_matrix(path, str(kind), variable, shape)
+    raster = raster or open_raster(path)
+    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
+    if raster.transform is not None and isinstance(transform, Affine) and (raster.crs is None) == (crs is None):
+        off = _pixels_off(raster.transform, raster.crs, transform, crs, shape, str(path))
+        refuse(off > _OFF_GRID, "image.elsewhere", path, off=off, own=raster.crs, crs=crs, name=path.name)
+    return raster
+
+
+def _pixels_off(
+    own: Affine, own_crs: CRS | None, transform: Affine, crs: CRS | None, shape: tuple[int, int], where: str
+) -> float:
+    """How many pixels of an image a corner of a raster of its ``shape`` lies at most off that of the image.
+
+    >>> at, utm = Affine(2.0, 0.0, 5e5, 0.0, -2.0, 4e6), CRS.from_epsg(32618)
+    >>> [_pixels_off(at @ Affine.translation(0, n), utm, at, utm, (60, 60), "") for n in (0.0, -10.0)]
+    [0.0, 10.0]
+    >>> _pixels_off(at, CRS.from_epsg(32719), at, utm, (60, 60), "") > 1e5
+    True
+    """
+    corners = np.array([(x, y) for x in (0.0, shape[1]) for y in (0.0, shape[0])])
+    xy = np.column_stack(own @ corners.T)
+    if own_crs is not None:
+        xy = _reprojected(xy, own_crs, crs, where)
+    return float(np.abs(map_to_pixel(xy, transform, where=where) - corners).max())
 
 
 @dataclass(frozen=True)
@@ -446,7 +500,7 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
     under the band name.
     """
-    raster = raster_of_size(path, grid.shape, grid.name_field)
+    raster = raster_of_size(path, grid.shape, grid.name_field, transform=grid.transform, crs=grid.crs)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
