@@ -302,7 +302,7 @@ def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path,
     left = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape).all()]
     if (left or not inside.all()) and not mask.any():
         raise outside_error(np.vstack([shapely.get_coordinates(left), points]), shape, where)
-    notes, pixels = [], int(mask.sum())
+    notes, pixels = [p for p in parts if isinstance(p, str)], int(mask.sum())
     part = _share_outside(polygons, shape) if left else 0.0  # to the millionth of a pixel of the border
     if part > 0.0:
         percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
@@ -327,9 +327,9 @@ def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> 
     return 1.0 - float(np.sum(shapely.area(inside))) / area if area > 0.0 else 0.0
 
 
-# A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, a mask of the image, or how many
-# pixels the region has as its file says.
-Part: TypeAlias = BaseGeometry | npt.NDArray[Any] | int
+# A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, a mask of the image, how many pixels
+# the region has as its file says, or what else is to be said of it.
+Part: TypeAlias = BaseGeometry | npt.NDArray[Any] | int | str
 Drawn = Iterator[tuple[str, str, Iterable[Part]]]  # what a file draws: a name, its place for messages, and the parts
 Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
@@ -513,12 +513,18 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
     numbers = [int(v) for v in values if v != 0]
-    listed = [name.strip() for name in about.entries.get("class names", "").split(",")]
+    listed = [name.strip() for name in about.entries.get("class names", "").rstrip(", \n").split(",")]
+    stated = about.header.number("classes") if about.header is not None else None
+    unlike = listed != [""] and stated not in (None, len(listed))
+    refuse(unlike, "region.class_names", path, count=len(listed), classes=stated, names=", ".join(listed))
+    # What a program calls the pixels of no class.
+    left = int(np.sum(stored[0] == 0)) if not re.match(r"(un|no|back|mask|ignore|fill|0|$)", listed[0].lower()) else 0
+    note = [f"stands beside class 0, {listed[0]!r}, whose {left} pixels are taken as of no class"] if left else []
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
         name = listed[value] if 0 < value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
-        yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value]
+        yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value, *note]
 
 
 def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
