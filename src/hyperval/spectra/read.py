@@ -77,12 +77,10 @@ def read_spectrum(
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
     path = checked_file(path, root=root, what="spectrum file")
-    beside = text.wavelengths_beside(path) if wavelengths is None and columns is None else None
-    if wavelengths is None and beside is None:
+    if wavelengths is None:
         chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
     else:
-        grid = checked_file(beside or str(wavelengths), root=root, what="wavelength file")
-        chosen = text.usgs_record(path, grid, beside is not None)
+        chosen = text.usgs_record(path, checked_file(wavelengths, root=root, what="wavelength file"))
     return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 
@@ -176,6 +174,11 @@ class _File:
         return self.raw[:4096].lstrip(b"\xef\xbb\xbf")
 
     @cached_property
+    def grid(self) -> Path | None:
+        """The file of its wavelengths, where a library of USGS keeps them beside it."""
+        return text.wavelengths_beside(self.path) if self.columns is None else None
+
+    @cached_property
     def text(self) -> str:
         """The file as text (InputError where it is none), without the NUL that ViewSpec pads a comment with."""
         raw, plain = self.raw, self.raw.replace(b"\0", b"")
@@ -201,6 +204,13 @@ def _refused(file: _File) -> list[FieldSpectrum]:
     """Raise InputError for a format that is known and not read, with how to get at its numbers."""
     name = next(name for mark, name in _NOT_READ.items() if file.head.startswith(mark))
     raise refusal("record.format", file.path, name=name, known=_expected())
+
+
+def _usgs_record(file: _File) -> FieldSpectrum:
+    """The spectrum of a file of one column, at the wavelengths that lie beside it."""
+    grid = checked_file(file.grid or "", root=file.root, what="wavelength file")
+    note = f"wavelengths from {grid.name}, which lies beside it"
+    return replace(text.usgs_record(file.path, grid), notes=(note,))
 
 
 def _begins(*marks: bytes) -> Callable[[_File], bool]:
@@ -229,6 +239,7 @@ FORMATS = (
         "ENVI spectral library with its header", lambda f: header_beside(f.path),
         lambda f: binary.envi_library(f.path, read_header(header_beside(f.path) or f.path), f.root),
     ),
+    Format("USGS text of one column", lambda f: f.grid, lambda f: [_usgs_record(f)]),
     Format(
         "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),
         lambda f: text.row_records(f.text, f.path),

@@ -538,20 +538,16 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpe
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
-def usgs_record(path: Path, grid: Path, beside: bool) -> FieldSpectrum:
-    """A spectrum of a library that keeps values and wavelengths in files of one column each.
-
-    ``beside`` says that the wavelengths were found in the folder, and not named.
-    """
+def usgs_record(path: Path, grid: Path) -> FieldSpectrum:
+    """A spectrum of a library that keeps values and wavelengths in files of one column each."""
     header, values, _ = number_table(decoded(path.read_bytes()), path)
     grid_header, wavelength, _ = number_table(decoded(grid.read_bytes()), grid)
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     unit = wavelength_unit_in(" ".join(grid_header), "", str(grid))
-    note = (f"wavelengths from {grid.name}, which lies beside it",) if beside else ()
     record = FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], source=str(path))
-    return replace(record, wavelength_unit=unit, notes=note)
+    return replace(record, wavelength_unit=unit)
 
 
 def wavelengths_beside(path: Path) -> Path | None:
