@@ -37,7 +37,8 @@ _SPREAD = re.compile(
     r"\b((st|std|stand|standard) dev(iation|s)?|std(d?ev|v)?( err(or)?)?|sd|(1 )?sigma|uncertaint(y|ies))\b"
 )
 _NOTHING = re.compile(r"\b(mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent|n \d+|k 1)\b")
-_WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
+_COUNT = re.compile("n|count|number|replicates", re.IGNORECASE)
+_WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
 # What titles say of values that are no reflectance.
 _QUANTITIES = {
@@ -59,8 +60,13 @@ _WAVELENGTH_UNITS = {
 def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[FieldSpectrum]:
     """Spectra of a text file: the first column is the wavelength, the others values.
 
-    A column that is the standard deviation of another belongs to it; a column that repeats the wavelengths is
+    A column that is the standard deviation of another belongs to it; one that is called n and holds one whole number
+    says how many replicates there are.  Other wavelengths may begin a column of their own; one that repeats them is
     left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
+
+    >>> text = "wl_a,mean,sd,n,wl_b,tile\\n400,0.1,0.01,25,401,0.5\\n500,0.2,0.01,25,501,0.5\\n"
+    >>> [(r.name, r.n, r.wavelength_nm.tolist(), r.values.tolist()) for r in text_records(text, Path("a.csv"))]
+    [('mean', 25, [400.0, 500.0], [0.1, 0.2]), ('tile', 25, [401.0, 501.0], [0.5, 0.5])]
     """
     header, table, first_line = number_table(text, path)
     titles, where, whole, spread = _titles(header, table.shape[1]), str(path), "\n".join(header), dict[int, int]()
@@ -81,9 +87,15 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
     replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
     unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
-    n, records = int(replicates[1]) if replicates else None, list[FieldSpectrum]()
+    counted = [i for i in range(2, len(titles)) if _COUNT.fullmatch(titles[i])]
+    counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
+    n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
+    records = list[FieldSpectrum]()
     for i in range(1, table.shape[1]):
-        if i in spread.values() or (i > 1 and np.array_equal(table[:, i], nm)):
+        steps = np.diff(table[:, i])
+        if i > 1 and _WAVE.search(titles[i]) and (np.all(steps > 0) or np.all(steps < 0)):
+            nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
+        if i in (*spread.values(), *counted) or (i > 1 and np.array_equal(table[:, i], nm)):
             continue
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
