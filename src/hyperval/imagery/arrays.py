@@ -29,7 +29,7 @@ from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery.description import Description, ListedBands, Raster, crs_of_wkt, gdal_transform
-from hyperval.units import in_nm, is_radiance
+from hyperval.units import are_plausible, in_nm, is_radiance
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -203,7 +203,8 @@ class Piece(NamedTuple):
     Attributes
     ----------
     terms : one array, taken as stored; or several of one shape, whose weighted sum is taken as float32
-    axes : order of the axes in the file, such as "bls" for (band, line, sample); "ls" for a single band
+    axes : order of the axes in the file, such as "bls" for (band, line, sample); "ls" for a single band; "-" for one
+        of length 1 that is none of them
     shape : of the arrays in the file
     dtype : of the values handed out
     """
@@ -328,8 +329,8 @@ class ArrayRaster(Raster):
 
     def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> Numbers:
         """(bands, lines, samples) of a part of a piece."""
-        selection = tuple(ranges[axis] for axis in piece.axes)
-        order = [piece.axes.index(axis) for axis in AXES if axis in piece.axes]
+        selection = tuple(ranges.get(axis, slice(0, 1)) for axis in piece.axes)
+        order = sorted(range(len(piece.axes)), key=lambda axis: f"{AXES}-".index(piece.axes[axis]))
         size = [ranges[axis].stop - ranges[axis].start for axis in AXES]
         parts = [self.store.read(term.name, selection).transpose(order).reshape(size) for term in piece.terms]
         total = parts[0]
@@ -421,7 +422,8 @@ def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
     }
     listed = {n: v for n, v in along.items() if standard(v) or not _NO_CENTRE.search(str(n))}
     named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
-    in_unit = [n for n, v in listed.items() if in_nm(str(v.attrs.get("units", ""))) is not None]
+    to_nm = {n: in_nm(str(v.attrs.get("units", ""))) for n, v in listed.items()}
+    in_unit = [n for n, factor in to_nm.items() if factor and are_plausible(listed[n].values * factor)]
     return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)
 
 
@@ -433,7 +435,7 @@ def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: P
             LabelledArray(f"{group}/{array.name}".strip("/"), array, data, _bands(array, (data, *others)))
             for group, data in groups
             for array in data.data_vars.values()
-            if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape
+            if 3 in (array.ndim, sum(n > 1 for n in array.shape)) and array.dtype.kind in "iuf" and 0 not in array.shape
         ]
 
     def labels(arrays: list[LabelledArray]) -> str:
@@ -488,11 +490,11 @@ def _stated_unit(array: xr.DataArray) -> str | None:
 
 
 def _axes(array: xr.DataArray, band_axis: str) -> str:
-    """Which axis is lines, samples, bands: by name, else lines before samples."""
-    others = [str(d) for d in array.dims if d != band_axis]
+    """Which axis is lines, samples, bands: by name, else lines before samples; others have a length of 1."""
+    others = [str(d) for d, size in array.sizes.items() if d != band_axis and (size > 1 or array.ndim == 3)]
     swapped = bool(_SAMPLE.match(others[0]) or _LINE.match(others[1]))
     letters = {band_axis: "b", others[0]: "s" if swapped else "l", others[1]: "l" if swapped else "s"}
-    return "".join(letters[str(d)] for d in array.dims)
+    return "".join(letters.get(str(d), "-") for d in array.dims)
 
 
 def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tuple[str, ...]]:
@@ -524,7 +526,7 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tupl
         return transform, crs
     steps = {}
     for dim, letter in zip(array.dims, axes, strict=True):
-        if letter != "b":
+        if letter in "ls":
             at = np.asarray(data[dim].values, float) if dim in data.variables and data[dim].ndim == 1 else np.empty(0)
             step = np.diff(at)
             if not step.size or not np.all(np.isfinite(at)) or not step[0] or not np.allclose(step, step[0], rtol=1e-3):

@@ -360,7 +360,8 @@ def _delimiter(line: str) -> str:
 def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     """The spectra of a table with one in each row.
 
-    A name comes from the first column of an obvious title whose values differ, else the spectra are numbered.  The
+    A name comes from the first column of an obvious title whose values differ, or the first of all where they are
+    no numbers; else the spectra are numbered.  The
     columns ``Wavelength Units`` and ``Measurement Units`` are read where they stand; a percent that the values
     contradict is not believed, and the unit must be stated.
 
@@ -386,6 +387,8 @@ def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
     named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), None)
+    if named is None and 0 in differ and all(_value(cell) is None for cell in columns[0]):
+        named = 0
     names = columns[named] if named is not None else [f"row {i}" for i in range(1, len(rows) + 1)]
     records = []
     for name, (where, cells) in zip(names, rows, strict=True):
