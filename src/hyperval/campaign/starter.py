@@ -32,7 +32,6 @@ from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra import in_window, read_records
 from hyperval.storage import write_text
-from hyperval.units import is_radiance
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
 _RING_PIXELS = 4.0
@@ -217,7 +216,7 @@ class Draft:
         if quantity and sources.quantity is None and stated.quantity is None:
             self.guess("quantity", quantity=quantity)
         if quantity == "radiance":
-            unit = sources.unit or _stated_unit(self.raster)
+            unit = sources.unit or stated.unit_in_entries()[1]
             if unit is not None or stated.unit is None:
                 collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
         collection["regions"] = collection["regions"] or [_WHOLE]
@@ -564,16 +563,9 @@ def stated_quantity(raster: Raster) -> str | None:
         named = [quantity for quantity, pattern in _NAMED.items() if re.search(pattern, text)]
         if len(named) == 1:
             return named[0]
-        if not named and _stated_unit(raster) is not None:
+        if not named and about.unit_in_entries()[1] is not None:
             return "radiance"
     return None
-
-
-def _stated_unit(raster: Raster) -> str | None:
-    """The radiance unit that a header entry states, None where none is understood."""
-    entries = {key: text.strip() for key, text in raster.description.entries.items()}
-    stated = (text for key, text in entries.items() if "unit" in key and "wavelength" not in key and is_radiance(text))
-    return next(stated, None)
 
 
 def _is_list(path: Path) -> bool:

@@ -411,7 +411,13 @@ def open_raster(
 
 
 def kind_of(path: Path) -> str | None:
-    """What kind of image file this is by its first bytes, or its name as a GeoTIFF; None when it is none known."""
+    """What kind of image file this is by its first bytes, else its name; None when it is none known.
+
+    >>> from tempfile import NamedTemporaryFile
+    >>> with NamedTemporaryFile(suffix=".mat") as damaged:
+    ...     kind_of(Path(damaged.name))
+    'MATLAB 5'
+    """
     with open(path, "rb") as stream:
         head = stream.read(16)
     kind = next((name for mark, name in _MARKS.items() if head.startswith(mark)), None)

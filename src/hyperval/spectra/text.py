@@ -365,6 +365,10 @@ def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     columns ``Wavelength Units`` and ``Measurement Units`` are read where they stand; a percent that the values
     contradict is not believed, and the unit must be stated.
 
+    >>> text = "Wavelength,400,500,600,700\\ngrass,0.1,0.1,0.1,0.1\\nsoil,0.2,0.2,0.2,0.2"
+    >>> [record.name for record in row_records(text, Path("a.csv"))]
+    ['grass', 'soil']
+
     Raises
     ------
     InputError : rows of another length than the first, cells that are no numbers, or more than can be a table.
