@@ -51,11 +51,11 @@ def wavelength_to_nm(unit: str) -> float:
 def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
     """The unit, nm or um, in which all of the wavelengths are plausible; None where both are, or neither is."""
     numbers = np.asarray(values, dtype=float)
-    fits = [unit for unit in ("nm", "um") if numbers.size and are_plausible(numbers * wavelength_to_nm(unit))]
+    fits = [unit for unit in ("nm", "um") if numbers.size and plausible(numbers * wavelength_to_nm(unit))]
     return fits[0] if len(fits) == 1 else None
 
 
-def are_plausible(wavelength_nm: Array) -> bool:
+def plausible(wavelength_nm: Array) -> bool:
     """Whether all wavelengths are in the range of those that anybody measures."""
     low, high = PLAUSIBLE_NM
     return bool(np.all((wavelength_nm >= low) & (wavelength_nm <= high)))
@@ -117,9 +117,8 @@ def _known(unit: str, quantity: str) -> float | None:
     powers, own, _ = _QUANTITIES[quantity]
     parts = _parts(unit)
     kinds = {_SYMBOLS[symbol][0]: power for symbol, power in parts}
-    if quantity == "wavelength" and kinds == {"area": 1}:  # m or cm alone
-        kinds = powers
-    if kinds != powers or len(parts) != len(powers):
+    is_length = quantity == "wavelength" and kinds == {"area": 1}  # m or cm alone
+    if not (kinds == powers or is_length) or len(parts) != len(powers):
         return None
     return float(f"1e{sum(_SYMBOLS[symbol][1] * power for symbol, power in parts) - own}")
 

@@ -23,6 +23,7 @@ from .placing import (
 )
 from .products import layouts, sun_of_observation
 from .regions import (
+    ImageGrid,
     Region,
     groups_by_size,
     guard,
@@ -45,6 +46,7 @@ __all__ = [
     "Cube",
     "Description",
     "EnviRaster",
+    "ImageGrid",
     "LocationTable",
     "LookupTable",
     "Raster",

@@ -29,7 +29,7 @@ from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery.description import Description, ListedBands, Raster, crs_of_wkt, gdal_transform
-from hyperval.units import are_plausible, in_nm, is_radiance
+from hyperval.units import in_nm, is_radiance, plausible
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -422,8 +422,11 @@ def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
     }
     listed = {n: v for n, v in along.items() if standard(v) or not _NO_CENTRE.search(str(n))}
     named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
-    to_nm = {n: in_nm(str(v.attrs.get("units", ""))) for n, v in listed.items()}
-    in_unit = [n for n, factor in to_nm.items() if factor and are_plausible(listed[n].values * factor)]
+    in_unit = [
+        n
+        for n, v in listed.items()
+        if (factor := in_nm(str(v.attrs.get("units", "")))) and plausible(v.values[v.values > 0] * factor)
+    ]
     return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)
 
 

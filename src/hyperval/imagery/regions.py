@@ -38,7 +38,7 @@ from hyperval.data import Array, Mask
 from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
-from hyperval.imagery.cube import HDF5, MATRICES, kind_of, open_raster
+from hyperval.imagery.cube import HDF5, MATRICES, Cube, kind_of, open_raster
 from hyperval.imagery.description import Raster, crs_of_wkt, equals
 from hyperval.imagery.placing import MAX_VERTICES, LookupTable
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
@@ -143,57 +143,6 @@ def _reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Arra
     return placed
 
 
-def raster_of_size(
-    path: Path,
-    shape: tuple[int, int],
-    variable: str | None = None,
-    *,
-    transform: Position = None,
-    crs: CRS | None = None,
-) -> Raster:
-    """Open a raster that lies on a cube, pixel on pixel.
-
-    Parameters
-    ----------
-    shape, transform, crs : (lines, samples) and position of the cube
-    variable : which map of a MATLAB or NumPy file, where it holds several
-
-    Raises
-    ------
-    InputError : one of another size, or one that says that it lies elsewhere.
-    """
-    path = checked_file(path, what="image file")
-    kind = kind_of(path)
-    raster: Raster | None = None
-    if kind in MATRICES and header_beside(path) is None:
-        with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
-            raster = arrays.open_matrix(path, str(kind), variable, shape)
-    raster = raster or open_raster(path)
-    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
-    if raster.transform is not None and isinstance(transform, Affine) and (raster.crs is None) == (crs is None):
-        off = _pixels_off(raster.transform, raster.crs, transform, crs, shape, str(path))
-        refuse(off > _OFF_GRID, "image.elsewhere", path, off=off, own=raster.crs, crs=crs, name=path.name)
-    return raster
-
-
-def _pixels_off(
-    own: Affine, own_crs: CRS | None, transform: Affine, crs: CRS | None, shape: tuple[int, int], where: str
-) -> float:
-    """How many pixels of an image a corner of a raster of its ``shape`` lies at most off that of the image.
-
-    >>> at, utm = Affine(2.0, 0.0, 5e5, 0.0, -2.0, 4e6), CRS.from_epsg(32618)
-    >>> [_pixels_off(at @ Affine.translation(0, n), utm, at, utm, (60, 60), "") for n in (0.0, -10.0)]
-    [0.0, 10.0]
-    >>> _pixels_off(at, CRS.from_epsg(32719), at, utm, (60, 60), "") > 1e5
-    True
-    """
-    corners = np.array([(x, y) for x in (0.0, shape[1]) for y in (0.0, shape[0])])
-    xy = np.column_stack(own @ corners.T)
-    if own_crs is not None:
-        xy = _reprojected(xy, own_crs, crs, where)
-    return float(np.abs(map_to_pixel(xy, transform, where=where) - corners).max())
-
-
 @dataclass(frozen=True)
 class ImageGrid:
     """The image that the drawings of a file lie on, and what is said of their coordinates and names.
@@ -237,6 +186,43 @@ class ImageGrid:
             return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where))
 
         return place
+
+
+def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = None) -> Raster:
+    """Open a raster that lies on an image, pixel on pixel.
+
+    ``variable`` : which map of a MATLAB or NumPy file, where it holds several
+
+    Raises
+    ------
+    InputError : one of another size, or one that says that it lies elsewhere.
+    """
+    path, shape, position = checked_file(path, what="image file"), image.shape, image.transform
+    kind = kind_of(path)
+    raster: Raster | None = None
+    if kind in MATRICES and header_beside(path) is None:
+        with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
+            raster = arrays.open_matrix(path, str(kind), variable, shape)
+    raster = raster or open_raster(path)
+    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
+    if raster.transform is not None and isinstance(position, Affine) and (raster.crs is None) == (image.crs is None):
+        off = _pixels_off(raster, position, image.crs)
+        refuse(off > _OFF_GRID, "image.elsewhere", path, off=off, own=raster.crs, crs=image.crs, name=path.name)
+    return raster
+
+
+def _pixels_off(raster: Raster, transform: Affine, crs: CRS | None) -> float:
+    """How many pixels of an image of its size a corner of a raster lies at most off that of the image.
+
+    >>> at, utm, size = Affine(2.0, 0.0, 5e5, 0.0, -2.0, 4e6), CRS.from_epsg(32618), (60, 60, 1, np.dtype("u1"))
+    >>> moved = [Raster(Path(), *size, transform=at @ Affine.translation(0, n), crs=utm) for n in (0.0, -10.0)]
+    >>> [_pixels_off(raster, at, utm) for raster in moved], _pixels_off(moved[0], at, CRS.from_epsg(32719)) > 1e5
+    ([0.0, 10.0], True)
+    """
+    corners = np.array([(x, y) for x in (0.0, raster.samples) for y in (0.0, raster.lines)])
+    xy = np.column_stack(needed(raster.transform, "region.no_position") @ corners.T)
+    xy = xy if raster.crs is None else _reprojected(xy, raster.crs, crs, str(raster.path))
+    return float(np.abs(map_to_pixel(xy, transform, where=str(raster.path)) - corners).max())
 
 
 def named_crs(name: str, where: str) -> CRS:
@@ -500,7 +486,7 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
     under the band name.
     """
-    raster = raster_of_size(path, grid.shape, grid.name_field, transform=grid.transform, crs=grid.crs)
+    raster = raster_of_size(path, grid, grid.name_field)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)

@@ -408,12 +408,11 @@ class _Site:
         return self._drawn(truth)
 
     def _of_rasters(self, rasters: TargetRasters) -> list[TargetObject]:
-        cube, shape, masks = self.cube, self.cube.shape, {}
+        shape, masks = self.cube.shape, {}
         for material, reference in rasters.materials.items():
             found = self.read(self.resolve(reference), VectorSource(), ())
             masks[material] = np.any([np.zeros(shape, bool), *(region.mask for region in found.values())], axis=0)
-        path = self.resolve(rasters.size_classes)
-        sizes = imagery.raster_of_size(path, shape, transform=cube.transform, crs=cube.crs).read_bands(0, shape[0])
+        sizes = imagery.raster_of_size(self.resolve(rasters.size_classes), self.cube).read_bands(0, shape[0])
         return imagery.intersected_objects(masks, sizes.reshape(-1, shape[1]), rasters.side_m)  # of one band
 
     def _drawn(self, truth: TargetTruth) -> tuple[list[TargetObject], list[str]]:
@@ -557,8 +556,7 @@ def image_targets(
         images = _cells(raster, path, truth.classes)
     else:
         grid, error = FinerGrid(0.0, 0.0, 1.0, 1.0), 0.0
-        raster = imagery.raster_of_size(path, cube.shape, transform=cube.transform, crs=cube.crs)
-        images = _abundances(truth, raster, path)
+        images = _abundances(truth, imagery.raster_of_size(path, cube), path)
     out: list[TargetObject] = []
     for material, cells in images:
         listed = list(islice(patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
@@ -695,8 +693,7 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
     ------
     InputError : another size than the cube's, no such band, or a number that no pixel has.
     """
-    raster = imagery.raster_of_size(path, cube.shape, transform=cube.transform, crs=cube.crs)
-    first = 1 if source.band is None else source.band
+    raster, first = imagery.raster_of_size(path, cube), 1 if source.band is None else source.band
     return {name: Region(name, mask, str(path)) for name, mask in _cells(raster, path, source.classes, first)}
 
 

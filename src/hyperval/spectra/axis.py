@@ -20,14 +20,7 @@ from scipy.special import ndtr
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.units import (
-    PLAUSIBLE_NM,
-    are_plausible,
-    in_nm,
-    only_wavelength_unit,
-    wavelength_to_nm,
-    wavelength_unit_note,
-)
+from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, wavelength_to_nm, wavelength_unit_note
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
 
@@ -143,7 +136,7 @@ def wavelengths_in_nm(
     unit, ends = text or given or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
     unit = needed(unit, "wavelengths.unstated", where, **ends)
     nm, (low, high) = values * wavelength_to_nm(unit), PLAUSIBLE_NM
-    refuse(not are_plausible(nm), "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
+    refuse(not plausible(nm), "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
     return nm, unit, () if text or given else (wavelength_unit_note(values, unit),)
 
 

@@ -127,9 +127,10 @@ def _deviations(titles: list[str]) -> dict[int, int]:
     """
     named, found = [_names(title) for title in titles], dict[int, int]()
     for i, (name, is_spread) in enumerate(named):
-        means = [j for j in range(1, i) if j not in found and not named[j][1]] if is_spread else []
+        others = (*range(i - 1, 0, -1), *range(i + 1, len(titles))) if is_spread else ()
+        means = [j for j in others if j not in found and not named[j][1]]
         alike = [j for j in means if named[j][0] == name] or [j for j in means if j == i - 1 and not name]
-        found |= dict.fromkeys(alike[-1:], i)
+        found |= dict.fromkeys(alike[:1], i)
     return found
 
 
@@ -390,9 +391,8 @@ def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     refuse(not rows, "text.no_spectrum", path)
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
-    named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), None)
-    if named is None and 0 in differ and all(_value(cell) is None for cell in columns[0]):
-        named = 0
+    first_of_all = 0 if 0 in differ and all(_value(cell) is None for cell in columns[0]) else None
+    named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), first_of_all)
     names = columns[named] if named is not None else [f"row {i}" for i in range(1, len(rows) + 1)]
     records = []
     for name, (where, cells) in zip(names, rows, strict=True):
