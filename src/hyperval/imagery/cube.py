@@ -336,8 +336,8 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
         of = {"quantity": cube.quantity, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
         raise refusal("scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **of)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
-        by, most = cube.scaling.source or "its unit", judged.max()
-        raise refusal("scale.twice", cube.raster.path, by=by, most=most, gain=gain[0])
+        told = {"by": cube.scaling.source or "its unit", "most": judged.max(), "gain": gain[0]}
+        raise refusal("scale.twice", cube.raster.path, **told)
     return cube
 
 

@@ -174,11 +174,6 @@ class _File:
         return self.raw[:4096].lstrip(b"\xef\xbb\xbf")
 
     @cached_property
-    def grid(self) -> Path | None:
-        """The file of its wavelengths, where a library of USGS keeps them beside it."""
-        return text.wavelengths_beside(self.path) if self.columns is None else None
-
-    @cached_property
     def text(self) -> str:
         """The file as text (InputError where it is none), without the NUL that ViewSpec pads a comment with."""
         raw, plain = self.raw, self.raw.replace(b"\0", b"")
@@ -208,7 +203,7 @@ def _refused(file: _File) -> list[FieldSpectrum]:
 
 def _usgs_record(file: _File) -> FieldSpectrum:
     """The spectrum of a file of one column, at the wavelengths that lie beside it."""
-    grid = checked_file(file.grid or "", root=file.root, what="wavelength file")
+    grid = checked_file(text.wavelengths_beside(file.path) or "", root=file.root, what="wavelength file")
     note = f"wavelengths from {grid.name}, which lies beside it"
     return replace(text.usgs_record(file.path, grid), notes=(note,))
 
@@ -239,7 +234,10 @@ FORMATS = (
         "ENVI spectral library with its header", lambda f: header_beside(f.path),
         lambda f: binary.envi_library(f.path, read_header(header_beside(f.path) or f.path), f.root),
     ),
-    Format("USGS text of one column", lambda f: f.grid, lambda f: [_usgs_record(f)]),
+    Format(
+        "USGS text of one column", lambda f: f.columns is None and text.wavelengths_beside(f.path),
+        lambda f: [_usgs_record(f)],
+    ),
     Format(
         "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),
         lambda f: text.row_records(f.text, f.path),

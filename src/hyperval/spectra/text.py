@@ -34,10 +34,9 @@ _END = re.compile(r"^>+\s*End\b")  # of the numbers, in files of Ocean Optics
 _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
 # Of the words of a title: those that say standard deviation, and those that name nothing of their own.
 _SPREAD = re.compile(
-    r"\b((st|std|stand|standard) dev(iation|s)?|std(d?ev|v)?( err(or)?)?|sd|(1 )?sigma|uncertaint(y|ies))\b"
+    r"\b(st(d|and|andard)? dev[a-z]*|std(d?ev|v)?( err(or)?)?|sd|(1 )?sigma|(standard )?uncertaint(y|ies))\b"
 )
 _NOTHING = re.compile(r"\b(mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent|n \d+|k 1)\b")
-_COUNT = re.compile("n|count|number|replicates", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
 # What titles say of values that are no reflectance.
@@ -87,7 +86,7 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
     replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
     unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
-    counted = [i for i in range(2, len(titles)) if _COUNT.fullmatch(titles[i])]
+    counted = [i for i in range(2, len(titles)) if _names(titles[i])[0] in ("n", "count", "number", "replicates")]
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
     records = list[FieldSpectrum]()
