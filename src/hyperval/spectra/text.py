@@ -89,12 +89,12 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     counted = [i for i in range(2, len(titles)) if _names(titles[i])[0] in ("n", "count", "number", "replicates")]
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
-    records = list[FieldSpectrum]()
+    records, others = list[FieldSpectrum](), {*spread.values(), *counted}
     for i in range(1, table.shape[1]):
         steps = np.diff(table[:, i])
         if i > 1 and _WAVE.search(titles[i]) and (np.all(steps > 0) or np.all(steps < 0)):
             nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
-        if i in (*spread.values(), *counted) or (i > 1 and np.array_equal(table[:, i], nm)):
+        if i in others or (i > 1 and np.array_equal(table[:, i], nm)):
             continue
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
@@ -124,12 +124,13 @@ def _deviations(titles: list[str]) -> dict[int, int]:
     >>> [_deviations(["nm", *two]) for two in (("NY_grass", "SD_grass"), ("train", "testdata"), ("a", "Westdale"))]
     [{}, {}, {}]
     """
-    named, found = [_names(title) for title in titles], dict[int, int]()
-    for i, (name, is_spread) in enumerate(named):
-        others = (*range(i - 1, 0, -1), *range(i + 1, len(titles))) if is_spread else ()
-        means = [j for j in others if j not in found and not named[j][1]]
-        alike = [j for j in means if named[j][0] == name] or [j for j in means if j == i - 1 and not name]
-        found |= dict.fromkeys(alike[:1], i)
+    found, means, is_spread = dict[int, int](), dict[str, int](), True
+    for i, title in enumerate(titles[1:], start=1):
+        behind, (name, is_spread) = 0 if is_spread else i - 1, _names(title)
+        if not is_spread:
+            means[name] = i
+        elif mean := means.pop(name, behind * (not name)):
+            found.setdefault(mean, i)
     return found
 
 
