@@ -61,12 +61,6 @@ def plausible(wavelength_nm: Array) -> bool:
     return bool(np.all((wavelength_nm >= low) & (wavelength_nm <= high)))
 
 
-def wavelength_unit_note(values: npt.ArrayLike, unit: str) -> str:
-    """What is noted where a file states no unit of its wavelengths and only one is possible."""
-    numbers = np.asarray(values, dtype=float)
-    return f"the file states no wavelength unit: {numbers.min():g} to {numbers.max():g} can only be {unit}"
-
-
 def radiance_to_internal(unit: str) -> float:
     """Factor that turns a spectral radiance in ``unit`` into uW cm-2 sr-1 nm-1."""
     return _factor(unit, "radiance")

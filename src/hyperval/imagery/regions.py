@@ -500,9 +500,9 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
     numbers = [int(v) for v in values if v != 0]
     listed = [name.strip() for name in about.entries.get("class names", "").rstrip(", \n").split(",")]
-    stated = about.header.number("classes") if about.header is not None else None
-    unlike = listed != [""] and stated not in (None, len(listed))
-    refuse(unlike, "region.class_names", path, count=len(listed), classes=stated, names=", ".join(listed))
+    classes = about.header.number("classes") if about.header is not None and listed != [""] else None
+    told = {"count": len(listed), "classes": classes, "names": ", ".join(listed)}
+    refuse(classes not in (None, len(listed)), "region.class_names", path, **told)
     # What a program calls the pixels of no class.
     left = int(np.sum(stored[0] == 0)) if not re.match(r"(un|no|back|mask|ignore|fill|0|$)", listed[0].lower()) else 0
     note = [f"stands beside class 0, {listed[0]!r}, whose {left} pixels are taken as of no class"] if left else []

@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, wavelength_to_nm, wavelength_unit_note
+from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, wavelength_to_nm
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
 
@@ -137,7 +137,8 @@ def wavelengths_in_nm(
     unit = needed(unit, "wavelengths.unstated", where, **ends)
     nm, (low, high) = values * wavelength_to_nm(unit), PLAUSIBLE_NM
     refuse(not plausible(nm), "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
-    return nm, unit, () if text or given else (wavelength_unit_note(values, unit),)
+    note = f"the file states no wavelength unit: {ends['least']:g} to {ends['most']:g} can only be {unit}"
+    return nm, unit, () if text or given else (note,)
 
 
 def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> Array:
