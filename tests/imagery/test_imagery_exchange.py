@@ -261,13 +261,13 @@ def test_numbers_of_a_header_come_with_file_and_line_and_what_lacks_with_what_me
     assert value == "4, 450 to 850 nm"
     assert header.read_text().splitlines()[int(origin.rsplit(":", 1)[1]) - 1].startswith("wavelength =")
     assert told["no data"][0] == "-9"
-    assert told["scale of reflectance"] == (
-        "x 0.0001 to 0.0001, + 0 to 0",
-        "stored values / 10000 (reflectance scale factor)",
-    )
+    scale = "x 0.0001 to 0.0001, + 0 to 0", "stored values / 10000 (reflectance scale factor)"
+    assert told["scale of reflectance"] == scale
     assert told["quantity"] == ("not known", "state quantity: (init: --quantity)")
-    assert "exclude each other" in told["scale of radiance"][0]
-    assert "state scale:" in told["scale of radiance"][1]
+    assert all(map(str.__contains__, told["scale of radiance"], ("exclude each other", "state scale:")))
+    with pytest.raises(InputError, match=r"(?s)are reflectances as they stand.*scale: 1 .*scale: 0\.0001"):
+        open_cube(cube, quantity="reflectance")  # whose numbers were divided by 10000 before
+    assert [open_cube(cube, quantity="reflectance", scale=s).gain[0] for s in (1.0, 1e-4)] == [1.0, 1e-4]
     assert (told["position"][0], told["unit of radiance"][0]) == ("none", "W/m^2/sr/um")
     assert cli.run(["explain", str(cube)]) == 0
     assert "quantity\tnot known\tstate quantity: (init: --quantity)\n" in capsys.readouterr().out
