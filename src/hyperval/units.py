@@ -60,16 +60,14 @@ def to_internal(unit: str, quantity: str) -> float:
 def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
     """The unit, nm or um, in which all of the wavelengths are plausible; None where both are, or neither is."""
     numbers = np.asarray(values, dtype=float)
-    low, high = PLAUSIBLE_NM
-    each = {unit: numbers * to_internal(unit, "wavelength") for unit in ("nm", "um") if numbers.size}
-    fits = [unit for unit, nm in each.items() if nm.min() >= low and nm.max() <= high]
+    fits = [unit for unit in ("nm", "um") if numbers.size and plausible(numbers * to_internal(unit, "wavelength"))]
     return fits[0] if len(fits) == 1 else None
 
 
-def wavelength_unit_note(values: npt.ArrayLike, unit: str) -> str:
-    """What is noted where a file states no unit of its wavelengths and only one is possible."""
-    numbers = np.asarray(values, dtype=float)
-    return f"the file states no wavelength unit: {numbers.min():g} to {numbers.max():g} can only be {unit}"
+def plausible(wavelength_nm: Array) -> bool:
+    """Whether all wavelengths are in the range of those that anybody measures."""
+    low, high = PLAUSIBLE_NM
+    return bool(np.all((wavelength_nm >= low) & (wavelength_nm <= high)))
 
 
 def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_cm: npt.ArrayLike) -> Array:
@@ -84,12 +82,20 @@ def radiance_per_wavelength(radiance_per_wavenumber: npt.ArrayLike, wavenumber_c
 
 
 def in_nm(unit: str | None) -> float | None:
-    """Nanometres of one of a unit; None where it is none of wavelengths."""
+    """Nanometres of one of a unit; None where it is none of wavelengths.
+
+    >>> [in_nm(unit) for unit in ("um", "m", "m2", "W")]
+    [1000.0, 1000000000.0, None, None]
+    """
     return _known(unit or "", "wavelength")
 
 
 def is_radiance(unit: str | None) -> bool:
-    """Whether a unit is one of spectral radiance."""
+    """Whether a unit is one of spectral radiance.
+
+    >>> is_radiance("W.m-2.sr-1.um-1")
+    True
+    """
     return _known(unit or "", "radiance") is not None
 
 
@@ -103,7 +109,9 @@ def power_unit(unit: str) -> str | None:
 def _known(unit: str, quantity: str) -> float | None:
     powers, own, _ = _QUANTITIES[quantity]
     parts = _parts(unit)
-    if {_SYMBOLS[symbol][0]: power for symbol, power in parts} != powers or len(parts) != len(powers):
+    kinds = {_SYMBOLS[symbol][0]: power for symbol, power in parts}
+    is_length = quantity == "wavelength" and kinds == {"area": 1}  # m or cm alone
+    if not (kinds == powers or is_length) or len(parts) != len(powers):
         return None
     return float(f"1e{sum(_SYMBOLS[symbol][1] * power for symbol, power in parts) - own}")
 
@@ -129,5 +137,5 @@ def _parts(unit: str) -> list[tuple[str, int]]:
 
 # Micro, minus and dot have several characters; raised digits are digits.
 _SIGNS = str.maketrans({
-    "µ": "u", "μ": "u", "−": "-", "–": "-", "⁻": "-", "·": " ", "*": " ", "²": "2", "¹": "1",
+    "µ": "u", "μ": "u", "−": "-", "–": "-", "⁻": "-", "·": " ", ".": " ", "*": " ", "²": "2", "¹": "1",
 })  # fmt: skip

@@ -61,7 +61,7 @@ def test_wavelengths_in_tags_of_bands_or_data_set_or_in_names(tmp_path, values, 
 
     def state(out):
         if domain == "names":
-            out.descriptions = [f"{w} {unit}" for w in listed["wavelength"]]
+            out.descriptions = [f"{w} {unit}" if each else f"Band ({float(w):.5f})" for w in listed["wavelength"]]
         for band in range((4 if each else 1) * (domain != "names")):
             entries = {key: texts[band] if each else ",".join(texts) for key, texts in listed.items()}
             out.update_tags(*([band + 1] if each else []), ns=domain, **{"wavelength units": unit, **entries})
@@ -212,7 +212,7 @@ def test_xarray_reads_by_parts_and_goes_both_ways(tmp_path, monkeypatch):
     assert np.allclose(array.isel(line=[0, 11], sample=-1).values, want[[0, 11], -1], equal_nan=True)
     assert (array.attrs["units"], array.name) == ("1", "reflectance")
     array.to_netcdf(tmp_path / "again.nc", engine="h5netcdf")
-    for again in (array, tmp_path / "again.nc"):
+    for again in (array, array.expand_dims("time"), tmp_path / "again.nc"):
         back = open_cube(again, quantity="reflectance")
         assert (back.transform, back.crs) == (cube.transform, cube.crs)
         assert back.axis.good.tolist() == cube.axis.good.tolist()
@@ -253,7 +253,7 @@ def rows(*given, **options):
 
 
 def test_numbers_of_a_header_come_with_file_and_line_and_what_lacks_with_what_mends_it(tmp_path, axis, values, capsys):
-    extra = {"reflectance scale factor": "10000"}
+    extra = {"reflectance scale factor": "10000", "data units": "W/m^2/sr/um"}
     cube = write_cube(tmp_path / "c.img", values, data_type=4, axis=axis, ignore_value=-9.0, extra=extra)
     told, header = rows(cube), cube.with_suffix(".hdr")
     assert told["size"] == ("6 lines, 5 samples, 4 bands of float32", f"{header}:3 'samples'")
@@ -261,14 +261,14 @@ def test_numbers_of_a_header_come_with_file_and_line_and_what_lacks_with_what_me
     assert value == "4, 450 to 850 nm"
     assert header.read_text().splitlines()[int(origin.rsplit(":", 1)[1]) - 1].startswith("wavelength =")
     assert told["no data"][0] == "-9"
-    assert told["scale of reflectance"] == (
-        "x 0.0001 to 0.0001, + 0 to 0",
-        "stored values / 10000 (reflectance scale factor)",
-    )
+    scale = "x 0.0001 to 0.0001, + 0 to 0", "stored values / 10000 (reflectance scale factor)"
+    assert told["scale of reflectance"] == scale
     assert told["quantity"] == ("not known", "state quantity: (init: --quantity)")
-    assert "exclude each other" in told["scale of radiance"][0]
-    assert "state scale:" in told["scale of radiance"][1]
-    assert told["position"][0] == "none"
+    assert all(map(str.__contains__, told["scale of radiance"], ("exclude each other", "state scale:")))
+    with pytest.raises(InputError, match=r"(?s)are reflectances as they stand.*scale: 1 .*scale: 0\.0001"):
+        open_cube(cube, quantity="reflectance")  # whose numbers were divided by 10000 before
+    assert [open_cube(cube, quantity="reflectance", scale=s).gain[0] for s in (1.0, 1e-4)] == [1.0, 1e-4]
+    assert (told["position"][0], told["unit of radiance"][0]) == ("none", "W/m^2/sr/um")
     assert cli.run(["explain", str(cube)]) == 0
     assert "quantity\tnot known\tstate quantity: (init: --quantity)\n" in capsys.readouterr().out
     header.write_text(header.read_text().replace("wavelength units = Nanometers", "wavelength units = Unknown"))

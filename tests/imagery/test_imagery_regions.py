@@ -119,12 +119,7 @@ def test_regions_that_are_refused(tmp_path, case):
     [
         ("a.xml", b"<RegionsOfInterest>" + b" " * (8 << 20), InputError, "larger than 8 MiB"),
         # 40 MB of blanks in 40 kB: read no further than the limit
-        (
-            "a.txt",
-            gzip.compress(b"; ENVI Output of ROIs (4.8)\n" + b" " * (40 << 20)),
-            InputError,
-            "larger than 32 MiB",
-        ),
+        ("a.txt", gzip.compress(b"; ENVI Output of ROIs (4.8)\n" + b" " * (40 << 20)), InputError, "than 32 MiB"),
         ("a.csv", b'line,sample\n1,"' + b"9" * 200_000 + b'"\n', InputError, "not a CSV file"),
         ("a.json", b"{" + b'"a":[' * 100_000, InputError, "not valid GeoJSON"),
         ("b.roi", roi_binary(points=[1], size=(11, 10)), InputError, "made for 10 lines x 11 samples"),
@@ -183,9 +178,14 @@ def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path, fill, count):
     found = read_regions(write_raster(tmp_path / "m.tif", stored, transform=TRANSFORM, nodata=fill), SHAPE)
     assert list(found) == (["m"] if count == 1 else ["band-1", "band-2"])
     assert all(np.array_equal(region.mask, expected()) for region in found.values())
-    for values, message in ((np.ones((9, 12, 1)), "9 lines and 12"), (np.full((10, 12, 1), 1.5), "not class num")):
+    place = {"transform": TRANSFORM @ TRANSFORM.translation(0, 5), "crs": UTM18}
+    names = {"extra": {"classes": "2", "class names": "{none, grass, dry}"}}
+    for values, message, options in (
+        (np.ones((9, 12, 1)), "9 lines and 12", {}), (np.full((10, 12, 1), 1.5), "not class num", {}),
+        (np.ones((10, 12, 1)), "5 pixels off the image", place), (np.ones((10, 12, 1)), "3 class names for 2", names),
+    ):  # fmt: skip
         with pytest.raises(InputError, match=message):
-            read_regions(write_cube(tmp_path / "c.img", values), SHAPE)
+            read_regions(write_cube(tmp_path / "c.img", values, **options), SHAPE, **PLACED)
 
 
 @pytest.mark.parametrize("zone", [32617, 32618, 4326])

@@ -587,7 +587,7 @@ def explain(
     InputError, UsageError : neither, or damaged; in the words of the reader.
     """
     path = Path(file)
-    is_image = header is not None or path.is_dir() or path.suffix == ".hdr" or header_beside(path) is not None
+    is_image = header is not None or path.is_dir() or path.suffix.lower() == ".hdr" or header_beside(path) is not None
     if is_image or not imagery.needs_header(path):
         raster = imagery.open_raster(path, header=header, variable=key)
         if not (isinstance(raster, imagery.EnviRaster) and "library" in raster.header.file_type.lower()):

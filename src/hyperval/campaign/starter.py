@@ -34,14 +34,13 @@ from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra import in_window, read_records
 from hyperval.storage import write_text
-from hyperval.units import is_radiance
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
 _RING_PIXELS = 4.0
 _MOST_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
 _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
-_SCALES = (0.01, 0.0001)  # percent, and reflectance times 10000, which next to all whole numbers are
+_SCALES = (1.0, 0.01, 0.0001)  # reflectance, percent, and times 10000, which next to all whole numbers are
 _WHOLE = {"name": "whole image", "whole_image": True}
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
@@ -203,7 +202,7 @@ class Draft:
         if quantity and sources.quantity is None and stated.quantity is None:
             self.guess("quantity", quantity=quantity)
         if quantity == "radiance":
-            unit = sources.unit or _stated_unit(self.raster)
+            unit = sources.unit or stated.unit_in_entries()[1]
             if unit is not None or stated.unit is None:
                 collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
         collection["regions"] = collection["regions"] or [_WHOLE]
@@ -246,7 +245,7 @@ class Draft:
             self.guess("no prediction", what=error.what, expected=error.expected)
 
     def _scale(self) -> None:
-        """State the scale of an image whose header does not.
+        """State the scale of an image whose header does not, or states one that was applied before.
 
         Of reflectance, the larger that makes reflectances of the values; of radiance, the divisor that the header
         states for a reflectance, as some programs write it for either.
@@ -473,7 +472,8 @@ class Draft:
         if targets is None and " file" not in self.raster.description.product:  # none in the file of the image itself
             return [], none, nowhere
         try:
-            regions = read_regions(targets or self.sources.cube, self.raster.size[:2])
+            of, raster = targets or self.sources.cube, self.raster
+            regions = read_regions(of, raster.size[:2], transform=raster.transform, crs=raster.crs)
         except HypervalError as error:
             if targets is not None:
                 raise
@@ -559,16 +559,9 @@ def told_quantity(raster: Raster) -> str | None:
         named = [quantity for quantity, pattern in _NAMED.items() if re.search(pattern, text)]
         if len(named) == 1:
             return named[0]
-        if not named and _stated_unit(raster) is not None:
+        if not named and raster.description.unit_in_entries()[1] is not None:
             return "radiance"
     return None
-
-
-def _stated_unit(raster: Raster) -> str | None:
-    """The radiance unit that a header entry states, None where none is understood."""
-    entries = {key: text.strip() for key, text in raster.description.entries.items()}
-    stated = (text for key, text in entries.items() if "unit" in key and "wavelength" not in key and is_radiance(text))
-    return next(stated, None)
 
 
 def _is_list(path: Path) -> bool:

@@ -8,7 +8,6 @@ from .cube import (
     needs_header,
     open_cube,
     open_raster,
-    raster_of_size,
 )
 from .description import Description, Raster, acquisition_notes, record, time_notes
 from .envi import EnviRaster, crs_of, envi_writer, pixel_area_m2, pixel_sides_m, transform_of, write_cube
@@ -24,6 +23,7 @@ from .placing import (
 )
 from .products import layouts, sun_of_observation
 from .regions import (
+    ImageGrid,
     Region,
     groups_by_size,
     guard,
@@ -34,6 +34,7 @@ from .regions import (
     overlaps,
     patches,
     polygon_mask,
+    raster_of_size,
     read_regions,
     rectangle_region,
     ring_region,
@@ -45,6 +46,7 @@ __all__ = [
     "Cube",
     "Description",
     "EnviRaster",
+    "ImageGrid",
     "LocationTable",
     "LookupTable",
     "Raster",

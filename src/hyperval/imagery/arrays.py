@@ -29,7 +29,7 @@ from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery.description import Description, ListedBands, Raster, crs_of_wkt, gdal_transform
-from hyperval.units import in_nm, is_radiance
+from hyperval.units import in_nm, is_radiance, plausible
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,7 +44,7 @@ MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
-_WAVE = re.compile(r"wave|wvl|lambda|band_?cent", re.IGNORECASE)
+_WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
 _TRUTH = re.compile(r"map|truth|gt|mask|label", re.IGNORECASE)
@@ -203,7 +203,8 @@ class Piece(NamedTuple):
     Attributes
     ----------
     terms : one array, taken as stored; or several of one shape, whose weighted sum is taken as float32
-    axes : order of the axes in the file, such as "bls" for (band, line, sample); "ls" for a single band
+    axes : order of the axes in the file, such as "bls" for (band, line, sample); "ls" for a single band; "-" for one
+        of length 1 that is none of them
     shape : of the arrays in the file
     dtype : of the values handed out
     """
@@ -328,8 +329,8 @@ class ArrayRaster(Raster):
 
     def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> Numbers:
         """(bands, lines, samples) of a part of a piece."""
-        selection = tuple(ranges[axis] for axis in piece.axes)
-        order = [piece.axes.index(axis) for axis in AXES if axis in piece.axes]
+        selection = tuple(ranges.get(axis, slice(0, 1)) for axis in piece.axes)
+        order = sorted(range(len(piece.axes)), key=lambda axis: f"{AXES}-".index(piece.axes[axis]))
         size = [ranges[axis].stop - ranges[axis].start for axis in AXES]
         parts = [self.store.read(term.name, selection).transpose(order).reshape(size) for term in piece.terms]
         total = parts[0]
@@ -421,7 +422,11 @@ def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
     }
     listed = {n: v for n, v in along.items() if standard(v) or not _NO_CENTRE.search(str(n))}
     named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
-    in_unit = [n for n, v in listed.items() if in_nm(str(v.attrs.get("units", ""))) is not None]
+    in_unit = [
+        n
+        for n, v in listed.items()
+        if (factor := in_nm(str(v.attrs.get("units", "")))) and plausible(v.values[v.values > 0] * factor)
+    ]
     return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)
 
 
@@ -433,7 +438,7 @@ def _chosen(groups: list[tuple[str, xr.Dataset]], variable: str | None, where: P
             LabelledArray(f"{group}/{array.name}".strip("/"), array, data, _bands(array, (data, *others)))
             for group, data in groups
             for array in data.data_vars.values()
-            if array.ndim == 3 and array.dtype.kind in "iuf" and 0 not in array.shape
+            if 3 in (array.ndim, sum(n > 1 for n in array.shape)) and array.dtype.kind in "iuf" and 0 not in array.shape
         ]
 
     def labels(arrays: list[LabelledArray]) -> str:
@@ -488,11 +493,11 @@ def _stated_unit(array: xr.DataArray) -> str | None:
 
 
 def _axes(array: xr.DataArray, band_axis: str) -> str:
-    """Which axis is lines, samples, bands: by name, else lines before samples."""
-    others = [str(d) for d in array.dims if d != band_axis]
+    """Which axis is lines, samples, bands: by name, else lines before samples; others have a length of 1."""
+    others = [str(d) for d, size in array.sizes.items() if d != band_axis and (size > 1 or array.ndim == 3)]
     swapped = bool(_SAMPLE.match(others[0]) or _LINE.match(others[1]))
     letters = {band_axis: "b", others[0]: "s" if swapped else "l", others[1]: "l" if swapped else "s"}
-    return "".join(letters[str(d)] for d in array.dims)
+    return "".join(letters.get(str(d), "-") for d in array.dims)
 
 
 def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tuple[str, ...]]:
@@ -524,7 +529,7 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tupl
         return transform, crs
     steps = {}
     for dim, letter in zip(array.dims, axes, strict=True):
-        if letter != "b":
+        if letter in "ls":
             at = np.asarray(data[dim].values, float) if dim in data.variables and data[dim].ndim == 1 else np.empty(0)
             step = np.diff(at)
             if not step.size or not np.all(np.isfinite(at)) or not step[0] or not np.allclose(step, step[0], rtol=1e-3):
@@ -563,14 +568,30 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     return shapes
 
 
+def _matrix_axes(shape: tuple[int, ...], waves: set[int], beside: set[tuple[int, ...]]) -> str:
+    """Which axis of an image is lines, samples, bands.
+
+    Bands lie along the only axis that wavelengths beside it fit, by their numbers; else along the first where a map
+    beside it is as large as the last two axes and not the first two; else along the last.
+
+    >>> _matrix_axes((30, 24, 20), {30}, set()), _matrix_axes((24, 20, 30), {30, 200}, {(20, 30)})
+    ('bls', 'lsb')
+    >>> _matrix_axes((30, 24, 20), set(), {(24, 20)}), _matrix_axes((30, 30, 20), {30}, set())
+    ('bls', 'lsb')
+    """
+    fits = [axis for axis, size in enumerate(shape) if size in waves]
+    bands_first = shape[1:] in beside and shape[:2] not in beside
+    at = fits[0] if len(fits) == 1 else 0 if bands_first else 2
+    return "ls"[:at] + "b" + "ls"[at:]
+
+
 @reader
 def open_matrix(
     path: Path, kind: str, variable: str | None = None, plane: tuple[int, int] | None = None
 ) -> ArrayRaster:
     """The image (lines, samples, bands) of a MATLAB, NumPy or bare HDF5 file, or its map of the shape ``plane``.
 
-    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.  An image
-    is (lines, samples, bands) unless a map beside it is as large as its last two axes, and not its first two.
+    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.
 
     Raises
     ------
@@ -593,9 +614,10 @@ def open_matrix(
     if kind == "MATLAB 5" and (size > MAX_MATRIX_BYTES or size > MOST_COMPRESSED * path.stat().st_size):
         raise refusal("array.memory", path, name=name, mib=size >> 20)
     tree, turn = kind not in ("MATLAB 5", "NumPy"), -1 if kind == "MATLAB 7.3" else 1
-    planes = {s for s in shapes.values() if len(s) == 2 and min(s) > 1}
-    is_bands_first = shapes[name][1:] in planes and shapes[name][:2] not in planes
-    axes, shape = ("bls" if is_bands_first else "lsb")[::turn], shapes[name][::turn]
+    vectors = {n: max(s) for n, s in shapes.items() if s and max(s) == int(np.prod(s)) > 1 and not _GOOD.search(n)}
+    waves = {size for n, size in vectors.items() if _WAVE.search(n)}
+    axes = "ls" if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
+    axes, shape = axes[::turn], shapes[name][::turn]
 
     def stored(name: str) -> Store:
         return Store(path, hdf5) if tree else Store(path, _matrix, name, kind)
@@ -603,11 +625,10 @@ def open_matrix(
     store = stored(name)
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
-    piece = Piece((Term(name),), axes.replace("b", "") if plane else axes, shape, dtype.newbyteorder("="))
+    piece = Piece((Term(name),), axes, shape, dtype.newbyteorder("="))
 
     def listed_beside(pattern: re.Pattern[str]) -> Array | None:
-        named = [n for n in shapes if pattern.search(n) and not _GOOD.search(n)]
-        named = [n for n in named if max(shapes[n]) == piece.size("b") == int(np.prod(shapes[n])) > 1]
+        named = [n for n, size in vectors.items() if pattern.search(n) and size == piece.size("b")]
         whole = (slice(None),) * len(shapes[named[0]]) if len(named) == 1 else None
         return None if whole is None else stored(named[0]).read(named[0], whole).astype(float).ravel()
 

@@ -20,7 +20,7 @@ from rasterio.crs import CRS
 
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import data_beside, header_beside
-from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
+from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import (
     Bands,
@@ -56,6 +56,7 @@ PLAUSIBLE = {
                     "reflectance times 10000)"),
     "radiance": (200.0, "(what multiplies the stored values) or unit:"),
 }  # fmt: skip
+_DARK = 0.01  # reflectance that nothing reaches in an image that was scaled twice
 _CHECKED_LINES, _CHECKED_SAMPLES = 16, 64
 _FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
 _MOST_LISTED = 5
@@ -303,12 +304,15 @@ class Cube:
         return usable
 
 
-def _checked(cube: Cube) -> Cube:
+def _checked(cube: Cube, scale: float | None) -> Cube:
     """The cube without the bands that hold no number in any pixel seen; those that hold the same one are bad.
+
+    ``scale`` is what the caller states.
 
     Raises
     ------
-    InputError : values that are too large for the quantity: a scale that was not stated.
+    InputError : values that are too large for the quantity: a scale that was not stated.  Reflectances that the scale
+        of the file makes of numbers that are reflectances as they stand: it was applied before.
     """
     lines, samples = some_lines(cube.lines, _CHECKED_LINES), some_lines(cube.samples, _CHECKED_SAMPLES)
     values = cube.pixels((np.repeat(lines, samples.size), np.tile(samples, lines.size)))
@@ -331,15 +335,28 @@ def _checked(cube: Cube) -> Cube:
     if high > limit:
         of = {"quantity": cube.quantity, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
         raise refusal("scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **of)
+    if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
+        told = {"by": cube.scaling.source or "its unit", "most": judged.max(), "gain": gain[0]}
+        raise refusal("scale.twice", cube.raster.path, **told)
     return cube
 
 
-_TIFF, _HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
+def _is_twice(values: Array, gain: Array) -> bool:
+    """Whether a gain (B,) made values (n, B) that reach no usual reflectance, of numbers that are reflectances.
+
+    >>> [_is_twice(np.array([stored]) * 1e-4, np.array([1e-4])) for stored in ([0.1, 0.5], [40.0, 80.0], [400.0])]
+    [True, False, False]
+    """
+    dark = values.size and values.max() < _DARK and np.any(gain != 1.0)
+    return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"][0])
+
+
+_TIFF, HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
 _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which nothing here reads
-_HIERARCHIES = {b"\x89HDF\r\n\x1a\n": _HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
+_HIERARCHIES = {b"\x89HDF\r\n\x1a\n": HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
 _MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | arrays.MATRICES | _HIERARCHIES | _OTHERS
-MATRICES = (*arrays.MATRICES.values(), _HDF5)  # arrays that bear no labels, or need not
-_MATLAB_SUFFIX = ".mat"  # of HDF5 that a program other than MATLAB has written: without its mark, in its order
+MATRICES = (*arrays.MATRICES.values(), HDF5)  # arrays that bear no labels, or need not
+_MATLAB_SUFFIX = ".mat"  # of HDF5 that another program has written in its order, and of MATLAB 4: without its mark
 
 
 @reader
@@ -375,14 +392,14 @@ def open_raster(
         return open_tiff(data, header)
     if header is None and kind == _NETCDF3:
         return arrays.open_labelled(data, variable, "scipy")
-    if header is None and kind == _HDF5:
+    if header is None and kind == HDF5:
         arrays.check_own_values(data)
         try:
             product = open_product(data) if variable is None else None
             return product or arrays.open_labelled(data, variable, "h5netcdf")
         except HypervalError:  # such as no array with wavelengths: it may be a bare one
             with suppress(HypervalError):
-                return arrays.open_matrix(data, _HDF5, variable)
+                return arrays.open_matrix(data, HDF5, variable)
             raise
     beside = Path(header) if header is not None else header_beside(data)
     if beside is not None:
@@ -394,8 +411,12 @@ def open_raster(
 
 
 def kind_of(path: Path) -> str | None:
-    """What kind of image file this is by its first bytes, or its name as a GeoTIFF; None when it is none known.
+    """What kind of image file this is by its first bytes, else its name; None when it is none known.
 
+    >>> from tempfile import NamedTemporaryFile
+    >>> with NamedTemporaryFile(suffix=".mat") as damaged:
+    ...     kind_of(Path(damaged.name))
+    'MATLAB 5'
     >>> kind_of(Path("no.tif"))
     Traceback (most recent call last):
     hyperval.errors.InputError: no.tif: no such file
@@ -403,8 +424,8 @@ def kind_of(path: Path) -> str | None:
     with open(checked_file(path), "rb") as stream:
         head = stream.read(16)
     kind = next((name for mark, name in _MARKS.items() if head.startswith(mark)), None)
-    if kind == _HDF5 and path.suffix.lower() == _MATLAB_SUFFIX:
-        return "MATLAB 7.3"
+    if path.suffix.lower() == _MATLAB_SUFFIX:
+        return {HDF5: "MATLAB 7.3", None: "MATLAB 5"}.get(kind, kind)
     return _TIFF if path.suffix.lower() in TIFF_SUFFIXES else kind
 
 
@@ -412,22 +433,6 @@ def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
     own = (_TIFF, _NETCDF3, *MATRICES)
     return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in own
-
-
-def raster_of_size(path: Path, shape: tuple[int, int], variable: str | None = None) -> Raster:
-    """Open a raster of a cube's size (lines, samples); InputError for one of another.
-
-    ``variable`` : which map of a MATLAB or NumPy file, where it holds several
-    """
-    path = checked_file(path, what="image file")
-    kind = kind_of(path)
-    raster: Raster | None = None
-    if kind in MATRICES and header_beside(path) is None:
-        with suppress(*([InputError] if kind == _HDF5 else [])):  # which may hold an image of three axes alone
-            raster = arrays.open_matrix(path, str(kind), variable, shape)
-    raster = raster or open_raster(path)
-    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
-    return raster
 
 
 @reader
@@ -491,7 +496,7 @@ def open_cube(
         description=" ".join(about.entries.get("description", "").split()),
         notes=notes,
     )
-    return _checked(cube) if check_values and quantity != "other" else cube
+    return _checked(cube, scale) if check_values and quantity != "other" else cube
 
 
 def _lazy_cube(cube: Any) -> Any:

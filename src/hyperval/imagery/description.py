@@ -29,7 +29,7 @@ from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, wavelengths_i
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
 from hyperval.storage import number_of
-from hyperval.units import RADIANCE_UNIT, to_internal
+from hyperval.units import RADIANCE_UNIT, is_radiance, to_internal
 
 Bands = SpectralAxis | Literal["numbers"] | None
 
@@ -135,6 +135,11 @@ class Description:
         """Stored value that means no data: the ``data ignore value`` of a header, else that of the data file."""
         stated = self.header.number("data ignore value") if self.header is not None else None
         return self.ignore_value if stated is None else stated
+
+    def unit_in_entries(self) -> tuple[str, str | None]:
+        """The entry that states a unit of radiance, by which no number changes, and that unit; None without."""
+        texts = {key: text.strip() for key, text in self.entries.items() if "unit" in key and "wavelength" not in key}
+        return next(((key, text) for key, text in texts.items() if is_radiance(text)), ("", None))
 
     def listed(self) -> ListedBands | None:
         """The bands as the header lists them, else the data file; None where neither does."""
@@ -509,7 +514,9 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
     row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")
     if about.quantity != "reflectance":
-        row("unit of radiance", about.unit, lacking="state unit: (init: --unit)")
+        key, written = about.unit_in_entries()
+        by_init = by if about.unit else f"{origin(key)}: init takes it; a campaign states unit:"
+        row("unit of radiance", about.unit or written, by_init, "state unit: (init: --unit)")
     for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
         try:
             each = [

@@ -14,6 +14,7 @@ import re
 import struct
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from itertools import combinations
@@ -35,9 +36,10 @@ from shapely.geometry.base import BaseGeometry
 
 from hyperval.data import Array, Mask
 from hyperval.envi_header import header_beside
-from hyperval.errors import HypervalError, needed, reader, refusal, refuse
-from hyperval.imagery.cube import MATRICES, kind_of, raster_of_size
-from hyperval.imagery.description import crs_of_wkt, equals
+from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
+from hyperval.imagery import arrays
+from hyperval.imagery.cube import HDF5, MATRICES, Cube, kind_of, open_raster
+from hyperval.imagery.description import Raster, crs_of_wkt, equals
 from hyperval.imagery.placing import MAX_VERTICES, LookupTable
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
@@ -45,6 +47,7 @@ from hyperval.storage import number_of
 
 Placing = Callable[[BaseGeometry, str], BaseGeometry]
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
+_OFF_GRID = 0.25  # [pixel] that a raster may lie off the image; half of one puts a pixel on another
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
 WARNING = "warning: "
 _CHECK = "check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube"
@@ -185,6 +188,43 @@ class ImageGrid:
         return place
 
 
+def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = None) -> Raster:
+    """Open a raster that lies on an image, pixel on pixel.
+
+    ``variable`` : which map of a MATLAB or NumPy file, where it holds several
+
+    Raises
+    ------
+    InputError : one of another size, or one that says that it lies elsewhere.
+    """
+    path, shape, position = checked_file(path, what="image file"), image.shape, image.transform
+    kind = kind_of(path)
+    raster: Raster | None = None
+    if kind in MATRICES and header_beside(path) is None:
+        with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
+            raster = arrays.open_matrix(path, str(kind), variable, shape)
+    raster = raster or open_raster(path)
+    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
+    if raster.transform is not None and isinstance(position, Affine) and (raster.crs is None) == (image.crs is None):
+        off = _pixels_off(raster, position, image.crs)
+        refuse(off > _OFF_GRID, "image.elsewhere", path, off=off, own=raster.crs, crs=image.crs, name=path.name)
+    return raster
+
+
+def _pixels_off(raster: Raster, transform: Affine, crs: CRS | None) -> float:
+    """How many pixels of an image of its size a corner of a raster lies at most off that of the image.
+
+    >>> at, utm, size = Affine(2.0, 0.0, 5e5, 0.0, -2.0, 4e6), CRS.from_epsg(32618), (60, 60, 1, np.dtype("u1"))
+    >>> moved = [Raster(Path(), *size, transform=at @ Affine.translation(0, n), crs=utm) for n in (0.0, -10.0)]
+    >>> [_pixels_off(raster, at, utm) for raster in moved], _pixels_off(moved[0], at, CRS.from_epsg(32719)) > 1e5
+    ([0.0, 10.0], True)
+    """
+    corners = np.array([(x, y) for x in (0.0, raster.samples) for y in (0.0, raster.lines)])
+    xy = np.column_stack(needed(raster.transform, "region.no_position") @ corners.T)
+    xy = xy if raster.crs is None else _reprojected(xy, raster.crs, crs, str(raster.path))
+    return float(np.abs(map_to_pixel(xy, transform, where=str(raster.path)) - corners).max())
+
+
 def named_crs(name: str, where: str) -> CRS:
     """The coordinate system of a name; InputError for one that is not known."""
     try:
@@ -248,7 +288,7 @@ def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path,
     left = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape).all()]
     if (left or not inside.all()) and not mask.any():
         raise outside_error(np.vstack([shapely.get_coordinates(left), points]), shape, where)
-    notes, pixels = [], int(mask.sum())
+    notes, pixels = [p for p in parts if isinstance(p, str)], int(mask.sum())
     part = _share_outside(polygons, shape) if left else 0.0  # to the millionth of a pixel of the border
     if part > 0.0:
         percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
@@ -273,9 +313,9 @@ def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> 
     return 1.0 - float(np.sum(shapely.area(inside))) / area if area > 0.0 else 0.0
 
 
-# A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, a mask of the image, or how many
-# pixels the region has as its file says.
-Part: TypeAlias = BaseGeometry | npt.NDArray[Any] | int
+# A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, a mask of the image, how many pixels
+# the region has as its file says, or what else is to be said of it.
+Part: TypeAlias = BaseGeometry | npt.NDArray[Any] | int | str
 Drawn = Iterator[tuple[str, str, Iterable[Part]]]  # what a file draws: a name, its place for messages, and the parts
 Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
@@ -446,7 +486,7 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
     under the band name.
     """
-    raster = raster_of_size(path, grid.shape, grid.name_field)
+    raster = raster_of_size(path, grid, grid.name_field)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
@@ -459,12 +499,18 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
     numbers = [int(v) for v in values if v != 0]
-    listed = [name.strip() for name in about.entries.get("class names", "").split(",")]
+    listed = [name.strip() for name in about.entries.get("class names", "").rstrip(", \n").split(",")]
+    classes = about.header.number("classes") if about.header is not None and listed != [""] else None
+    told = {"count": len(listed), "classes": classes, "names": ", ".join(listed)}
+    refuse(classes not in (None, len(listed)), "region.class_names", path, **told)
+    # What a program calls the pixels of no class.
+    left = int(np.sum(stored[0] == 0)) if not re.match(r"(un|no|back|mask|ignore|fill|0|$)", listed[0].lower()) else 0
+    note = [f"stands beside class 0, {listed[0]!r}, whose {left} pixels are taken as of no class"] if left else []
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
         name = listed[value] if 0 < value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
-        yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value]
+        yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value, *note]
 
 
 def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:

@@ -27,7 +27,7 @@ from hyperval.imagery.envi import crs_of, transform_of
 from hyperval.imagery.products import NO_MAP, described_beside
 from hyperval.paths import checked_file
 from hyperval.storage import number_of
-from hyperval.units import in_nm
+from hyperval.units import in_nm, only_wavelength_unit
 
 MAX_BANDS = 20_000
 MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
@@ -127,13 +127,13 @@ def _bands_in_tags(dataset: Any, path: Path) -> ListedBands | None:
     centre, rounded = _numbers(texts, "wavelength", path), _numbers(texts, "central_wavelength_um", path)
     width, rounded_width = _numbers(texts, "fwhm", path), _numbers(texts, "fwhm_um", path)
     units = set(texts.get("wavelength units", ())) - {""}
-    if len(units) > 1 and any(in_nm(unit) is not None for unit in units):  # others are no units at all
+    if sum(in_nm(unit) is not None for unit in units) > 1:  # others are no units at all
         centre = width = None
     unit, notes = units.pop() if len(units) == 1 else None, []
     to_nm = in_nm(unit)
     if centre is None and rounded is None:
         named = wavelengths_in_names([name or "" for name in dataset.descriptions])
-        if named is None or (to_nm := in_nm(named[1])) is None:
+        if named is None or (named[1] is None and only_wavelength_unit(named[0]) is None):
             return None
         (centre, unit), width = named, None
         notes.append("no tag lists wavelengths: those in the names of the bands are taken")

@@ -412,7 +412,7 @@ class _Site:
         for material, reference in rasters.materials.items():
             found = self.read(self.resolve(reference), VectorSource(), ())
             masks[material] = np.any([np.zeros(shape, bool), *(region.mask for region in found.values())], axis=0)
-        sizes = imagery.raster_of_size(self.resolve(rasters.size_classes), shape).read_bands(0, shape[0])
+        sizes = imagery.raster_of_size(self.resolve(rasters.size_classes), self.cube).read_bands(0, shape[0])
         return imagery.intersected_objects(masks, sizes.reshape(-1, shape[1]), rasters.side_m)  # of one band
 
     def _drawn(self, truth: TargetTruth) -> tuple[list[TargetObject], list[str]]:
@@ -556,7 +556,7 @@ def image_targets(
         images = _cells(raster, path, truth.classes)
     else:
         grid, error = FinerGrid(0.0, 0.0, 1.0, 1.0), 0.0
-        images = _abundances(truth, imagery.raster_of_size(path, cube.shape), path)
+        images = _abundances(truth, imagery.raster_of_size(path, cube), path)
     out: list[TargetObject] = []
     for material, cells in images:
         listed = list(islice(patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
@@ -693,7 +693,7 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
     ------
     InputError : another size than the cube's, no such band, or a number that no pixel has.
     """
-    raster, first = imagery.raster_of_size(path, cube.shape), 1 if source.band is None else source.band
+    raster, first = imagery.raster_of_size(path, cube), 1 if source.band is None else source.band
     return {name: Region(name, mask, str(path)) for name, mask in _cells(raster, path, source.classes, first)}
 
 

@@ -34,7 +34,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark
-from hyperval.imagery import TargetObject, raster_of_size
+from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, detect, interval_of_mean, object_scores
@@ -665,7 +665,7 @@ def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
         path = Path(file.replace("{campaign}", campaign))
 
         def image(values: Any, scene: Any) -> Any:
-            raster = raster_of_size(path, values.shape[:2])
+            raster = raster_of_size(path, ImageGrid(values.shape[:2]))
             return raster.read_some_bands(0, raster.lines, [0])[0].astype(float)
 
         return detect.PixelDetector(np.zeros((1, mean.size)), np.zeros(1), image=image)

@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, to_internal, wavelength_unit_note
+from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, to_internal
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
 
@@ -136,9 +136,9 @@ def wavelengths_in_nm(
     unit, ends = text or given or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
     unit = needed(unit, "wavelengths.unstated", where, **ends)
     nm, (low, high) = values * to_internal(unit, "wavelength"), PLAUSIBLE_NM
-    plausible = bool(np.all((nm >= low) & (nm <= high)))
-    refuse(not plausible, "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
-    return nm, unit, () if text or given else (wavelength_unit_note(values, unit),)
+    refuse(not plausible(nm), "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
+    note = f"the file states no wavelength unit: {ends['least']:g} to {ends['most']:g} can only be {unit}"
+    return nm, unit, () if text or given else (note,)
 
 
 def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> Array:

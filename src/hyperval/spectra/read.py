@@ -77,12 +77,10 @@ def read_spectrum(
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
     path = checked_file(path, root=root, what="spectrum file")
-    beside = text.wavelengths_beside(path) if wavelengths is None and columns is None else None
-    if wavelengths is None and beside is None:
+    if wavelengths is None:
         chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
     else:
-        grid = checked_file(beside or str(wavelengths), root=root, what="wavelength file")
-        chosen = text.usgs_record(path, grid, beside is not None)
+        chosen = text.usgs_record(path, checked_file(wavelengths, root=root, what="wavelength file"))
     return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 
@@ -203,6 +201,13 @@ def _refused(file: _File) -> list[FieldSpectrum]:
     raise refusal("record.format", file.path, name=name, known=_expected())
 
 
+def _usgs_record(file: _File) -> FieldSpectrum:
+    """The spectrum of a file of one column, at the wavelengths that lie beside it."""
+    grid = checked_file(text.wavelengths_beside(file.path) or "", root=file.root, what="wavelength file")
+    note = f"wavelengths from {grid.name}, which lies beside it"
+    return replace(text.usgs_record(file.path, grid), notes=(note,))
+
+
 def _begins(*marks: bytes) -> Callable[[_File], bool]:
     return lambda file: file.head.startswith(marks)
 
@@ -228,6 +233,10 @@ FORMATS = (
     Format(
         "ENVI spectral library with its header", lambda f: header_beside(f.path),
         lambda f: binary.envi_library(f.path, read_header(header_beside(f.path) or f.path), f.root),
+    ),
+    Format(
+        "USGS text of one column", lambda f: f.columns is None and text.wavelengths_beside(f.path),
+        lambda f: [_usgs_record(f)],
     ),
     Format(
         "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),

@@ -145,7 +145,8 @@ def _check_reflectance(record: FieldSpectrum, factor: float) -> None:
         raise refusal("spectrum.fill", record.source, count=marks.sum(), mark=record.values[marks][0])
     middle = float(np.median(record.values)) * factor
     name = "scaled:10000" if middle > 150.0 else "percent"
-    refuse(middle > PLAUSIBLE_REFLECTANCE, "spectrum.percent", record.source, middle=middle, name=name)
+    told = {"of": record.name, "middle": middle, "name": name}
+    refuse(middle > PLAUSIBLE_REFLECTANCE, "spectrum.percent", record.source, **told)
 
 
 def _without_gaps(record: FieldSpectrum) -> FieldSpectrum:

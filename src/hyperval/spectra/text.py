@@ -32,8 +32,12 @@ _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
 _WHOLE = re.compile(r"^[-+]?[0-9]+$")
 _END = re.compile(r"^>+\s*End\b")  # of the numbers, in files of Ocean Optics
 _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
-_SPREAD = re.compile(r"stand\w*[ _.]*dev|std|(?<![a-z])sd(?![a-z])|sigma|uncertainty", re.IGNORECASE)
-_WAVE = re.compile(r"wave|wvl|lambda", re.IGNORECASE)
+# Of the words of a title: those that say standard deviation, and those that name nothing of their own.
+_SPREAD = re.compile(
+    r"\b(st(d|and|andard)? dev[a-z]*|std(d?ev|v)?( err(or)?)?|sd|(1 )?sigma|(standard )?uncertaint(y|ies))\b"
+)
+_NOTHING = re.compile(r"\b(mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent|n \d+|k 1)\b")
+_WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
 # What titles say of values that are no reflectance.
 _QUANTITIES = {
@@ -44,15 +48,24 @@ _QUANTITIES = {
     "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
     r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed)",
 }
-_NM = re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE)
-_UM = re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE)
+_POWER = re.compile(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", re.IGNORECASE)
+_WAVELENGTH_UNITS = {
+    "nm": re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE),
+    "um": re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE),
+    "angstrom": re.compile(r"[aå]ngstr[oö]m|[\[(]\s*(?-i:[AÅ\u212b])\s*[\])]", re.IGNORECASE),
+}
 
 
 def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[FieldSpectrum]:
     """Spectra of a text file: the first column is the wavelength, the others values.
 
-    A column whose title says standard deviation belongs to the one before it; a column that repeats the
-    wavelengths is left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
+    A column that is the standard deviation of another belongs to it; one that is called n and holds one whole number
+    says how many replicates there are.  Other wavelengths may begin a column of their own; one that repeats them is
+    left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
+
+    >>> text = "wl_a,mean,sd,n,wl_b,tile\\n400,0.1,0.01,25,401,0.5\\n500,0.2,0.01,25,501,0.5\\n"
+    >>> [(r.name, r.n, r.wavelength_nm.tolist(), r.values.tolist()) for r in text_records(text, Path("a.csv"))]
+    [('mean', 25, [400.0, 500.0], [0.1, 0.2]), ('tile', 25, [401.0, 501.0], [0.5, 0.5])]
     """
     header, table, first_line = number_table(text, path)
     titles, where, whole, spread = _titles(header, table.shape[1]), str(path), "\n".join(header), dict[int, int]()
@@ -66,29 +79,59 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         counts = len(titles) > 2 and _WAVE.search(titles[1]) and not _WAVE.search(titles[0])
         if counts and table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0):
             table, titles = table[:, 1:], titles[1:]
-        for i in range(2, len(titles)):
-            if _SPREAD.search(titles[i]) and i - 1 not in spread.values():
-                spread[i - 1] = i
+        spread = _deviations(titles)
     refuse(table.shape[1] < 2, "text.single", f"{path}:{first_line}")
     nm = table[:, 0]
     ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(whole, f"{key} X Value") or "")]
     check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
     replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
     unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
-    n, records = int(replicates[1]) if replicates else None, list[FieldSpectrum]()
+    counted = [i for i in range(2, len(titles)) if _names(titles[i])[0] in ("n", "count", "number", "replicates")]
+    counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
+    n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
+    records, others = list[FieldSpectrum](), {*spread.values(), *counted}
     for i in range(1, table.shape[1]):
-        if i in spread.values() or (i > 1 and np.array_equal(table[:, i], nm)):
+        steps = np.diff(table[:, i])
+        if i > 1 and _WAVE.search(titles[i]) and (np.all(steps > 0) or np.all(steps < 0)):
+            nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
+        if i in others or (i > 1 and np.array_equal(table[:, i], nm)):
             continue
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
         record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], where, unit)
-        if columns is None and _SPREAD.search(titles[i]):
+        named, is_spread = _names(titles[i])
+        if columns is None and is_spread and (not named or len(titles) == 2):
             record = replace(record, quantity="a standard deviation")
         notes = ("a standard deviation of 0 everywhere is none",) if unmeasured else ()
         records.append(replace(record, standard_deviation=None if unmeasured else beside, n=n, notes=notes))
     if len(records) == 1:
         return [replace(r, name=path.stem if r.name in ("", *titles) else r.name) for r in records]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
+
+
+def _names(title: str) -> tuple[str, bool]:
+    """What a title names beside what any column might be called, and whether it says standard deviation."""
+    bare = _POWER.sub(lambda m: "" if power_unit(m.group().strip()) else m.group(), title)
+    words = " ".join(re.findall(r"[^\W\d_]+|\d+", re.sub("(?<=[a-z])(?=[A-Z])", " ", bare))).lower()
+    return " ".join(_NOTHING.sub("", _SPREAD.sub("", words)).split()), _SPREAD.search(words) is not None
+
+
+def _deviations(titles: list[str]) -> dict[int, int]:
+    """Column of a mean -> that of its standard deviation, which names the same, or nothing and stands behind it.
+
+    >>> _deviations(["nm", "grass", "soil", "SD_grass", "Soil (std)"]), _deviations(["nm", "tile", "StdDev: N = 68"])
+    ({1: 3, 2: 4}, {1: 2})
+    >>> [_deviations(["nm", *two]) for two in (("NY_grass", "SD_grass"), ("train", "testdata"), ("a", "Westdale"))]
+    [{}, {}, {}]
+    """
+    found, means, is_spread = dict[int, int](), dict[str, int](), True
+    for i, title in enumerate(titles[1:], start=1):
+        behind, (name, is_spread) = 0 if is_spread else i - 1, _names(title)
+        if not is_spread:
+            means[name] = i
+        elif mean := means.pop(name, behind * (not name)):
+            found.setdefault(mean, i)
+    return found
 
 
 def _of_column(says: str, name: str, wavelength: Array, values: Array, where: str, unit: str | None) -> FieldSpectrum:
@@ -177,8 +220,15 @@ def check_last_line(text: str, where: str) -> None:
 
 
 def percent_in(title: str) -> str | None:
-    """The unit of a reflectance that a column title states, None when it states none."""
-    units = (r"%\s*\*\s*100", "scaled:10000"), ("%|percent", "percent"), (r"\[1(\.0)?\]|fraction", "fraction")
+    """The unit of a reflectance that a column title states, None when it states none.
+
+    A percent behind a number is part of a name.
+
+    >>> [percent_in(t) for t in ("reflectance (%)", "% reflectance", "plot 99% [%]", "plot 99%", "5 % grey")]
+    ['percent', 'percent', 'percent', None, None]
+    """
+    percent = r"(?:^|[^0-9\s])\s*(?:%|percent)"
+    units = (r"%\s*\*\s*100", "scaled:10000"), (percent, "percent"), (r"\[1(\.0)?\]|fraction", "fraction")
     return next((unit for said, unit in units if re.search(said, title, re.IGNORECASE)), None)
 
 
@@ -196,6 +246,9 @@ def quantity_in(title: str) -> str:
 def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     """Wavelength unit in the title of the first column, else in an "X Units" or "Wavelength" header line.
 
+    >>> [wavelength_unit_in(t, "", "a.csv") for t in ("Wavelength (Angstrom)", "wvl [A]", "wavelength nm", "wave")]
+    ['angstrom', 'angstrom', 'nm', None]
+
     Raises
     ------
     InputError : they say wavenumbers.
@@ -203,9 +256,9 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     states = r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
     lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
     for line in lines:
-        nm, um = bool(_NM.search(line)), bool(_UM.search(line))
-        if nm != um:
-            return "nm" if nm else "um"
+        units = [unit for unit, said in _WAVELENGTH_UNITS.items() if said.search(line)]
+        if len(units) == 1:
+            return units[0]
         refuse(_WAVENUMBER.search(line), "text.wavenumbers", where, text=line[:60])
     return None
 
@@ -215,7 +268,7 @@ def power_unit_in(text: str) -> str | None:
 
     None where the text holds none that is known.
     """
-    match = re.search(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", text, re.IGNORECASE)
+    match = _POWER.search(text)
     return None if match is None else power_unit(match.group().strip())
 
 
@@ -254,7 +307,8 @@ def _titles(header: list[str], count: int) -> list[str]:
     titles = _split_titles(header[-1], count)
     if any(titles):
         above = _split_titles(header[-2], count) if len(header) > 1 and all(map(_UNIT_TITLE.match, titles)) else []
-        return [f"{a} {t}".strip() for a, t in zip(above, titles, strict=True)] if any(above) else titles
+        units = [f"[{t}]" if t[:1] not in "[(" else t for t in titles]
+        return [f"{a} {u}".strip() for a, u in zip(above, units, strict=True)] if any(above) else titles
     for line in reversed(header[:-1]):
         further = _split_titles(line, count)
         if _WAVE.match(further[0]):
@@ -307,9 +361,14 @@ def _delimiter(line: str) -> str:
 def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     """The spectra of a table with one in each row.
 
-    A name comes from the first column of an obvious title whose values differ, else the spectra are numbered.  The
+    A name comes from the first column of an obvious title whose values differ, or the first of all where they are
+    no numbers; else the spectra are numbered.  The
     columns ``Wavelength Units`` and ``Measurement Units`` are read where they stand; a percent that the values
     contradict is not believed, and the unit must be stated.
+
+    >>> text = "Wavelength,400,500,600,700\\ngrass,0.1,0.1,0.1,0.1\\nsoil,0.2,0.2,0.2,0.2"
+    >>> [record.name for record in row_records(text, Path("a.csv"))]
+    ['grass', 'soil']
 
     Raises
     ------
@@ -332,7 +391,8 @@ def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     refuse(not rows, "text.no_spectrum", path)
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
-    named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), None)
+    first_of_all = 0 if 0 in differ and all(_value(cell) is None for cell in columns[0]) else None
+    named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), first_of_all)
     names = columns[named] if named is not None else [f"row {i}" for i in range(1, len(rows) + 1)]
     records = []
     for name, (where, cells) in zip(names, rows, strict=True):
@@ -497,20 +557,16 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpe
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
-def usgs_record(path: Path, grid: Path, beside: bool) -> FieldSpectrum:
-    """A spectrum of a library that keeps values and wavelengths in files of one column each.
-
-    ``beside`` says that the wavelengths were found in the folder, and not named.
-    """
+def usgs_record(path: Path, grid: Path) -> FieldSpectrum:
+    """A spectrum of a library that keeps values and wavelengths in files of one column each."""
     header, values, _ = number_table(decoded(path.read_bytes()), path)
     grid_header, wavelength, _ = number_table(decoded(grid.read_bytes()), grid)
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     unit = wavelength_unit_in(" ".join(grid_header), "", str(grid))
-    note = (f"wavelengths from {grid.name}, which lies beside it",) if beside else ()
     record = FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], source=str(path))
-    return replace(record, wavelength_unit=unit, notes=note)
+    return replace(record, wavelength_unit=unit)
 
 
 def wavelengths_beside(path: Path) -> Path | None:
