@@ -625,14 +625,15 @@ class Reasoner:
         return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
 
     def _alone(self, candidate: Candidate, e: Array) -> float:
-        """Chi-square that a cause leaves by itself; what no candidate describes comes last.
+        """Chi-square that a cause leaves by itself; what could make anything, or no candidate describes, comes last.
 
         >>> tilt = Candidate("tilt", "sensor", "1 %", False)
         >>> known = Reasoner({tilt: np.eye(3)[:, :1]}, np.eye(3), noisy=False)
-        >>> [round(known._alone(one, np.array([9.0, 0.0, 4.0])), 1) for one in (tilt, UNKNOWN)]
-        [18.0, inf]
+        >>> bands = Candidate("single bands", "sensor", "1 % in each band", False)
+        >>> [round(known._alone(one, np.array([9.0, 0.0, 4.0])), 1) for one in (tilt, bands, UNKNOWN)]
+        [18.0, inf, inf]
         """
-        if candidate is UNKNOWN:
+        if candidate is UNKNOWN or candidate.makes_anything:
             return np.inf
         fit = effect_of(candidate, self.columns[candidate]).fit(e)
         return float(np.sum(_after(fit, e - fit.made) ** 2))
@@ -665,9 +666,9 @@ class Reasoner:
             if one and abs(float(f.shown @ best.shown)) > CORRELATED * lengths:
                 near.add(f.name)
         if not self.noisy:  # without chance, what explains a change nearly as well by itself is as good a reason
-            left = {f.name: float(np.sum(_after(f, e - f.made) ** 2)) for f in singles if not f.limited}
-            most = min(ALIKE * left.get(first, 0.0), REMAINDER * float(e @ e))
-            near |= {name for name, rest in left.items() if rest <= most}
+            able = [f for f in singles if not (f.limited or f.candidate.makes_anything)]
+            left = {f.name: float(np.sum(_after(f, e - f.made) ** 2)) for f in able}
+            near |= {n for n, rest in left.items() if rest <= min(ALIKE * left.get(first, 0.0), REMAINDER * e @ e)}
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
 
