@@ -656,8 +656,7 @@ class Reasoner:
         >>> [Reasoner(nearly, np.eye(9), noisy=noisy).posterior("all", change).alike for noisy in (True, False)]
         [(), ('wave',)]
         """
-        best = next((f for f in singles if f.name == first), None)
-        if best is None:
+        if (best := next((f for f in singles if f.name == first), None)) is None:
             return ()
         near = {f.name for f in singles if probability[f.name] * ALIKE > probability[first]}
         for f in singles:
@@ -668,7 +667,8 @@ class Reasoner:
         if not self.noisy:  # without chance, what explains a change nearly as well by itself is as good a reason
             able = [f for f in singles if not (f.limited or f.candidate.makes_anything)]
             left = {f.name: float(np.sum(_after(f, e - f.made) ** 2)) for f in able}
-            near |= {n for n, rest in left.items() if rest <= min(ALIKE * left.get(first, 0.0), REMAINDER * e @ e)}
+            most = min(ALIKE * left.get(first, 0.0), REMAINDER * float(e @ e))
+            near |= {name for name, rest in left.items() if rest <= most}
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
 
