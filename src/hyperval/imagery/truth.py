@@ -119,7 +119,7 @@ def read_targets(
     of its lookup table); ``side_m`` or ``width_m`` with ``length_m``; optionally ``shape`` (``square``,
     ``rectangle``, or ``circle`` and ``ellipse``, whose side, width and length are diameters), ``area_m2``,
     ``heading_deg`` (of the length, clockwise from the direction of decreasing line; from grid north for
-    ``easting,northing`` with a lookup table) and ``position_uncertainty_m``, which widens the mask.
+    ``easting,northing``) and ``position_uncertainty_m``, which widens the mask.
     The mask holds every pixel that the target's outline touches.  Where no size is known the uncertainty of the
     position stands alone: the mask holds every pixel whose centre is that near to the centre of the target's pixel.
 
@@ -188,19 +188,25 @@ def _size(number: Mapping[str, float], where: str) -> tuple[float, float, float]
 def _position(
     number: Mapping[str, float], place: tuple[str, str], transform: Position, pixel_m: float, sides: Array, where: str
 ) -> tuple[tuple[float, float], Array]:
-    """Centre (sample, line) and corners (n, 2) of a target, in continuous pixel coordinates."""
+    """Centre (sample, line) and corners (n, 2) of a target, in continuous pixel coordinates.
+
+    >>> turned = Affine.rotation(30.0) @ Affine.scale(2.0, -2.0)  # of which the lines run from 30 degrees west of north
+    >>> number = {"easting": 0.0, "northing": 0.0, "heading_deg": 20.0}
+    >>> _position(number, ("easting", "northing"), turned, 2.0, np.array([(2.0, 0.0)]), "")[1].round(3).tolist()
+    [[0.766, -0.643]]
+    """
     first, second = number[place[0]], number[place[1]]
     refuse(math.isnan(first) or math.isnan(second), "target.place", where, place=place)
     heading = 0.0 if math.isnan(number["heading_deg"]) else number["heading_deg"]
     if (shift := _PLACES[place]) is not None:
         x, y = second + shift, first + shift
-    else:
-        x, y = roi.map_to_pixel([(first, second)], transform, where=where)[0]
-        if isinstance(transform, LookupTable):
-            around = _outline((0.0, 0.0), sides, transform.metres_per_unit, heading)
-            on_map = np.array([first, second]) + around * (1.0, -1.0)  # lines run down, northings up
-            return (x, y), roi.map_to_pixel(on_map, transform, where=where)
-    return (x, y), _outline((x, y), sides, pixel_m, heading)
+        return (x, y), _outline((x, y), sides, pixel_m, heading)
+    unit_m = pixel_m / math.sqrt(abs(transform.determinant)) if isinstance(transform, Affine) else 1.0
+    unit_m = transform.metres_per_unit if isinstance(transform, LookupTable) else unit_m
+    around = _outline((0.0, 0.0), sides, unit_m, heading) * (1.0, -1.0)  # lines run down, northings up
+    on_map = np.array([first, second]) + np.vstack([(0.0, 0.0), around])
+    (x, y), *corners = roi.map_to_pixel(on_map, transform, where=where)
+    return (x, y), np.array(corners)
 
 
 # Points (along, across) of figures of unit size.
