@@ -110,7 +110,7 @@ def _cube(path: Path, quantity: str = "other", axis: str | None = None) -> None:
 
 def _truth(path: Path) -> None:
     """Truth of a simulation, in the size of a cube that has nothing else to do with it."""
-    size = cast("Cube", SimpleNamespace(lines=SHAPE[0], samples=SHAPE[1], shape=SHAPE))
+    size = cast("Cube", SimpleNamespace(lines=SHAPE[0], samples=SHAPE[1], shape=SHAPE, transform=None, crs=None))
     source = RegionSource(file=path.name, band="material*", classes={"grass": 3, "asphalt": 12})
     for region in material_regions(source, size, path).values():
         if region.mask.shape != SHAPE or not region.mask.any():
