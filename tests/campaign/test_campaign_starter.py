@@ -191,6 +191,7 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_pa
 def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, region, records, matched):
     stored = np.random.default_rng(3).normal(600.0, 40.0, (20, 20, W.size)).round()
     cube = written(tmp_path / "line_refl.img", stored)
+    (header := cube.with_suffix(".hdr")).write_text(header.read_text().replace("450.0, 460.0", "460.0, 450.0"))
     shape = {"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [9, 9], [0, 9], [0, 0]]]}
     features = [{"type": "Feature", "properties": {"name": region}, "geometry": shape}]
     (tmp_path / "regions.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}))
@@ -200,7 +201,6 @@ def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, region, recor
     assert cli.run(["init", "--cube", str(cube), "--regions", str(tmp_path / "regions.geojson"), "--spectra",
                     str(tmp_path / "field.csv"), "-o", str(tmp_path / "new")]) == 0  # fmt: skip
     content = yaml.safe_load((tmp_path / "new" / "campaign.yaml").read_text())
-    assert content["collection"]["cube"]["scale"] == 0.0001  # of integers
-    drafted = content.get("scenarios", [])
-    found = [surface["spectrum"].get("record") for scenario in drafted for surface in scenario["scene"]["classes"]]
+    assert {"scale": 0.0001, "sort_bands": True}.items() <= content["collection"]["cube"].items()  # of integers
+    found = [s["spectrum"].get("record") for one in content.get("scenarios", []) for s in one["scene"]["classes"]]
     assert found == [matched][: matched is not None]  # nothing is predicted, or compared, without one

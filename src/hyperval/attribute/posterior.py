@@ -439,7 +439,14 @@ class Posterior:
 
     @property
     def _causes(self) -> str:
-        """ "check the time of overflight (+1 h explains 94 % of the difference), then the sensor gain (x 1.02)" """
+        """ "check the time of overflight (+1 h explains 94 % of the difference), then the sensor gain (x 1.02)"
+
+        >>> one, gain = np.eye(8)[:, :1], Candidate("gain", "sensor", "1 %", False)
+        >>> h = Hypothesis((effect_of(gain, one).fit(30.0 * one[:, 0]),), 0.0, (4.0,))
+        >>> said = [Posterior("all", 1e3, 8, 0.0, (), (h,), {"gain": p, NOTHING: 1.0 - p})._causes for p in (1.0, 0.6)]
+        >>> [words.partition("explains ")[2] for words in said]
+        ['100 % of the difference); sufficient', 'over 99 % of the difference); possibly not sufficient']
+        """
         first, *more = self.best.causes
         percent = max(100.0 - 100.0 * self.best.left[0] / self.chi_square, 0.0)
         part = "over 99" if percent >= 99.5 and not self.enough else f"{percent:.0f}"

@@ -747,6 +747,13 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     ('', '')
     >>> next(_posterior_rows(replace(since, group=ALL, chi_square=40.0, p_value=0.47))).reason
     'nothing to explain: reduced chi-square 1 of 40 residuals (p = 0.47)'
+    >>> from hyperval.attribute.posterior import effect_of
+    >>> one = np.eye(2)[:, :1]
+    >>> a, b = (effect_of(Candidate(name, "sensor", "1 %", False), one).fit(9.0 * one[:, 0]) for name in "ab")
+    >>> likely = {NOTHING: 0.0, NONE: 0.0, "a": 0.2, "b": 0.8}
+    >>> both = Posterior(ALL, 81.0, 2, 0.0, (a, b), (Hypothesis((b,), 0.0, (0.1,)),), likely)
+    >>> [(x.method, x.reason[:6]) for x in _posterior_rows(both) if x.metric == "probability" and x.reason]
+    [('b', 'rank 1'), ('a', 'rank 2')]
     """
     # The test of all products together concludes too, and informs.
     words = r.remark + UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion

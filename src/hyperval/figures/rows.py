@@ -73,6 +73,11 @@ def effect_text(row: Result) -> str:
 
 
 def _sign(row: Result) -> str:
+    """
+    >>> names = "median_difference_ratio_windows", "median_abs_difference_ratio_windows"
+    >>> [_sign(Result("", "radiance", "lawn", "", name, ideal=0.0)) for name in names]
+    ['+', '']
+    """
     return "+" if row.ideal == 0.0 and metric_of(row.metric).low < 0.0 else ""  # a size has no side
 
 

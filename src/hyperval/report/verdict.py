@@ -196,7 +196,14 @@ def _never_met(gates: Sequence[Result]) -> str:
 
 
 def _which_to_believe(rows: Sequence[Result]) -> str:
-    """What a user should take from criteria that are met beside tests of the stated uncertainty that are not."""
+    """What a user should take from criteria that are met beside tests of the stated uncertainty that are not.
+
+    >>> failed = {"outcome": Outcome.DISAGREES}
+    >>> wide = Result("", "radiance", "lawn", "", "p_value_full", 0.9999, cause=Cause.TOO_WIDE, **failed)
+    >>> off = Result("", "radiance", "lawn", "", "bias_ratio", 0.06, **failed)
+    >>> [_which_to_believe(rows)[:15] for rows in ([wide], [wide, off])]
+    ['Budget too wide', '']
+    """
     tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
     met = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and row.outcome is Outcome.AGREES]
     failed = (row for row in rows if row.outcome is Outcome.DISAGREES and not tests_the_uncertainty(row))
