@@ -91,14 +91,18 @@ def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
 
 
 def path_parts(path: str) -> list[str]:
-    """The path cut at its dots; a name that holds dots stands in square brackets: ``classes.[dark 0.5 m].gain``."""
+    """The path cut at its dots; a name that holds dots stands in square brackets: ``classes.[dark 0.5 m].gain``.
+
+    >>> path_parts("scene.classes.[grass [dry]].gain"), path_parts("a.[b.c]")
+    (['scene', 'classes', 'grass [dry]', 'gain'], ['a', 'b.c'])
+    """
     parts: list[str] = []
     rest = path
     while rest:
         if rest.startswith("["):
-            word, bracket, rest = rest[1:].partition("]")
-            refuse(not bracket or (rest and not rest.startswith(".")), "setting.bracket", path=path)
-            rest = rest[1:]
+            end = (rest + ".").find("].")  # a name may hold brackets
+            refuse(end < 0, "setting.bracket", path=path)
+            word, rest = rest[1:end], rest[end + 2 :]
         else:
             word, _, rest = rest.partition(".")
         parts.append(word)

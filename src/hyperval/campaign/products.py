@@ -211,7 +211,7 @@ class Collected:
 def collected(
     job: Job, *, question: Callable[[Sequence[Scenario], InputLog], Campaign] | None = None
 ) -> Iterator[Collected]:
-    """model.Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
+    """Read the scenarios of a campaign, simulate its collection where it is simulated, and observe it once.
 
     Parameters
     ----------
