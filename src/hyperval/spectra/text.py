@@ -61,11 +61,15 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
 
     A column that is the standard deviation of another belongs to it; one that is called n and holds one whole number
     says how many replicates there are.  Other wavelengths may begin a column of their own; one that repeats them is
-    left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.
+    left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.  A standard deviation is in the unit of
+    its mean: one that says another is refused.
 
     >>> text = "wl_a,mean,sd,n,wl_b,tile\\n400,0.1,0.01,25,401,0.5\\n500,0.2,0.01,25,501,0.5\\n"
     >>> [(r.name, r.n, r.wavelength_nm.tolist(), r.values.tolist()) for r in text_records(text, Path("a.csv"))]
     [('mean', 25, [400.0, 500.0], [0.1, 0.2]), ('tile', 25, [401.0, 501.0], [0.5, 0.5])]
+    >>> text_records("nm,refl,std (%)\\n400,0.1,1\\n500,0.2,2\\n", Path("a.csv"))
+    Traceback (most recent call last):
+    hyperval.errors.InputError: a.csv: 'std (%)' states another unit than the mean that it belongs to...
     """
     header, table, first_line = number_table(text, path)
     titles, where, whole, spread = _titles(header, table.shape[1]), str(path), "\n".join(header), dict[int, int]()
@@ -99,6 +103,8 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
         record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], where, unit)
+        own = percent_in(titles[spread[i]]) if i in spread else None
+        refuse(own not in (None, record.unit or "fraction"), "text.spread", where, title=titles[spread.get(i, 0)])
         named, is_spread = _names(titles[i])
         if columns is None and is_spread and (not named or len(titles) == 2):
             record = replace(record, quantity="a standard deviation")
