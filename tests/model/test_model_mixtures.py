@@ -133,7 +133,7 @@ def test_detections_are_those_of_drawn_pixels(dof, host, fill):
 
 
 @pytest.mark.parametrize(("dof", "host"), [(None, "asphalt"), (3.0, "asphalt"), (np.inf, "grass"), (5.0, "grass")])
-@pytest.mark.parametrize("fill", ["{fixed: 0.1}", SQUARE])
+@pytest.mark.parametrize("fill", ["{fixed: 0.1}", SQUARE, SQUARE.replace("ranked, n: 3", "touched")])
 def test_drawn_objects_have_the_law_of_their_curve(dof, host, fill):
     components = two_clusters(dof if host == "grass" else np.inf)
     made, _ = run(scene(fill, (dof or "null") if host == "asphalt" else "null", host=host), components, objects=True)

@@ -263,9 +263,9 @@ def test_an_empty_pixel_of_clusters_is_biased_by_each_of_them():
     gain = DIRECTION / (DIRECTION @ DIRECTION)
     sd = 0.5 * np.sqrt(gain @ SPREAD @ gain)
     expected = parts @ (ends * norm.cdf(ends / sd) + sd * norm.pdf(ends / sd))
-    area = predicted({"fixed": 1e-9}, clusters=clusters, draws=40_000).area_m2
+    area = predicted({"listed": [[1e-9] * 3, [1e-9]]}, clusters=clusters, draws=40_000).area_m2  # two pixels on average
     # A share of a tenth of 40,000 draws from a pool of each is known to 0.0015: 3 % is two of it and more.
-    assert area == pytest.approx(4.0 * expected, rel=0.03)
+    assert area == pytest.approx(2.0 * 4.0 * expected, rel=0.03)
 
 
 def test_whole_objects_have_their_own_fills():

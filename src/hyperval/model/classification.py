@@ -283,13 +283,13 @@ def predicted_areas(
         if population is None:
             continue
         rng = np.random.default_rng([seed, number])
-        pixels, endmembers = _objects(population, item, prediction, world, index, draws, rng)
+        pixels, endmembers, absent = _objects(population, item, prediction, world, index, draws, rng)
         for method, factor in noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
-            area = abundance.sum(axis=1) * pixel_area_m2
+            area = np.where(absent, 0.0, abundance).sum(axis=1) * pixel_area_m2
             spread = float(area.std(ddof=1)) / np.sqrt(item.objects)
             out[item.subject, labelled(method, item.endmembers)] = Abundance(
-                float(area.mean()), float(spread), pixels.shape[1], item.nominal_m2
+                float(area.mean()), float(spread), round((~absent).sum(axis=1).mean()), item.nominal_m2
             )
     return out
 
@@ -302,8 +302,10 @@ def _objects(
     index: Index,
     draws: int,
     rng: np.random.Generator,
-) -> tuple[Array, Array]:
-    """Pixels (draws, n, F) of drawn objects and the endmembers (draws, 2, F) that each is unmixed with."""
+) -> tuple[Array, Array, Mask]:
+    """Pixels (draws, n, F) of drawn objects, the endmembers (draws, 2, F) that each is unmixed with, and which of the
+    pixels (draws, n) it has not, as it has fewer.
+    """
     stated = world.stated
     target = next(t for t in stated.targets if t.name == item.scenario_target)
     number = world.surface(target.name)
@@ -318,7 +320,8 @@ def _objects(
     spectrum = item.spectrum[index]
     spread = ClassLaw(np.zeros(index.size), _full_rank(cut(stated.surfaces[target.name].covariance, index)))
     fills = fills_of_objects(population.fill)
-    f = fills[rng.integers(fills.shape[0], size=draws)][..., None]
+    drawn = fills[rng.integers(fills.shape[0], size=draws)]
+    f = np.nan_to_num(drawn)[..., None]
     background = _of_host(laws or [(1.0, law)], f.shape[:2], rng)
     material = _from_pool(spread, f.shape[:2], rng)
     material += spectrum + moved[index]
@@ -332,7 +335,7 @@ def _objects(
     material -= background
     material *= f
     material += background
-    return material, endmembers
+    return material, endmembers, np.isnan(drawn)
 
 
 def _of_host(laws: Sequence[tuple[float, ClassLaw]], shape: tuple[int, ...], rng: np.random.Generator) -> Array:

@@ -312,9 +312,11 @@ class Evaluation(Keeps):
     def _scores(self, target: int, detector: str, fills: FillDistribution) -> RocScores:
         rows, response = self.responses(target, detector, target)
         gain = np.broadcast_to(self.world.column("target_gain")[:, target], len(self))
-        means, sds = response.at(fills.values, gain, rows, self.shift)
+        values = np.nan_to_num(fills.values)
+        means, sds = response.at(values, gain, rows, self.shift)
+        means[np.broadcast_to(np.isnan(fills.values), means.shape)] = -np.inf  # no pixel, which never passes
         bare = response.means[rows, 0], response.variances(gain, rows)[:, 0]
-        host = self.host(target, detector, np.arange(len(self)), 1.0 - fills.values, *bare)
+        host = self.host(target, detector, np.arange(len(self)), 1.0 - values, *bare)
         if fills.shape is not None:
             means, sds = (x.reshape(-1, *fills.shape) for x in (means, sds))
         return RocScores(*self.classes(target, detector), means, sds, wide(fills.weights, len(self)), host)
@@ -423,18 +425,19 @@ class AcePixels(NamedTuple):
     at_nodes: list[Exceedance]
 
     def any_of(self, fills: Array, weights: Array) -> Exceedance:
-        """Probability that any of the pixels with ``fills`` (K, n) passes, averaged with ``weights`` (K,).
+        """Probability that any of the pixels with ``fills`` (K, n), NaN: none, passes, averaged with ``weights`` (K,).
 
         >>> pixel = Exceedance(np.array([0.5]), np.array([0.4]), np.zeros(1))
-        >>> of_two = AcePixels(pixel, np.array([0.1, 0.2]), [pixel, pixel]).any_of(np.array([[0.1, 0.2]]), np.ones(1))
-        >>> of_two.probability.round(9).tolist()
-        [0.64]
+        >>> of_two = AcePixels(pixel, np.array([0.1, 0.2]), [pixel, pixel])
+        >>> fills = np.array([[0.1, 0.2], [0.1, np.nan]])
+        >>> [of_two.any_of(fills, weights).probability.round(9).tolist() for weights in np.eye(2)]
+        [[0.64], [0.4]]
         """
         error = np.max([e.standard_error for e in self.at_nodes], axis=0)
         z = probit([e.probability for e in self.at_nodes])  # (nodes, S)
-        distinct, inverse = np.unique(fills.round(6), return_inverse=True)
+        distinct, inverse = np.unique(np.nan_to_num(fills).round(6), return_inverse=True)
         table = ndtr(np.stack([np.interp(distinct, self.nodes, row) for row in z.T], axis=1))  # (fills, S)
-        missed = (1.0 - table)[inverse.reshape(fills.shape)].prod(axis=1)
+        missed = np.where(np.isnan(fills)[..., None], 1.0, (1.0 - table)[inverse.reshape(fills.shape)]).prod(axis=1)
         return Exceedance(self.background.scores, 1.0 - weights @ missed, error)
 
 
@@ -567,6 +570,7 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     # Those of whole objects too, even where their curve is not asked for.
     own = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
     every = [of_truth(e.fills(i, objects).values, u) for i in own for objects in (False, True)]
+    every = [fills[np.isfinite(fills)] for fills in every]
     ends = sorted({float(end) for fills in every for end in (fills.min(), fills.max())})
     nodes, asked = {fill: at_fill(fill) for fill in ends}, background.probability >= e.pfa[0]
     spans = [(a, b) for a, b in pairwise(ends) if any(fills.min() <= a and b <= fills.max() for fills in every)]

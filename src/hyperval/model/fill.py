@@ -36,7 +36,8 @@ class FillDistribution:
 
     Attributes
     ----------
-    values : (K,) fill fractions [1]; of n evaluations (n, K), of all alike (1, K)
+    values : (K,) fill fractions [1]; of n evaluations (n, K), of all alike (1, K); NaN: a pixel that an object of
+        fewer has not
     weights : likewise, probabilities, sum 1; of objects those of their places
     shape : (places, pixels) of objects, whose pixels lie along K; None where a pixel is an object
     """
@@ -129,9 +130,18 @@ def touched_counts(geometry: Geometry) -> Index:
 
 
 def object_fills(geometry: Geometry, n: int) -> Array:
-    """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10)."""
-    fills = _around(_outline(geometry))[0]
-    fills = np.sort(fills.reshape(len(fills), -1), axis=1)[:, ::-1]
+    """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10).
+
+    Where those that the outline meets count, NaN follows the last of these.
+
+    >>> geometry = Geometry(side_m=0.25, gsd_m=1.0, psf_fwhm_pixels=1.0, pixels="touched")
+    >>> sorted(set(np.isfinite(object_fills(geometry, 4)).sum(axis=1).tolist()))
+    [1, 2, 4]
+    """
+    fills, met = _around(_outline(geometry))
+    if geometry.pixels == "touched":
+        fills = np.where(met, fills, np.nan)
+    fills = -np.sort(-fills.reshape(len(fills), -1), axis=1)
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
     return fills[:, :n]
@@ -293,7 +303,12 @@ def shared_pixel_fills(
 
     Returns
     -------
-    (K, n) own fills in falling order, (K, n, J) those of the J neighbours in the same pixels.
+    (K, n) own fills in falling order, NaN behind those of an object that meets fewer, (K, n, J) those of the J
+    neighbours in the same pixels.
+
+    >>> own = Geometry(side_m=0.25, gsd_m=1.0, psf_fwhm_pixels=1.0, pixels="touched")
+    >>> np.allclose(shared_pixel_fills(own, 4, [])[0], object_fills(own, 4), atol=1e-3, equal_nan=True)
+    True
 
     Raises
     ------
@@ -306,7 +321,7 @@ def shared_pixel_fills(
     for j, (geometry, offset) in enumerate(neighbours):
         away = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
         others[..., j] = _looked_up(_fill_table(_outline(geometry, phase="random")), chosen - away)
-    over = np.maximum(fills + others.sum(axis=2), 1.0)
+    over = np.fmax(fills + others.sum(axis=2), 1.0)
     return fills / over, others / over[..., None]
 
 
@@ -319,6 +334,9 @@ def _fullest(own: Geometry, n: int) -> tuple[Array, ...]:
     grid = np.stack(np.meshgrid(*2 * (np.arange(-half, half + 1.0),), indexing="ij"), axis=-1).reshape(-1, 2)
     at_pixels = grid[None] - place[:, None]  # (K, P, 2) pixel's centre from the target's
     fills = _looked_up(table, at_pixels)
+    if own.pixels == "touched":
+        heading = np.full(len(place), own.heading_deg, dtype=float)
+        fills[~_met(own, place[:, ::-1], heading, 2 * half + 1).reshape(fills.shape)] = np.nan
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
         at_pixels = np.pad(at_pixels, ((0, 0), (0, n - at_pixels.shape[1]), (0, 0)), constant_values=1e6)
@@ -378,7 +396,7 @@ def _of_geometry(geometry: Geometry, n: int) -> FillDistribution:
 
 
 def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
-    """(K, n) fills of the pixels of one object (f of 3.10); one pixel unless the geometry says more.
+    """(K, n) fills of the pixels of one object (f of 3.10), NaN behind those of one that has fewer.
 
     ``wider`` : added to the width of the blur [pixels]
     """
@@ -386,7 +404,7 @@ def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
         return object_fills(widened(fill.geometry, wider), pixels_of_object(fill))
     if fill.listed is not None:
         size = pixels_of_object(fill)
-        return np.array([sorted(row, reverse=True) + [0.0] * (size - len(row)) for row in fill.listed])
+        return np.array([sorted(row, reverse=True) + [np.nan] * (size - len(row)) for row in fill.listed])
     return fill_distribution(fill).values[:, None]
 
 

@@ -30,7 +30,7 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 from scipy.special import ndtri
 
-from hyperval.data import Array, Index
+from hyperval.data import Array, Index, Mask
 from hyperval.model.detection import Evaluation, Responses
 from hyperval.model.fill import PHASES, fills_of_objects, moments, pixels_of_object, shared_pixel_fills, widened
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
@@ -183,6 +183,7 @@ class Numbers:
     Attributes
     ----------
     fills, others : (L, n) fills of an object's pixels at each of L places, and (L, n, J) those by its neighbours
+    absent : (L, n) which of them an object has not, as it has fewer
     places : (S, R) which of them a draw has
     host : (S, R, n) departures of the host in a pixel, of variance 1
     more : for each detector the normal numbers of what is not of the host, None where all of it is normal
@@ -191,6 +192,7 @@ class Numbers:
 
     fills: Array
     others: Array
+    absent: Mask
     places: Index
     host: Array
     more: tuple[Array | None, ...]
@@ -221,7 +223,7 @@ def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
         tailed = np.isfinite(own)
         host[tailed] *= np.sqrt((own[tailed] - 2.0) / rng.chisquare(own[tailed]))
     more = [rng.standard_normal(shape) if objects.host else None for _ in range(objects.detectors)]
-    return Numbers(fills, others, places, host, tuple(more), law)
+    return Numbers(np.nan_to_num(fills), np.nan_to_num(others), np.isnan(fills), places, host, tuple(more), law)
 
 
 Populations = Sequence[tuple[str, TargetSubject]]  # each with the name of its target
@@ -316,7 +318,8 @@ def _greatest_scores(
         host_part, full_parts = (np.clip(v, 0.0, None) for v in (variances[0, 0], np.array(full)[:, 1]))
         host_part = (numbers.rest**2 - (1.0 - numbers.fills) ** 2) * host_part
         sd = np.sqrt(np.clip(variance + numbers.others**2 @ full_parts + host_part, 0.0, None))
-    mean = _mean_draws(each[0], np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places)
+    here = np.where(numbers.absent, -np.inf, each[0])
+    mean = _mean_draws(here, np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places)
     if more is None or host is None:
         return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
     flat, places, laws = sd.reshape(1, -1), numbers.places, []
@@ -356,6 +359,8 @@ def _few_numbers(objects: Objects) -> Numbers:
     >>> population = TargetSubject(name="plank", fill={"listed": [[0.5, 0.2], [0.4]]})
     >>> _few_numbers(Objects(population, (), None, 3, False, (), 1, 1)).fills.tolist()
     [[0.5, 0.2], [0.4, 0.0]]
+    >>> _few_numbers(Objects(population, (), None, 3, False, (), 1, 1)).absent.tolist()
+    [[False, False], [False, True]]
     """
     return drawn_numbers(objects, np.zeros(1))
 
@@ -433,11 +438,17 @@ def shares_of(
     Parameters
     ----------
     position_m : standard uncertainty of the places of neighbours in line and sample [m], None: known
+
+    >>> geometry = {"side_m": 0.25, "gsd_m": 1.0, "psf_fwhm_pixels": 1.0, "pixels": "touched"}  # 1, 2 or 4 pixels
+    >>> plank = TargetSubject(name="plank", position_m=(0.0, 0.0), fill={"geometry": geometry})
+    >>> expected = np.nanmean(fills_of_objects(plank.fill), axis=1).mean()
+    >>> bool(abs(shares_of("plank", plank, (), None, 0).of("plank") - expected) < 1e-4)
+    True
     """
     beside = neighbours_of(population, populations)
     rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
     own, others = _pixels_at_place(population, [subject for _, subject in beside], position_m, rng)
-    each = np.concatenate([own.mean(axis=1)[:, None], others.mean(axis=1)], axis=1)  # (K, J)
+    each = np.concatenate([np.nanmean(own, axis=1)[:, None], np.nanmean(others, axis=1)], axis=1)  # (K, J)
     mean = each.mean(axis=0)
     away = each - mean
     return Shares((owner, *(name for name, _ in beside)), mean, away.T @ away / len(each))

@@ -330,6 +330,7 @@ class Host:
         for number, share in enumerate(shares):
             rows = np.flatnonzero(alike == number)
             order = np.argsort(share)
+            order = order[~np.isneginf(means[rows][:, order]).any(axis=0)]
             low, high = share[order[[0, -1]]]
             wanted = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _NODES))
             chosen = order[np.searchsorted(share[order], wanted).clip(0, share.size - 1)]
@@ -345,7 +346,8 @@ class Host:
             out = np.empty((means.shape[0], threshold[:, part].shape[1], means.shape[1]))
             for rows, share, coefficients, nodes in curves:
                 out[rows] = ndtr(PPoly.construct_fast(coefficients[..., part], nodes, axis=2)(share))
-            out[~np.isfinite(means[:, 0])] = np.nan
+            out[np.isnan(means[:, 0])] = np.nan
+            out.transpose(0, 2, 1)[np.isneginf(means)] = 0.0
             return out
 
         return read
@@ -427,7 +429,8 @@ def detection_probability(
     Parameters
     ----------
     threshold : (n, K) x
-    means, sds : (n, P) score statistics at P fills, or (n, P, J) of the J pixels of an object at P places
+    means, sds : (n, P) score statistics at P fills, or (n, P, J) of the J pixels of an object at P places, a mean of
+        minus infinity where it has fewer
     weights : (n, P) probabilities of these
     host : the class that fills the rest of the pixels, its share (n or 1, P J); None: one normal law
 
