@@ -270,7 +270,12 @@ def predicted_side(
     if task is not None:
         quantity = str(observed.observation.provenance.get("quantity", "radiance"))
         errors = model.predicted_classification(
-            merged(predictions), observe.class_sets(task), task.features, quantity, task.seed
+            merged(predictions),
+            observe.class_sets(task),
+            task.features,
+            quantity,
+            task.seed,
+            observe.training_pixels(task, observed.observation.distribution),
         )
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
     return replace(whole, classification=errors, exceedance=shared, abundance=areas)

@@ -22,7 +22,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.errors import UsageError, refusal, refuse
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained, principal_components
-from hyperval.model.intervals import clopper_pearson
+from hyperval.model.intervals import Z95, clopper_pearson, drawn_factor
 from hyperval.model.radiance import cut
 from hyperval.model.stated import Origins, Truth, correlation
 from hyperval.model.world import World, read, settled, with_truths
@@ -95,6 +95,21 @@ class ClassLaw:
         """(n, F) pixels of :meth:`standard_draw`."""
         return np.asarray(self.mean + standard @ np.linalg.cholesky(self.covariance).T)
 
+    def trained(self, n: float, rng: np.random.Generator) -> ClassLaw:
+        """The law as a classifier has it that was trained on ``n`` independent pixels, more than there are features.
+
+        >>> law, rng = ClassLaw(np.zeros(2), np.eye(2)), np.random.default_rng(1)
+        >>> each = [law.trained(9.0, rng) for _ in range(4000)]
+        >>> bool(np.allclose(np.mean([one.covariance for one in each], axis=0), np.eye(2), atol=0.04))  # unbiased
+        True
+        >>> round(float(np.var([one.mean[0] for one in each]) * 9.0), 1)
+        1.0
+        """
+        root = np.linalg.cholesky(self.covariance)
+        mean = self.mean + root @ rng.standard_normal(self.mean.size) / np.sqrt(n)
+        factor = root @ drawn_factor(self.mean.size, n - 1.0, rng)
+        return ClassLaw(mean, factor @ factor.T)
+
 
 def gaussian_classes(laws: Sequence[ClassLaw], pixels: npt.ArrayLike) -> Index:
     """Index (n,) of the class of greatest normal likelihood of each pixel (n, F), all equally likely beforehand.
@@ -112,15 +127,38 @@ def gaussian_classes(laws: Sequence[ClassLaw], pixels: npt.ArrayLike) -> Index:
     return np.asarray(np.argmax(likelihoods, axis=0))
 
 
-def predicted_error(laws: Sequence[ClassLaw], rng: np.random.Generator, draws: int = 20_000) -> ClassificationError:
-    """Error of the classifier that knows the laws, on pixels drawn from them; with distance, estimate and bounds.
+_TRAININGS, _TESTED = 24, 1000  # of a classifier that few pixels train; pixels of a class that each is tried on
 
-    The interval is that of the draws.
+
+def predicted_error(
+    laws: Sequence[ClassLaw], rng: np.random.Generator, draws: int = 20_000, trained: Sequence[float] = ()
+) -> ClassificationError:
+    """Error of a classifier on pixels drawn from the laws; with distance, estimate and bounds.
+
+    The interval is that of the draws, and of the chance of training.
+
+    Parameters
+    ----------
+    trained : independent pixels of each class that the classifier is trained on; none: it knows the laws
     """
-    each = enumerate(gaussian_classes(laws, law.draw(draws, rng)) for law in laws)
-    wrong, n = sum(int(np.count_nonzero(found != i)) for i, found in each), draws * len(laws)
-    lower, upper = clopper_pearson(wrong, n)
-    return with_distances(ClassificationError(wrong / n, float(lower), float(upper), n), laws)
+    pixels = [law.draw(draws, rng) for law in laws]
+
+    def share(known: Sequence[ClassLaw], count: int) -> float:
+        """Of pixels that are taken for those of another class."""
+        return float(np.mean([gaussian_classes(known, own[:count]) != i for i, own in enumerate(pixels)]))
+
+    error, n = share(laws, draws), draws * len(laws)
+    lower, upper = clopper_pearson(error * n, n)
+    whole = with_distances(ClassificationError(error, float(lower), float(upper), n), laws)
+    if not trained:
+        return whole
+    least = laws[0].mean.size + 2.0  # fewer give no covariance that can be inverted
+    each = [[law.trained(max(m, least), rng) for law, m in zip(laws, trained, strict=True)] for _ in range(_TRAININGS)]
+    more = np.array([share(known, _TESTED) for known in each]) - share(laws, _TESTED)
+    error, half = error + float(more.mean()), Z95 * float(more.std(ddof=1))
+    ends = max(lower + more.mean() - half, 0.0), min(upper + more.mean() + half, 1.0)
+    distance = float(np.mean([with_distances(whole, known).distance for known in each]))
+    return replace(whole, error=error, lower=float(ends[0]), upper=float(ends[1]), distance=distance)
 
 
 def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Sequence[Index]) -> ClassificationError:
@@ -364,14 +402,16 @@ def _full_rank(covariance: Array) -> Array:
 
 
 def predicted_classification(
-    prediction: PredictedProducts, sets: Sequence[Sequence[str]], features: Sequence[Any], quantity: str, seed: int = 0
-) -> dict[tuple[str, str], ClassificationError]:
+    prediction: PredictedProducts, sets: Sequence[Sequence[str]], features: Sequence[Any], quantity: str,
+    seed: int = 0, trained: Mapping[str, float] | None = None,
+) -> dict[tuple[str, str], ClassificationError]:  # fmt: skip
     """Errors by (classes, features), for pixels as the prediction says they are, tails included.
 
     ``features`` have a name, which stands in the table as the method, ``bands_nm`` of the bands (empty: all) and
     ``pca``, the number of principal components (None: bands).  The classifier is the same in radiance and in
     reflectance, as a line through each band leaves it as it is; ``quantity`` is that of the image.  Sets with a class
-    that the prediction lacks are left out.
+    that the prediction lacks are left out.  ``trained`` : independent pixels of each class that the classifier is
+    trained on; None: it knows the laws.
 
     Raises
     ------
@@ -396,5 +436,7 @@ def predicted_classification(
                 laws.append(ClassLaw(estimate.mean[bands], cut(estimate.pixel_covariance, bands), tail))
             psi = class_features(laws, choice.pca)
             rng = np.random.default_rng([seed, bands.size])
-            out[" / ".join(chosen), choice.name] = predicted_error([law.project(psi) for law in laws], rng)
+            counts = [] if trained is None else [trained[name] for name in chosen]
+            seen = [law.project(psi) for law in laws]
+            out[" / ".join(chosen), choice.name] = predicted_error(seen, rng, trained=counts)
     return out

@@ -1,6 +1,6 @@
 """Intervals of a proportion: detections out of targets, false alarms out of background pixels.
 
-The difference ratio of two sides and its error: of spectra by band, of areas.
+The difference ratio of two sides and its error: of spectra by band, of areas.  What few pixels know of a covariance.
 """
 
 from __future__ import annotations
@@ -228,3 +228,34 @@ def jackknife_directions(values: npt.ArrayLike) -> Array:
     parts = v.shape[0]
     widening = special.stdtrit(parts - 1.0, 0.975) / Z95
     return np.asarray(widening * np.sqrt((parts - 1.0) / parts) * (v - v.mean(axis=0)))
+
+
+def drawn_factor(size: int, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float = 0.0) -> Array:
+    """F (P, m) of a sample covariance F F^T whose true covariance is the identity, m <= P.
+
+    Of more pixels than directions it is Bartlett's decomposition of Wishart's law, else the pixels themselves.
+
+    Parameters
+    ----------
+    size : P
+    independent : degrees of freedom behind the variance of each direction: one number, or (P,)
+    kurtosis : kappa of the pixels' law.  To second moments a sample covariance of an elliptical law is a normal one
+        of n/(1 + kappa) pixels times a common factor of variance kappa/n, which gives an eigenvalue the relative
+        variance (2 + 3 kappa)/n (Waternaux 1976).
+    """
+    n = np.broadcast_to(np.asarray(independent, dtype=float), (size,)) / (1.0 + kurtosis)
+    least = float(n.min())
+    common = 1.0
+    if kurtosis > 0:
+        common = float(np.exp(rng.normal(0.0, np.sqrt(kurtosis / (least * (1.0 + kurtosis))))))
+    if least <= size:
+        pixels = rng.standard_normal((max(round(least), 1), size))
+        return np.asarray(np.sqrt(common / pixels.shape[0]) * pixels.T)
+    # Fewest first: what two directions share is limited by the one with fewer independent pixels.
+    order = np.argsort(n, kind="stable")
+    lower = np.tril(rng.standard_normal((size, size)), -1)
+    lower[np.diag_indices(size)] = np.sqrt(rng.chisquare(n[order] - np.arange(size)))
+    lower /= np.sqrt(n[order])[:, None]
+    drawn = np.empty((size, size))
+    drawn[order] = lower
+    return np.asarray(np.sqrt(common) * drawn)

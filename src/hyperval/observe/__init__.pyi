@@ -1,7 +1,7 @@
 """The empirical pipeline: from a collection to its products."""
 
 from .detect import map_name, scored_part, target_areas, target_groups
-from .measure import Observed, RegionLaws, class_sets, observe
+from .measure import Observed, RegionLaws, class_sets, observe, training_pixels
 from .open import (
     IMAGE,
     SCENE,
@@ -34,5 +34,5 @@ __all__ = [
     "check_line_for_detection", "class_sets", "detector_covariance", "fills_of", "image_targets", "map_name",
     "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source", "path_estimate",
     "read_band_table", "registration_shifts", "rounding_variance", "scored_part", "spectral_estimate", "target_areas",
-    "target_groups", "wavelength_notes", "window_fills", "write_reflectance",
+    "target_groups", "training_pixels", "wavelength_notes", "window_fills", "write_reflectance",
 ]  # fmt: skip

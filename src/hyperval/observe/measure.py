@@ -571,6 +571,19 @@ def class_sets(task: Classification) -> list[tuple[str, ...]]:
     return [tuple(task.classes), *pairs]
 
 
+def training_pixels(task: Classification, distribution: Mapping[str, PixelDistribution]) -> dict[str, float]:
+    """Independent pixels that train each class: half of those of its region, at most as many as are taken.
+
+    >>> from hyperval.collection import Classification
+    >>> task = Classification(classes=["a", "b"], features=[{"name": "all"}], pixels=500)
+    >>> training_pixels(task, {"a": PixelDistribution(n=9000, effective_n=np.array([300.0])), "b": PixelDistribution()})
+    {'a': 150.0, 'b': 500.0}
+    """
+    known = {name: distribution.get(name, PixelDistribution()).effective_n for name in task.classes}
+    halves = {name: np.inf if n is None else 0.5 / float(np.mean(1.0 / n)) for name, n in known.items()}
+    return {name: min(half, float(task.pixels)) for name, half in halves.items()}
+
+
 def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, Index]]:
     """Pixels (n, B) of a class that train, and those that test, each with the block of lines that it lies in."""
     lines, samples = np.nonzero(place.pixels_of(name))

@@ -45,7 +45,7 @@ from scipy import fft, special
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import UsageError, refuse
 from hyperval.executors import available_cores, single_blas_thread
-from hyperval.model.intervals import Z95
+from hyperval.model.intervals import Z95, drawn_factor
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
@@ -699,37 +699,6 @@ def kurtosis_parameter(tail_dof: float) -> float:
     Source: Muirhead, Aspects of Multivariate Statistical Theory, 1982, section 1.6.
     """
     return 2.0 / (tail_dof - 4.0) if tail_dof > 4.0 else float("inf")
-
-
-def drawn_factor(size: int, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float = 0.0) -> Array:
-    """F (P, m) of a sample covariance F F^T whose true covariance is the identity, m <= P.
-
-    Of more pixels than directions it is Bartlett's decomposition of Wishart's law, else the pixels themselves.
-
-    Parameters
-    ----------
-    size : P
-    independent : degrees of freedom behind the variance of each direction: one number, or (P,)
-    kurtosis : kappa of the pixels' law.  To second moments a sample covariance of an elliptical law is a normal one
-        of n/(1 + kappa) pixels times a common factor of variance kappa/n, which gives an eigenvalue the relative
-        variance (2 + 3 kappa)/n (Waternaux 1976).
-    """
-    n = np.broadcast_to(np.asarray(independent, dtype=float), (size,)) / (1.0 + kurtosis)
-    least = float(n.min())
-    common = 1.0
-    if kurtosis > 0:
-        common = float(np.exp(rng.normal(0.0, np.sqrt(kurtosis / (least * (1.0 + kurtosis))))))
-    if least <= size:
-        pixels = rng.standard_normal((max(round(least), 1), size))
-        return np.asarray(np.sqrt(common / pixels.shape[0]) * pixels.T)
-    # Fewest first: what two directions share is limited by the one with fewer independent pixels.
-    order = np.argsort(n, kind="stable")
-    lower = np.tril(rng.standard_normal((size, size)), -1)
-    lower[np.diag_indices(size)] = np.sqrt(rng.chisquare(n[order] - np.arange(size)))
-    lower /= np.sqrt(n[order])[:, None]
-    drawn = np.empty((size, size))
-    drawn[order] = lower
-    return np.asarray(np.sqrt(common) * drawn)
 
 
 def band_limits(drawn: Array) -> tuple[Array, Array]:
