@@ -481,8 +481,6 @@ def open_cube(
     by = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
     notes: tuple[str, ...] = (f"read as {about.product}{by}",) if about.product else ()
     notes += about.notes + table.notes + ((scaling.source,) if scaling.source else ())
-    if quantity == "counts":
-        notes += ("warning: counts of unstated unit: values called reflectance are in counts",)
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     cube = Cube(

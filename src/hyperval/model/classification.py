@@ -418,7 +418,7 @@ def predicted_classification(
     UsageError : a class without spread, which a Gaussian classifier cannot take.
     """
     axis = prediction.axis
-    spectra = getattr(prediction, quantity)
+    spectra = prediction.radiance if quantity == "radiance" else prediction.reflectance
     usable = in_window(axis.centre_nm) & axis.good
     out = {}
     for chosen in sets:

@@ -215,14 +215,14 @@ def _notes(
 def _spectra(
     place: Place, collection: CollectionSection, sampling: Mapping[str, EstimatedPart], resolve: Resolve
 ) -> dict[str, dict[str, SpectralEstimate]]:
-    """Radiance and reflectance of every subject by its statistics and the error of their mean.
+    """Radiance, where the image holds it, and reflectance of every subject by its statistics and their error.
 
     The error of the empirical line is common to all pixels and hangs together between bands.  A panel of the line is
     no evidence for it: its reflectance is that of the line through the other panels.  Where they fix none, the line
     goes through the panel whatever it reflects.
     """
     cube, line, stated = place.cube, place.line, collection.calibration
-    if cube.quantity != "radiance":
+    if cube.quantity != "radiance" and line is None:
         return {"reflectance": {n: _estimate(cube, place.statistics[n], error, {}) for n, error in sampling.items()}}
     radiance, reflectance = dict[str, SpectralEstimate](), dict[str, SpectralEstimate]()
     for name, error in sampling.items():
@@ -237,7 +237,7 @@ def _spectra(
         else:
             own, known = {LINE: others.error_covariance(sample.mean)}, others.estimated(sample.mean)
             reflectance[name] = _estimate(cube, sample, error, own, others, known)
-    return {"radiance": radiance, "reflectance": reflectance}
+    return {"radiance": radiance if cube.quantity == "radiance" else {}, "reflectance": reflectance}
 
 
 def _estimate(

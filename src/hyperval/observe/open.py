@@ -236,6 +236,8 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
     cube = replace(cube, axis=replace(cube.axis, centre_nm=centre))
     table, found = _lookup_table(cube, image, resolve)
     notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)]
+    if cube.quantity == "counts" and collection.empirical_line is None:
+        notes.append("warning: counts of unstated unit: values called reflectance are in counts")
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
