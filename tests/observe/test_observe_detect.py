@@ -57,7 +57,13 @@ def test_scores_equal_plain_numpy(world, background, inside):
     assert found["paint-cem-correlation"] == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-def test_radiance_without_a_line_has_no_reflectance(panels):
+def test_radiance_without_a_line_has_no_reflectance_and_counts_with_one_do(panels):
+    of_radiance, cube = panels.observe().observation.reflectance, panels.collection["cube"]
+    panels.collection["cube"] = {"path": cube["path"], "quantity": "counts"}
+    of_counts = panels.observe().observation
+    assert of_counts.radiance == {}
+    assert all(np.allclose(of_counts.reflectance[name].mean, one.mean) for name, one in of_radiance.items())
+    panels.collection["cube"] = cube
     del panels.collection["empirical_line"]
     panels.detection = None
     seen = panels.observe()
