@@ -9,7 +9,7 @@ Measured error of a Gaussian maximum-likelihood classifier, trained on some line
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import combinations
@@ -21,7 +21,7 @@ from hyperval import pixels as px
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.data import Array, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
-from hyperval.imagery import Cube, all_pixels
+from hyperval.imagery import Cube, TargetObject, all_pixels
 from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
 from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, scored_part, target_groups, unmix
@@ -190,6 +190,7 @@ def _notes(
         means = [measured[name].mean for name in place.regions or (px.SCENE,)]
         notes += sites.wavelength_notes(means, axis, reflectance=place.cube.quantity == "reflectance")
     if detection is not None:
+        notes += _not_counted_right(place.targets, {target.material for target in detection.targets})
         # How the pixels behind filter, false alarms and classes differ, where they do.
         filters, alarms = masks[BACKGROUND], place.pixels_of(*detection.false_alarms)
         if not np.array_equal(filters, alarms):
@@ -210,6 +211,29 @@ def _notes(
     ]
     notes += [] if place.line is None else sites.line_notes(place.line, axis)
     return (*notes, *(detected.notes if detected else ()))
+
+
+def _not_counted_right(objects: Sequence[TargetObject], materials: Set[str]) -> Iterator[str]:
+    """Objects of the truth that no detector looks for, and those that it lists twice.
+
+    >>> def seen(name, material, place):
+    ...     part = np.ones((1, 1), bool)
+    ...     return TargetObject(name, material, 1.0, 1.0, (9, 9), (0, 0), part, None, {"name": name, "line": place})
+    >>> objects = [seen("a", "red", "1"), seen("b", "red", "1"), seen("c", "Red", "2"), seen("d", "blue", "3")]
+    >>> for words in _not_counted_right(objects, {"red"}):
+    ...     print(words)
+    warning: 2 of 4 target objects are looked for by no detection target: Red, blue
+    warning: 1 target objects are listed again, alike but for the name: each counts by itself
+    """
+    others = [item.material for item in objects if item.material not in materials]
+    if others:
+        slip = "warning: " * bool({m.casefold() for m in others} & {m.casefold() for m in materials})
+        of = ", ".join(dict.fromkeys(others))
+        yield f"{slip}{len(others)} of {len(objects)} target objects are looked for by no detection target: {of}"
+    # What stands in a list but the name, and the pixels: masks have no other places.
+    alike = {(repr({**o.attributes, "name": o.material}), o.corner, o.part.tobytes()) for o in objects}
+    if again := len(objects) - len(alike):
+        yield f"warning: {again} target objects are listed again, alike but for the name: each counts by itself"
 
 
 def _spectra(
