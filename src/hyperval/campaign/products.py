@@ -33,7 +33,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.model.fill import touched_counts
-from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
+from hyperval.pixels import average_roc, compact_parts, snr_from_moments, with_shared_pixels
 from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
 from hyperval.progress import bars
 from hyperval.results import Outcome, Result
@@ -102,16 +102,19 @@ MAX_PIXEL_RATIO = 1.5
 MAX_LENGTH_RATIO = 1.05
 
 
-def doubts(place: observe.Place | None, detection: Detection | None, scenarios: Sequence[Scenario]) -> Iterator[str]:
+def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
     """Warnings where cube and truth say otherwise than a scenario: of time, place and sun, and of its targets.
 
     A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
     pixel is too low and that by object too high, and nothing else in the table would say why.
     """
+    place = side.observed.place
     if place is None:
         return
-    where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, detection)
-    for scenario in scenarios:
+    yield from _of_noise(side, prediction) if prediction is not None else ()
+    where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
+    for scenario in side.scenarios:
+        yield from _of_filters(side, scenario) if prediction is not None else ()
         named, state = f"scenario {scenario.name!r}", scenario.atmosphere
         if state is not None and state.time_utc is not None:
             yield from time_notes(place.cube.raster.description.entries, parse_utc(str(state.time_utc)), scenario.name)
@@ -130,6 +133,40 @@ def doubts(place: observe.Place | None, detection: Detection | None, scenarios: 
                 differences = ", ".join(_differences(place, population.fill, population.fill.geometry, own))
                 if differences:
                     yield f"warning: {population.name!r} of {named}: {differences}"
+
+
+LEAST_APART = 0.01  # of the greatest reflectance: spectra that lie nearer are of one surface
+LEAST_OF_NOISE = 0.9  # of the sensor's signal-to-noise ratio, which texture takes beyond what its estimate allows for
+
+
+def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
+    """Warnings where texture is in a measured signal-to-noise ratio, and not in the predicted one."""
+    for region in side.campaign.collection.snr_regions:
+        seen, noise = prediction.radiance.get(region), prediction.snr.get(region)
+        if seen is None or noise is None or seen.pixel_covariance is None:
+            continue
+        part = float(np.nanmedian(snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean))
+        if part < LEAST_OF_NOISE:
+            words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
+            yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
+
+
+def _of_filters(side: Collected, scenario: Scenario) -> Iterator[str]:
+    """Warnings where filters of the image look for another spectrum than those of a scenario."""
+    detected, detection, place = side.observed.detected, side.campaign.detection, side.observed.place
+    if detected is None or detection is None or place is None:
+        return
+    stated, bands = model.read(scenario, side.origins(scenario)).stated, detected.bank.bands
+    for target in detection.targets:
+        spectrum = detected.bank.forms[observe.map_name(target.name, detection.detectors[0])][1]
+        if spectrum is None:
+            continue
+        subjects = observe.target_groups(place.targets, target, detection.group)
+        for name in dict.fromkeys(stated.targets[t].name for t, _, p in stated.populations if p.name in subjects):
+            gap = float(np.abs(stated.signatures[name][bands] - spectrum).max())
+            if gap > LEAST_APART * np.abs(spectrum).max():
+                words = f"in the image than in the model of {name!r}, up to {gap:.2g} apart"
+                yield f"warning: filters of {target.name!r} look for another spectrum {words} (filter_spectrum)"
 
 
 def centre_of(place: observe.Place) -> tuple[float, float] | None:

@@ -106,7 +106,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         *(["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []),
         *campaign.assumptions,
         *observed.observation.notes,
-        *doubts(observed.place, campaign.detection, scenarios),
+        *doubts(side, prediction),
         *(prediction.notes if prediction else ()),
     ]
     sides = [observed.observation, *predicted]
