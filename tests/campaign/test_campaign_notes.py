@@ -74,3 +74,8 @@ def test_targets_of_another_kind_than_the_truth_are_a_warning(small, change, wor
     said = warnings(small)
     assert len(said) == (words is not None), said
     assert words is None or re.search(f"^warning: 'small-planks' of scenario 'small': .*{words}", said[0]), said
+
+
+def test_filters_for_another_spectrum_than_the_model_has_are_a_warning(small):
+    small.data["detection"]["targets"][0]["spectrum"] = {"constant": 0.4}
+    assert any("look for another spectrum" in said for said in warnings(small))

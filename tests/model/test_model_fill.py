@@ -22,16 +22,6 @@ def test_a_surface_is_physical_and_of_full_rank(name):
     assert "not a measurement" in found.source
 
 
-def test_binned_distribution_keeps_mean_and_nearly_the_variance():
-    rng = np.random.default_rng(1)
-    fill = model.FillDistribution(rng.random(2000), np.full(2000, 1 / 2000))
-    binned = fill.binned(48)
-    assert binned.values.size <= 48
-    assert binned.mean == pytest.approx(fill.mean, rel=1e-12)
-    # Within a bin of width h the lost variance is h^2/12 = (1/48)^2/12.
-    assert fill.variance - binned.variance == pytest.approx((1 / 48) ** 2 / 12, rel=0.2)
-
-
 def neighbour_fill_geometry(length=1.0, width=1.4, heading=12.0, blur=1.0, phase="random"):
     sides = {"shape": "rectangle", "length_m": length, "width_m": width, "gsd_m": 0.7}
     return Geometry(**sides, heading_deg=heading, psf_fwhm_pixels=blur, phase=phase)
