@@ -19,7 +19,7 @@ from typing import Any, cast
 import jinja2
 
 import hyperval
-from hyperval.errors import refuse
+from hyperval.errors import WARNING, refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, grouped, outcome_words
 from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
@@ -27,7 +27,7 @@ from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
-from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
+from hyperval.run import Run, is_run, read_products
 from hyperval.storage import installed_file, whole_folder
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
@@ -370,10 +370,10 @@ def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
     """
     from hyperval.figures.print import drawings_of
 
-    sides, known = read_pair(run), Run.open(run) if is_run(run) else Run(ResultTable())
-    figures = [criteria_figure(list(known.table)), *first_figures(sides)]
-    figures += further_figures(sides, known.table, equivalence_margin(known.provenance))
-    return drawings_of([one for one in figures if one], simulated=is_simulated(run), kind=kind, journal=journal)
+    stored, known = read_products(run), Run.open(run) if is_run(run) else Run(ResultTable())
+    figures = [criteria_figure(list(known.table)), *first_figures(stored.pair)]
+    figures += further_figures(stored.pair, known.table, equivalence_margin(known.provenance))
+    return drawings_of([one for one in figures if one], simulated=stored.simulated, kind=kind, journal=journal)
 
 
 def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
