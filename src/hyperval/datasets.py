@@ -222,12 +222,6 @@ def owner_of(reference: str) -> DataSet | None:
     return None if beside is None or beside.public else beside
 
 
-def set_on_request(reference: str) -> DataSet | None:
-    """The set that is not public to which a ``data:`` reference belongs, None for any other reference."""
-    owner = owner_of(reference)
-    return None if owner is None or owner.public else owner
-
-
 def files_at_hand(name: str) -> int:
     """Number of files below the folder of a set that is not public, in HYPERVAL_DATA and the cache."""
     return sum(1 for root in _roots() for p in (root / dataset(name).name).rglob("*") if p.is_file())

@@ -333,8 +333,7 @@ def paired(a: ResultTable, b: ResultTable) -> list[Pair]:
 def _keyed(table: ResultTable, single: bool) -> dict[tuple[Any, ...], Result]:
     out, seen = dict[tuple[Any, ...], Result](), Counter[tuple[Any, ...]]()
     for row in table:
-        band = None if math.isnan(row.band_nm) else round(row.band_nm, 3)
-        key = ("" if single else row.campaign, row.product, row.subject, row.method, row.metric, band)
+        key = ("" if single else row.campaign, row.key)
         out[*key, seen[key]] = row
         seen[key] += 1
     return out

@@ -25,7 +25,7 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.util import find_spec
@@ -340,19 +340,6 @@ def _list(folder: Path) -> tuple[str, set[str]]:
     return "", set()
 
 
-def ending_with_this_process(command: Sequence[str]) -> list[str]:
-    """The command line by which a program ends with the process that starts it, killed ones too.
-
-    It is the command itself where the system has no such way: there the program goes on until it is done.
-    """
-    return [*_tie(), *command]
-
-
-def is_no_program(code: int) -> bool:
-    """Whether a command that ends with this process ended with ``code`` since it could not be started."""
-    return bool(_tie()) and code in (126, 127)  # of setpriv, as of a shell
-
-
 def last_line(text: str) -> str:
     """What a program said last, in at most 200 characters."""
     lines = [line for line in text.splitlines() if line.strip()]
@@ -360,8 +347,12 @@ def last_line(text: str) -> str:
 
 
 @cache
-def _tie() -> tuple[str, ...]:
-    """The program that asks Linux for it and then becomes the command: nothing runs between fork and exec here."""
+def tie() -> tuple[str, ...]:
+    """What stands before a command so that the program ends with the process that starts it, killed ones too.
+
+    It asks Linux for that and then becomes the command: nothing runs between fork and exec here.  Nothing where the
+    system has no such way: there the program goes on until it is done.
+    """
     tie = (shutil.which("setpriv") or "", "--pdeathsig", "KILL", "--")
     try:
         done = subprocess.run([*tie, "true"], capture_output=True, check=False)  # noqa: S603 - a program of the system

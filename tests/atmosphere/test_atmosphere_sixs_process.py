@@ -65,7 +65,7 @@ def test_a_file_that_may_not_be_started(tmp_path, monkeypatch):
     monkeypatch.setattr(sixs, "sixs_path", lambda: text)
     for tied in (True, False):  # where the system has a way to end it with its run, and where it has none
         if not tied:
-            monkeypatch.setattr("hyperval.storage._tie", tuple)
+            monkeypatch.setattr("hyperval.atmosphere.terms.tie", tuple)
         with pytest.raises(EngineError, match=r"6S cannot be started: .*Permission denied"):
             sixs._start(sixs._TRIAL, None)
 
