@@ -226,9 +226,7 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
         another run at this moment, or cannot be written.
     Unplaced : the new content is complete but could not be put there.
     """
-    with _making(Path(path)):
-        place = Path(path).resolve()
-    with _claimed(place, Path(path)):
+    with _claimed(Path(path)) as place:
         _finish(place)
         held, files = _list(place)  # hidden files stay as they are
         foreign = sorted(_names(place) - files)
@@ -261,10 +259,11 @@ def partial_folder(path: Path) -> Path:
 
 
 @contextmanager
-def _claimed(place: Path, given: Path) -> Iterator[None]:
-    """The folder, made where it is not there, and nobody else's for the block."""
-    lock = place / LOCK
+def _claimed(given: Path) -> Iterator[Path]:
+    """The folder itself, made where it is not there, and nobody else's for the block."""
     with _making(given):
+        place = given.resolve()
+        lock = place / LOCK
         refuse(place.exists() and not place.is_dir(), "folder.file", given)
         made = not place.exists()
         place.mkdir(parents=True, exist_ok=True)
@@ -276,7 +275,7 @@ def _claimed(place: Path, given: Path) -> Iterator[None]:
                 who = lock.read_text("utf-8", "replace")[:200].strip() or who
             raise refusal("folder.claimed", given, who=who) from error
     try:
-        yield
+        yield place
     finally:
         if _is_at(handle, lock):
             lock.unlink(missing_ok=True)
