@@ -533,20 +533,13 @@ _SCALES = ("wavelength", "wavelength_2", _PROBABILITY)
 
 
 class Column(NamedTuple):
-    """A number, an array or a word of each entry of a product, as ``products.yaml`` states it.
+    """A variable of the file, which holds a field of each entry of a product: see ``products.yaml``."""
 
-    Attributes
-    ----------
-    field : of the entry, ``self`` for the entry itself
-    name, text, unit : of the variable, its ``long_name`` and ``units``, none for words; {} is the key of a mapping
-    axes : of an array, after that of the entries; ``band`` has one length, others are filled up with NaN
-    """
-
-    field: str
     name: str
-    text: str
-    unit: str
-    axes: tuple[str, ...] = ()
+    field: str
+    long_name: str
+    units: str = "1"
+    axes: str = ""
 
 
 class Layout(NamedTuple):
@@ -566,16 +559,10 @@ def _layouts() -> dict[str, Layout]:
 
 
 def _layout(name: str, about: Mapping[str, Any]) -> Layout:
-    prefix, units, names = (about.get(key, usual) for key, usual in (("prefix", name), ("units", {}), ("names", {})))
-    columns = []
-    for axes, own in {"": about.get("numbers", {}), **about.get("arrays", {})}.items():
-        for field_, text in own.items():
-            named = names.get(field_, "{prefix}_" + field_)
-            named, words = (template.format("{}", prefix=prefix) for template in (named, text))
-            columns.append(Column(field_, named, words, units.get(field_, "1"), tuple(axes.split())))
+    columns = tuple(Column(variable, **own) for variable, own in about["variables"].items())
     inner = {field: _layout(field, own) for field, own in about.get("inner", {}).items()}
     kind = getattr(product_types, about["kind"]) if "kind" in about else None
-    return Layout(prefix, kind, about["axis"], tuple(about["key"]), tuple(columns), inner)
+    return Layout(about.get("prefix", name), kind, about["axis"], tuple(about["key"]), columns, inner)
 
 
 # A predicted object score is a law; its quantiles say what its draws do.
@@ -654,15 +641,15 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
             each.append((column, values, {}))
             continue
         for source in sorted(set(chain(*values))):
-            suffix = re.sub(r"[^A-Za-z0-9]", "_", source)
-            own = column._replace(name=column.name.format(suffix), text=column.text.format(source.replace("_", " ")))
+            name, words = column.name.format(re.sub(r"[^A-Za-z0-9]", "_", source)), source.replace("_", " ")
+            own = column._replace(name=name, long_name=column.long_name.format(words))
             each.append((own, [value.get(source) for value in values], {"source": source}))
     longest = Counter[str]()  # length of each axis
     for column, values, _ in each:
         for value in values:
-            longest |= Counter(dict(zip(column.axes, np.shape(value), strict=False)))
+            longest |= Counter(dict(zip(column.axes.split(), np.shape(value), strict=False)))
     for column, values, more in each:
-        _add_column(data, layout, column, values, [longest[axis] for axis in column.axes], more)
+        _add_column(data, layout.axis, column, values, longest, more)
     for name, inner in layout.inner.items():
         found = []
         for key, item in entries:
@@ -673,18 +660,19 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
 
 
 def _add_column(
-    data: Arrays, layout: Layout, column: Column, values: list[Any], shape: list[int], more: dict[str, str]
+    data: Arrays, axis: str, column: Column, values: list[Any], longest: Mapping[str, int], more: dict[str, str]
 ) -> None:
     """Numbers or arrays below each other, NaN where one is None or has ended; nothing where all arrays are None."""
-    name, axes, words = column.name, (layout.axis, *column.axes), {"long_name": column.text, **more}
-    if not column.unit:
-        data[name] = (axes, np.array(values, dtype=object), words)
-    elif not shape or any(value is not None for value in values):
-        out = np.full((len(values), *shape), np.nan, dtype=np.float32 if name.endswith("_covariance") else float)
+    axes, words = column.axes.split(), {"long_name": column.long_name, **more}
+    if not column.units:
+        data[column.name] = ((axis,), np.array(values, dtype=object), words)
+    elif not axes or any(value is not None for value in values):
+        kind, shape = np.float32 if column.name.endswith("_covariance") else float, [longest[one] for one in axes]
+        out = np.full((len(values), *shape), np.nan, dtype=kind)
         for row, value in zip(out[..., None], values, strict=True):
             if value is not None:
                 row[tuple(slice(n) for n in np.shape(value))] = np.asarray(value)[..., None]
-        data[name] = (axes, out, {"units": column.unit, **words})
+        data[column.name] = ((axis, *axes), out, {"units": column.units, **words})
 
 
 def write_products(folder: Path, sides: Mapping[str, Products | None], *, title: str, simulated: bool) -> None:
@@ -714,7 +702,7 @@ def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
     for name in products:
         for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):
             held = [[getattr(getattr(side, name).get(s), column.field, none) for s in subjects] for side in each]
-            words = {"units": column.unit, "long_name": column.text}
+            words = {"units": column.units, "long_name": column.long_name}
             data[column.name] = (("side", "subject", "band"), np.array(held), words)
     return data
 
@@ -727,9 +715,8 @@ def _write_group(group: Any, data: Arrays) -> None:
         group.dimensions.update(new)
         options: dict[str, Any] = {"dtype": h5py.string_dtype() if array.dtype.kind == "O" else array.dtype}
         if array.dtype.kind == "f" and name not in labels:
-            options["fillvalue"] = array.dtype.type(np.nan)
-            is_packed = array.dtype == np.float32
-            options |= {"compression": "gzip", "compression_opts": 4, "shuffle": True} if is_packed else {}
+            packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+            options |= {"fillvalue": array.dtype.type(np.nan), **(packed if array.dtype == np.float32 else {})}
         variable = group.create_variable(name, axes, data=array, **options)
         variable.attrs.update(attributes)
         beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
