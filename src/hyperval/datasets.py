@@ -176,10 +176,14 @@ def set_data_dir(path: Path) -> None:
     os.environ["HYPERVAL_DATA"] = str(Path(path).resolve())
 
 
+def cache_root() -> Path:
+    """Where all is kept that can be had again: HYPERVAL_CACHE, or the user's cache folder."""
+    return Path(os.environ.get("HYPERVAL_CACHE") or platformdirs.user_cache_path("hyperval", appauthor=False))
+
+
 def cache_dir() -> Path:
-    """Where fetched data are kept: below HYPERVAL_CACHE, or the user's cache folder."""
-    root = os.environ.get("HYPERVAL_CACHE")
-    return (Path(root) if root else platformdirs.user_cache_path("hyperval", appauthor=False)) / "data"
+    """Where fetched data are kept."""
+    return cache_root() / "data"
 
 
 def resolve(reference: str, base: Path | None = None) -> Path:

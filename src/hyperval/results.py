@@ -267,8 +267,7 @@ class ResultTable(list[Result]):
 
 def row_name(row: Result) -> str:
     """Subject, method, metric and band in one line."""
-    parts = [row.subject, row.method, row.metric, f"{row.band_nm:g} nm" if row.per_band else ""]
-    return " ".join(part for part in parts if part)
+    return " ".join(filter(None, row.key.split(SEPARATOR)[1:]))
 
 
 _LEAST_WIDTH = 1e-3  # half width of an interval, as a part of the value

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import platformdirs
 
 from hyperval.data import Array
 from hyperval.errors import EngineError, refuse
@@ -181,14 +180,6 @@ def run_program(
     if tie() and process.returncode in (126, 127):  # of setpriv, as of a shell
         raise EngineError(f"{name} cannot be started: {last_line(complaint)}", where=command[0], mend=mend)
     return subprocess.CompletedProcess(command, process.returncode, said, complaint)
-
-
-def cache_folder(given: Path | None = None) -> Path:
-    """The folder given, or HYPERVAL_CACHE, or the user's cache folder."""
-    if given is not None:
-        return Path(given)
-    from_environment = os.environ.get("HYPERVAL_CACHE")
-    return Path(from_environment or platformdirs.user_cache_dir("hyperval"))
 
 
 def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:
