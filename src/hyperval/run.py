@@ -57,7 +57,7 @@ from hyperval.errors import WARNING, UsageError, package_table, reader, refusal,
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
 from hyperval.products import SPECTRA, ObjectScores, ObservedProducts, PredictedProducts, Products
-from hyperval.results import COLUMNS, OUTCOMES, Cause, Outcome, Result, ResultTable, Role, row_name
+from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role, row_name
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import content_of, write_text
 
@@ -428,7 +428,7 @@ def junit_xml(rows: Iterable[Result]) -> str:
         for row in own:
             names = {"classname": f"{row.campaign}.{row.product}", "name": row_name(row)}
             case = ElementTree.SubElement(suite, "testcase", names)
-            if element := OUTCOMES[row.outcome].element:
+            if element := row.outcome.element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
                 ElementTree.SubElement(case, element, message=undecided + _why(row))
     ElementTree.indent(root, " ")
@@ -437,7 +437,7 @@ def junit_xml(rows: Iterable[Result]) -> str:
 
 
 def _tally(rows: Iterable[Result]) -> dict[str, str]:
-    count = Counter(OUTCOMES[row.outcome].element for row in rows)
+    count = Counter(row.outcome.element for row in rows)
     names = {"failures": "failure", "errors": "error", "skipped": "skipped"}
     return {"tests": str(count.total())} | {name: str(count[element]) for name, element in names.items()}
 

@@ -26,7 +26,7 @@ from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, st
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
+from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, row_name
 from hyperval.run import Run, is_run, read_products
 from hyperval.storage import installed_file, whole_folder
 
@@ -104,11 +104,11 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
         return {"outcome": Outcome.NONE, "letter": "", "words": "not planned", "link": ""}
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     outcome = v.worst(gates or rows)
-    letter = OUTCOMES[outcome].letter if gates else OUTCOMES[outcome].letter.lower()
+    letter = outcome.letter if gates else outcome.letter.lower()
     parts = [f"criteria: {outcome_words(gates)}"] if gates else []
     informing = [row for row in rows if not row.gates and row.outcome is not Outcome.ERROR]
     if gates and outcome is not Outcome.DISAGREES and v.worst(informing) is Outcome.DISAGREES:
-        letter += f" {OUTCOMES[Outcome.DISAGREES].letter.lower()}"  # what decides does not, something else does
+        letter += f" {Outcome.DISAGREES.letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
     return {"outcome": outcome, "letter": letter, "words": "; ".join(parts), "link": link}
 
@@ -266,7 +266,7 @@ def environment() -> jinja2.Environment:
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         about=lambda row: plain_words(row.metric, row.product),
-        outcome=lambda word: OUTCOMES[Outcome(word)].word,
+        outcome=lambda word: Outcome(word).word,
         subject=functools.partial(re.sub, r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0"),  # a number beside its unit: "3 m"
         anchor=anchor,
     )
