@@ -244,7 +244,7 @@ class Run:
         folder = Path(folder)
         write_table(self.table, folder)
         if self.given:
-            write_products(folder, self.given, title=self.title, simulated=self.simulated)
+            write_products(folder, self.sides, title=self.title, simulated=self.simulated)
         stems = file_stems(self.score_maps)
         for name, score_map in self.score_maps.items():
             (folder / "scores").mkdir(exist_ok=True)
@@ -304,12 +304,11 @@ def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) ->
 def file_stems(names: Iterable[str]) -> dict[str, str]:
     """A distinct, harmless file name for each name: letters, digits, dot, minus and underscore."""
     stems: dict[str, str] = {}
-    taken: set[str] = set()
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:100] or "_"
         candidates = chain([stem], (f"{stem}_{number}" for number in count(2)))
+        taken = {other.lower() for other in stems.values()}
         stems[name] = next(one for one in candidates if one.lower() not in taken)
-        taken.add(stems[name].lower())
     return stems
 
 
@@ -675,17 +674,16 @@ def _add_column(
         data[column.name] = ((axis, *axes), out, {"units": column.units, **words})
 
 
-def write_products(folder: Path, sides: Mapping[str, Products | None], *, title: str, simulated: bool) -> None:
+def write_products(folder: Path, sides: Mapping[str, Products], *, title: str, simulated: bool) -> None:
     """Write ``products.nc`` of the sides that there are into a folder; two writes give the same bytes."""
     with h5netcdf.File(Path(folder) / PRODUCTS, "w") as file:
         file.attrs.update({
             "Conventions": "CF-1.11", "title": title, "source": f"hyperval {hyperval.__version__}",
             "simulated": "yes" if simulated else "no",
         })  # fmt: skip
-        known = {name: products for name, products in sides.items() if products is not None}
-        for name, products in known.items():
+        for name, products in sides.items():
             _write_group(file.create_group(name), to_arrays(products))
-        _write_group(file, _all_spectra(known))  # last: its axes are not those of the groups
+        _write_group(file, _all_spectra(sides))  # last: its axes are not those of the groups
 
 
 def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
