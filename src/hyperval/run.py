@@ -605,8 +605,7 @@ def to_arrays(products: Products) -> Arrays:
         if np.ndim(own.values) == 2:  # a law
             held["object_score_law"].append((key, np.quantile(own.values, OBJECT_QUANTILES)))
         else:
-            names = own.names or [""] * len(own.values)
-            held["object_score"] += [((*key, name), value) for name, value in zip(names, own.values, strict=True)]
+            held["object_score"] += [((*key, name), value) for name, value in zip(own.names, own.values, strict=True)]
     for name, layout in _layouts().items():
         _add(data, layout, held[name])
     if held["object_score_law"]:
