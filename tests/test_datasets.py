@@ -94,6 +94,13 @@ def test_where_a_reference_leads(places, tmp_path):
         datasets.verify("hysuu")
 
 
+def test_what_can_be_had_again_is_kept_where_the_environment_says(tmp_path, monkeypatch):
+    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "env"))
+    assert datasets.cache_root() == tmp_path / "env"
+    monkeypatch.delenv("HYPERVAL_CACHE")
+    assert "hyperval" in str(datasets.cache_root())
+
+
 def test_what_was_read_is_recorded_without_a_path_of_this_machine(places, tmp_path):
     put(places[0], "hysu/mine.hdr", b"a file of one's own among those of a set")
     inside, outside = put(places[0], "mine/a.hdr"), put(tmp_path / "elsewhere", "c.csv")

@@ -8,10 +8,10 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, PrivateAttr, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
@@ -99,8 +99,12 @@ class Model(BaseModel):
 
 
 class FileModel(Model):
-    """What a whole file says."""
+    """What a whole file says, which begins with its name."""
 
+    schema_version: Literal[1] = Field(1, alias="schema")
+    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
+    title: str = ""
+    description: str = ""
     _folder: Path | None = PrivateAttr(None)
 
     @property

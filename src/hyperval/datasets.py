@@ -14,24 +14,23 @@ import gzip
 import hashlib
 import os
 import zlib
+from collections import defaultdict
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
-from importlib import resources
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import quote
 
 import platformdirs
 
-from hyperval.config import Model, parse_yaml, validate
-from hyperval.errors import HypervalError, MissingDataError, needed, refusal, refuse
+from hyperval.errors import HypervalError, MissingDataError, needed, package_table, refusal, refuse
 from hyperval.paths import checked_store, is_pattern, matching, nearest
 from hyperval.progress import track
-from hyperval.storage import has_digest, sha256_of, size_of, whole_file
+from hyperval.storage import has_digest, installed_file, sha256_of, size_of, whole_file
 
 ATTEMPTS = 3
 
@@ -65,12 +64,9 @@ class DataFile:
         """Whether the file at ``path`` has the registered content."""
         if not self.packed:
             return path.stat().st_size == self.size and has_digest(path, self.digest)
-        try:
-            with gzip.open(path) as stream:
-                content = stream.read(self.size + 1)
-        except (OSError, EOFError, zlib.error):
-            return False
-        return f"sha256:{hashlib.sha256(content).hexdigest()}" == self.digest
+        with suppress(OSError, EOFError, zlib.error), gzip.open(path) as stream:
+            return self.digest == f"sha256:{hashlib.sha256(stream.read(self.size + 1)).hexdigest()}"
+        return False
 
 
 def download(file: DataFile, target: Path, mend: str) -> Path:
@@ -130,20 +126,21 @@ def _reason(error: Exception) -> str:
     return next((own for kind, own in words.items() if isinstance(error, kind)), type(error).__name__)
 
 
-class DataSet(Model):
+@dataclass(frozen=True, kw_only=True)
+class DataSet:
     """A data set with its licence, its citation and its files, as ``registry/sets.yaml`` and ``files.csv`` have it.
 
-    A set that is not public has no address and no listed files: ``holder`` says who has it, ``obtain`` how to
+    A set that is not public has no repository and no listed files: ``holder`` says who has it, ``obtain`` how to
     get it; its files stand below a folder of its name.
     """
 
-    name: str = ""
+    name: str
     title: str
+    licence: str
+    citation: str
     repository: str = ""
     commit: str = ""
     upstream: str = ""
-    licence: str
-    citation: str
     files: tuple[DataFile, ...] = ()
     holder: str = ""
     obtain: str = ""
@@ -153,28 +150,18 @@ class DataSet(Model):
         """Whether it can be fetched."""
         return not self.holder
 
-    refused: ClassVar = {
-        "give either repository and commit, or holder and obtain": lambda s: (
-            bool(s.repository and s.commit) == bool(s.holder and s.obtain)
-        )
-    }
-
 
 @cache
 def registry() -> Mapping[str, DataSet]:
     """Every registered data set by name."""
-    folder = resources.files("hyperval") / "registry"
-    data = parse_yaml((folder / "sets.yaml").read_text("utf-8"), "sets.yaml")[0]
-    entries = {name: validate(DataSet, about, {}, f"sets.yaml: {name}") for name, about in data.items()}
-    files: dict[str, list[DataFile]] = {name: [] for name in entries}
-    for row in csv.DictReader((folder / "files.csv").read_text("utf-8").splitlines()):
-        entry = entries[row["set"]]
-        inside = f"{entry.repository}/{entry.commit}/{entry.upstream}/{row['upstream']}".replace("//", "/")
-        where = quote(row["upstream"][1:] if row["upstream"].startswith("@") else inside)
-        address = f"https://raw.githubusercontent.com/{where}"
+    sets, files = package_table("registry/sets.yaml"), defaultdict[str, list[DataFile]](list)
+    for row in csv.DictReader(installed_file("hyperval", "registry", "files.csv").read_text("utf-8").splitlines()):
+        folder = "{repository}/{commit}/{upstream}".format_map(sets[row["set"]])
+        inside = row["upstream"][1:] if row["upstream"].startswith("@") else f"{folder}/{row['upstream']}"
+        address = f"https://raw.githubusercontent.com/{quote(inside.replace('//', '/'))}"
         digest = f"sha256:{row['sha256']}" if row["sha256"] else f"git-blob:{row['git_blob']}"
         files[row["set"]].append(DataFile(row["path"], address, int(row["bytes"]), digest))
-    return {name: e.model_copy(update={"name": name, "files": tuple(files[name])}) for name, e in entries.items()}
+    return {name: DataSet(name=name, files=tuple(files[name]), **about) for name, about in sets.items()}
 
 
 def dataset(name: str) -> DataSet:
@@ -189,10 +176,14 @@ def set_data_dir(path: Path) -> None:
     os.environ["HYPERVAL_DATA"] = str(Path(path).resolve())
 
 
+def cache_root() -> Path:
+    """Where all is kept that can be had again: HYPERVAL_CACHE, or the user's cache folder."""
+    return Path(os.environ.get("HYPERVAL_CACHE") or platformdirs.user_cache_path("hyperval", appauthor=False))
+
+
 def cache_dir() -> Path:
-    """Where fetched data are kept: below HYPERVAL_CACHE, or the user's cache folder."""
-    root = os.environ.get("HYPERVAL_CACHE")
-    return (Path(root) if root else platformdirs.user_cache_path("hyperval", appauthor=False)) / "data"
+    """Where fetched data are kept."""
+    return cache_root() / "data"
 
 
 def resolve(reference: str, base: Path | None = None) -> Path:
@@ -233,12 +224,6 @@ def owner_of(reference: str) -> DataSet | None:
         return _by_path()[path][0]
     beside = registry().get(path.split("/")[0])
     return None if beside is None or beside.public else beside
-
-
-def set_on_request(reference: str) -> DataSet | None:
-    """The set that is not public to which a ``data:`` reference belongs, None for any other reference."""
-    owner = owner_of(reference)
-    return None if owner is None or owner.public else owner
 
 
 def files_at_hand(name: str) -> int:
@@ -379,9 +364,8 @@ def _resolve_data(path: str) -> Path:
     if (path_here := _find(path)) is not None:
         return path_here
     looked = ", ".join(str(root) for root in _roots())
-    of = fnmatchcase if is_pattern(path) else str.__eq__
-    known = (owner for known, (owner, _) in _by_path().items() if of(known, path))
-    owner = next(known, None) or set_on_request(PREFIX + path)
+    of_pattern = (owner for known, (owner, _) in _by_path().items() if is_pattern(path) and fnmatchcase(known, path))
+    owner = next(of_pattern, None) or owner_of(PREFIX + path)
     if owner is None:  # neither the registry nor this machine knows it: the names nearest to it
         folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
         beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]

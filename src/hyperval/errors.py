@@ -21,6 +21,7 @@ T = TypeVar("T")
 
 _OWN = Path(__file__).parent
 _CALLS = 4
+WARNING = "warning: "  # what a note that warns begins with
 
 
 class HypervalError(Exception):

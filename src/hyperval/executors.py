@@ -21,7 +21,7 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
@@ -304,7 +304,7 @@ class Workers:
 
     executor: Executor | TaskPool | None = None
     width: int = 1
-    losses: tuple[type[Exception], ...] = (BrokenExecutor, CancelledError, Lost)
+    losses: tuple[type[Exception], ...] = (Lost,)
 
     def submit(self, function: Callable[[T], R], piece: T) -> Future[R]:
         """Hand a piece in, which has one BLAS thread."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -17,36 +17,36 @@ from hyperval.metrics import Evidence, Kind, metric_of
 
 
 class Outcome(StrEnum):
-    """What a comparison concludes; ``none`` where nothing was planned."""
+    """What a comparison concludes; ``none`` where nothing was planned.
 
-    AGREES = "agrees"
-    DISAGREES = "disagrees"
-    UNDECIDED = "undecided"
-    SKIPPED = "skipped"
-    ERROR = "error"
-    NONE = "none"
-
-
-class Said(NamedTuple):
-    """How an outcome is said: in a word, by a letter, of one criterion, of several, and as an element of JUnit."""
+    Attributes
+    ----------
+    word, letter, of_one, of_several, element : how it is said: in a word, by a letter, of one criterion, of several,
+        and as an element of JUnit
+    """
 
     word: str
     letter: str
     of_one: str
     of_several: str
     element: str
+    AGREES = "agrees", "met", "M", "is met", "are met", ""
+    DISAGREES = "disagrees", "not met", "N", "is not met", "are not met", "failure"
+    UNDECIDED = "undecided", "inconclusive", "I", "is inconclusive", "are inconclusive", "skipped"
+    SKIPPED = "skipped", "not run", "S", "was not run", "were not run", "skipped"
+    ERROR = "error", "error", "E", "ended in an error", "ended in an error", "error"
+    NONE = "none", "without a range", "", "", "", ""
+
+    def __new__(cls, value: str, *said: str) -> Outcome:
+        """The member of a value, with how it is said."""
+        own = str.__new__(cls, value)
+        own._value_ = value
+        own.word, own.letter, own.of_one, own.of_several, own.element = said
+        return own
 
 
 # The one order: where several rows or criteria are one entry, the first of these counts that one of them has.
-OUTCOMES = {
-    Outcome.ERROR: Said("error", "E", "ended in an error", "ended in an error", "error"),
-    Outcome.DISAGREES: Said("not met", "N", "is not met", "are not met", "failure"),
-    Outcome.UNDECIDED: Said("inconclusive", "I", "is inconclusive", "are inconclusive", "skipped"),
-    Outcome.SKIPPED: Said("not run", "S", "was not run", "were not run", "skipped"),
-    Outcome.AGREES: Said("met", "M", "is met", "are met", ""),
-    Outcome.NONE: Said("without a range", "", "", "", ""),
-}
-WORST_FIRST = tuple(OUTCOMES)
+WORST_FIRST = tuple(map(Outcome, ("error", "disagrees", "undecided", "skipped", "agrees", "none")))
 SEPARATOR = " | "  # in the key of a row
 EVERY = ("*", "all subjects", "all objects")  # subjects of rows about all of them
 
@@ -267,8 +267,7 @@ class ResultTable(list[Result]):
 
 def row_name(row: Result) -> str:
     """Subject, method, metric and band in one line."""
-    parts = [row.subject, row.method, row.metric, f"{row.band_nm:g} nm" if row.per_band else ""]
-    return " ".join(part for part in parts if part)
+    return " ".join(filter(None, row.key.split(SEPARATOR)[1:]))
 
 
 _LEAST_WIDTH = 1e-3  # half width of an interval, as a part of the value
@@ -333,8 +332,7 @@ def paired(a: ResultTable, b: ResultTable) -> list[Pair]:
 def _keyed(table: ResultTable, single: bool) -> dict[tuple[Any, ...], Result]:
     out, seen = dict[tuple[Any, ...], Result](), Counter[tuple[Any, ...]]()
     for row in table:
-        band = None if math.isnan(row.band_nm) else round(row.band_nm, 3)
-        key = ("" if single else row.campaign, row.product, row.subject, row.method, row.metric, band)
+        key = ("" if single else row.campaign, row.key)
         out[*key, seen[key]] = row
         seen[key] += 1
     return out

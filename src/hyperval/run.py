@@ -35,13 +35,13 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
-from functools import cache, cached_property, partial
-from itertools import chain, count, takewhile
+from functools import cache, cached_property
+from itertools import chain, count
 from operator import attrgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -53,18 +53,17 @@ import numpy.typing as npt
 import hyperval
 import hyperval.products as product_types
 from hyperval.data import Mask
-from hyperval.errors import UsageError, package_table, reader, refusal, refuse
+from hyperval.errors import WARNING, UsageError, package_table, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
 from hyperval.products import SPECTRA, ObjectScores, ObservedProducts, PredictedProducts, Products
-from hyperval.results import COLUMNS, OUTCOMES, Cause, Outcome, Result, ResultTable, Role, row_name
+from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role, row_name
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import content_of, write_text
 
 SIDES = {"predicted": PredictedProducts, "observed": ObservedProducts}
 SCHEMA_VERSION = 4
 SECONDS_PER_YEAR = 365.2425 * 86400.0
-WARNING = "warning: "  # what a note that warns begins with
 MAX_BYTES = 500_000_000  # of a table that is read
 MOST_JOINED = 200_000  # rows that the results.json of several campaigns repeats
 TABLE, PRODUCTS, PROVENANCE, PAGE, JUNIT, CSV = (
@@ -206,9 +205,9 @@ class Run:
     @cached_property
     def sides(self) -> Mapping[str, Products]:
         """Name of a side -> its products; InputError for a damaged file, empty where there is none."""
-        if self.folder is None:
-            return {name: products for name, products in self.given.items() if products is not None}
-        return read_products(self.folder) if (self.folder / PRODUCTS).is_file() else {}
+        stored = self.folder is not None and (self.folder / PRODUCTS).is_file() and read_products(self.folder)
+        given = stored.given if stored else self.given
+        return {name: products for name, products in given.items() if products is not None}
 
     @property
     def pair(self) -> tuple[PredictedProducts | None, ObservedProducts | None]:
@@ -245,7 +244,7 @@ class Run:
         folder = Path(folder)
         write_table(self.table, folder)
         if self.given:
-            write_products(folder, self.given, title=self.title, simulated=self.simulated)
+            write_products(folder, self.sides, title=self.title, simulated=self.simulated)
         stems = file_stems(self.score_maps)
         for name, score_map in self.score_maps.items():
             (folder / "scores").mkdir(exist_ok=True)
@@ -305,12 +304,11 @@ def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) ->
 def file_stems(names: Iterable[str]) -> dict[str, str]:
     """A distinct, harmless file name for each name: letters, digits, dot, minus and underscore."""
     stems: dict[str, str] = {}
-    taken: set[str] = set()
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip(".")[:100] or "_"
         candidates = chain([stem], (f"{stem}_{number}" for number in count(2)))
+        taken = {other.lower() for other in stems.values()}
         stems[name] = next(one for one in candidates if one.lower() not in taken)
-        taken.add(stems[name].lower())
     return stems
 
 
@@ -370,19 +368,14 @@ def write_joined(
     """
     parts = parts or folder
     for name in (CSV, "summary.csv"):
-        with open(folder / name, "w", encoding="utf-8", newline="") as out:
-            out.write(results_csv([]))
-            for part in names:
-                with open(parts / part / name, encoding="utf-8", newline="") as own:
-                    next(own)
-                    out.writelines(own)
-    counts, lines = Counter(dict.fromkeys(map(str, Outcome), 0)), list[str]()
+        with open(folder / name, "wb") as out:
+            out.write(results_csv([]).encode())
+            out.writelines((parts / part / name).read_bytes().partition(b"\n")[2] for part in names)
+    counts, lines = Counter[str](), list[str]()
     for name in names:
-        with open(parts / name / TABLE, encoding="utf-8") as stream:
-            head = "".join(takewhile(_ROWS.__ne__, stream))
-            counts.update(json.loads(head[:-2] + "}" if head.endswith(",\n") else head)["counts"])
-            if counts.total() <= MOST_JOINED:
-                lines += (line.rstrip(",\n") for line in takewhile(" ]\n".__ne__, stream))
+        head, _, listed = (parts / name / TABLE).read_text("utf-8").partition(_ROWS)
+        counts.update(json.loads(head.removesuffix(",\n") + "}" if listed else head)["counts"])
+        lines += [listed.removesuffix("\n ]\n}\n")] if listed and counts.total() <= MOST_JOINED else []
     is_small = counts.total() <= MOST_JOINED
     write_text(folder / TABLE, _document(lines if is_small else [], counts, {"runs": list(names)}))
     write_text(folder / JUNIT, junit_xml(planned))
@@ -408,16 +401,15 @@ def results_json(rows: Iterable[Result]) -> str:
     A line a row; null for NaN, "inf" and "-inf" for infinities.
     """
     rows = list(rows)
-    count = Counter(row.outcome for row in rows)
     encode = json.JSONEncoder(ensure_ascii=False, allow_nan=False).encode  # fast only without indentation
     lines = (f"  {encode([json_value(value) for value in _values(row)])}" for row in rows)
-    return _document(lines, {str(outcome): count[outcome] for outcome in Outcome})
+    return _document(lines, Counter(str(row.outcome) for row in rows))
 
 
-def _document(lines: Iterable[str], counts: Mapping[str, int], more: Mapping[str, Any] | None = None) -> str:
+def _document(lines: Iterable[str], counts: Counter[str], more: Mapping[str, Any] = MappingProxyType({})) -> str:
     document = {
-        "schema_version": SCHEMA_VERSION, "hyperval_version": hyperval.__version__, "counts": dict(counts),
-        **(more or {}), "columns": list(COLUMNS), "rows": [],
+        "schema_version": SCHEMA_VERSION, "hyperval_version": hyperval.__version__,
+        "counts": {str(outcome): counts[outcome] for outcome in Outcome}, **more, "columns": list(COLUMNS), "rows": [],
     }  # fmt: skip
     head = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     listed = ",\n".join(lines)
@@ -435,7 +427,7 @@ def junit_xml(rows: Iterable[Result]) -> str:
         for row in own:
             names = {"classname": f"{row.campaign}.{row.product}", "name": row_name(row)}
             case = ElementTree.SubElement(suite, "testcase", names)
-            if element := OUTCOMES[row.outcome].element:
+            if element := row.outcome.element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
                 ElementTree.SubElement(case, element, message=undecided + _why(row))
     ElementTree.indent(root, " ")
@@ -444,7 +436,7 @@ def junit_xml(rows: Iterable[Result]) -> str:
 
 
 def _tally(rows: Iterable[Result]) -> dict[str, str]:
-    count = Counter(OUTCOMES[row.outcome].element for row in rows)
+    count = Counter(row.outcome.element for row in rows)
     names = {"failures": "failure", "errors": "error", "skipped": "skipped"}
     return {"tests": str(count.total())} | {name: str(count[element]) for name, element in names.items()}
 
@@ -490,28 +482,24 @@ def read_rows(folder: Path, *, every: bool = True) -> Iterator[Result]:
     ------
     InputError : no such file, not JSON, or not a results table of this version.
     """
-    path = Path(folder) / TABLE
-    document = _document_of(path)
-    for name in document.get("runs", ()):
-        refuse(not isinstance(name, str) or Path(name).name != name or name[:1] == ".", "results.part", path, name=name)
+    parts, rows = _table(Path(folder) / TABLE, every)
+    for name in parts:
         yield from read_rows(folder / name, every=every)
-    if "runs" not in document:
-        yield from _rows(path, document["columns"], document["rows"], every)
+    yield from rows
 
 
 @reader
-def _document_of(path: Path) -> dict[str, Any]:
+def _table(path: Path, every: bool) -> tuple[list[str], list[Result]]:
+    """The folders that hold the rows of a table of several campaigns, and the rows of any other."""
     document = _json(path)
-    lists = all(isinstance(document.get(name, []), list) for name in ("runs", "columns", "rows"))
+    parts, columns, rows = (document.get(name, []) for name in ("runs", "columns", "rows"))
+    lists = all(isinstance(one, list) for one in (parts, columns, rows))
     is_known = document.get("schema_version") in _READABLE and lists and {"columns", "rows"} <= document.keys()
     refuse(not is_known, "results.table", path, version=SCHEMA_VERSION)
-    return document
-
-
-@reader
-def _rows(path: Path, columns: list[Any], rows: list[Any], every: bool) -> list[Result]:
+    for name in parts:
+        refuse(not isinstance(name, str) or Path(name).name != name or name[:1] == ".", "results.part", path, name=name)
     out = []
-    for i, item in enumerate(rows, start=1):
+    for i, item in enumerate([] if "runs" in document else rows, start=1):
         if isinstance(item, list) and len(item) == len(columns):
             item = dict(zip(map(str, columns), item, strict=True))
         if not isinstance(item, dict) or not _OLD <= item.keys() <= _KNOWN:
@@ -521,7 +509,7 @@ def _rows(path: Path, columns: list[Any], rows: list[Any], every: bool) -> list[
                 out.append(Result(**{name: _READ_COLUMN[name](value) for name, value in item.items()}))
             except (TypeError, ValueError, UsageError) as error:
                 raise refusal("results.values", f"{path}, row {i}", why=error) from error
-    return out
+    return parts, out
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -544,20 +532,13 @@ _SCALES = ("wavelength", "wavelength_2", _PROBABILITY)
 
 
 class Column(NamedTuple):
-    """A number, an array or a word of each entry of a product, as ``products.yaml`` states it.
+    """A variable of the file, which holds a field of each entry of a product: see ``products.yaml``."""
 
-    Attributes
-    ----------
-    field : of the entry, ``self`` for the entry itself
-    name, text, unit : of the variable, its ``long_name`` and ``units``, none for words; {} is the key of a mapping
-    axes : of an array, after that of the entries; ``band`` has one length, others are filled up with NaN
-    """
-
-    field: str
     name: str
-    text: str
-    unit: str
-    axes: tuple[str, ...] = ()
+    field: str
+    long_name: str
+    units: str = "1"
+    axes: str = ""
 
 
 class Layout(NamedTuple):
@@ -577,18 +558,10 @@ def _layouts() -> dict[str, Layout]:
 
 
 def _layout(name: str, about: Mapping[str, Any]) -> Layout:
-    prefix, units, names = (about.get(key, usual) for key, usual in (("prefix", name), ("units", {}), ("names", {})))
-    groups = [((), "1", about.get("numbers", {})), ((), "", about.get("words", {}))]
-    groups += [(tuple(axes.split()), "1", own) for axes, own in about.get("arrays", {}).items()]
-    columns = []
-    for axes, unit, own in groups:
-        for field_, text in own.items():
-            named = names.get(field_, f"{prefix}_{field_}").replace("{prefix}", prefix)
-            words = text.replace("{prefix}", prefix)
-            columns.append(Column(field_, named, words, units.get(field_, unit), axes))
+    columns = tuple(Column(variable, **own) for variable, own in about["variables"].items())
     inner = {field: _layout(field, own) for field, own in about.get("inner", {}).items()}
     kind = getattr(product_types, about["kind"]) if "kind" in about else None
-    return Layout(prefix, kind, about["axis"], tuple(about["key"]), tuple(columns), inner)
+    return Layout(about.get("prefix", name), kind, about["axis"], tuple(about["key"]), columns, inner)
 
 
 # A predicted object score is a law; its quantiles say what its draws do.
@@ -632,8 +605,7 @@ def to_arrays(products: Products) -> Arrays:
         if np.ndim(own.values) == 2:  # a law
             held["object_score_law"].append((key, np.quantile(own.values, OBJECT_QUANTILES)))
         else:
-            names = own.names or [""] * len(own.values)
-            held["object_score"] += [((*key, name), value) for name, value in zip(names, own.values, strict=True)]
+            held["object_score"] += [((*key, name), value) for name, value in zip(own.names, own.values, strict=True)]
     for name, layout in _layouts().items():
         _add(data, layout, held[name])
     if held["object_score_law"]:
@@ -657,25 +629,25 @@ def _key(key: Any) -> tuple[str, ...]:
 def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], Any]]) -> None:
     if not entries:
         return
-    for i, part in enumerate(layout.key):
-        names = np.array([str(key[i]) for key, _ in entries], dtype=object)
-        data[f"{layout.prefix}_{part}"] = ((layout.axis,), names, {"long_name": _PARTS[part]})
+    for part, names in zip(layout.key, zip(*(key for key, _ in entries), strict=True), strict=True):
+        words = {"long_name": _PARTS[part]}
+        data[f"{layout.prefix}_{part}"] = ((layout.axis,), np.array(names, dtype=object), words)
     each: list[tuple[Column, list[Any], dict[str, str]]] = []
     for column in layout.columns:
         values = [item if column.field == "self" else getattr(item, column.field) for _, item in entries]
         if "{}" not in column.name:
             each.append((column, values, {}))
             continue
-        for source in sorted({source for value in values for source in value}):
-            suffix = re.sub(r"[^A-Za-z0-9]", "_", source)
-            own = column._replace(name=column.name.format(suffix), text=column.text.format(source.replace("_", " ")))
+        for source in sorted(set(chain(*values))):
+            name, words = column.name.format(re.sub(r"[^A-Za-z0-9]", "_", source)), source.replace("_", " ")
+            own = column._replace(name=name, long_name=column.long_name.format(words))
             each.append((own, [value.get(source) for value in values], {"source": source}))
-    longest = dict.fromkeys((axis for column in layout.columns for axis in column.axes), 0)
+    longest = Counter[str]()  # length of each axis
     for column, values, _ in each:
         for value in values:
-            longest.update({a: max(longest[a], n) for a, n in zip(column.axes, np.shape(value), strict=False)})
+            longest |= Counter(dict(zip(column.axes.split(), np.shape(value), strict=False)))
     for column, values, more in each:
-        _add_column(data, layout, column, values, [longest[axis] for axis in column.axes], more)
+        _add_column(data, layout.axis, column, values, longest, more)
     for name, inner in layout.inner.items():
         found = []
         for key, item in entries:
@@ -686,31 +658,31 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
 
 
 def _add_column(
-    data: Arrays, layout: Layout, column: Column, values: list[Any], shape: list[int], more: dict[str, str]
+    data: Arrays, axis: str, column: Column, values: list[Any], longest: Mapping[str, int], more: dict[str, str]
 ) -> None:
     """Numbers or arrays below each other, NaN where one is None or has ended; nothing where all arrays are None."""
-    name, axes, words = column.name, (layout.axis, *column.axes), {"long_name": column.text, **more}
-    if not column.unit:
-        data[name] = (axes, np.array([str(value) for value in values], dtype=object), words)
-    elif not shape or any(value is not None for value in values):
-        out = np.full((len(values), *shape), np.nan, dtype=np.float32 if name.endswith("_covariance") else float)
+    axes, words = column.axes.split(), {"long_name": column.long_name, **more}
+    if not column.units:
+        data[column.name] = ((axis,), np.array(values, dtype=object), words)
+    elif not axes or any(value is not None for value in values):
+        kind, shape = np.float32 if column.name.endswith("_covariance") else float, [longest[one] for one in axes]
+        out = np.full((len(values), *shape), np.nan, dtype=kind)
         for row, value in zip(out[..., None], values, strict=True):
             if value is not None:
                 row[tuple(slice(n) for n in np.shape(value))] = np.asarray(value)[..., None]
-        data[name] = (axes, out, {"units": column.unit, **words})
+        data[column.name] = ((axis, *axes), out, {"units": column.units, **words})
 
 
-def write_products(folder: Path, sides: Mapping[str, Products | None], *, title: str, simulated: bool) -> None:
+def write_products(folder: Path, sides: Mapping[str, Products], *, title: str, simulated: bool) -> None:
     """Write ``products.nc`` of the sides that there are into a folder; two writes give the same bytes."""
     with h5netcdf.File(Path(folder) / PRODUCTS, "w") as file:
         file.attrs.update({
             "Conventions": "CF-1.11", "title": title, "source": f"hyperval {hyperval.__version__}",
             "simulated": "yes" if simulated else "no",
         })  # fmt: skip
-        known = {name: products for name, products in sides.items() if products is not None}
-        for name, products in known.items():
+        for name, products in sides.items():
             _write_group(file.create_group(name), to_arrays(products))
-        _write_group(file, _all_spectra(known))  # last: its axes are not those of the groups
+        _write_group(file, _all_spectra(sides))  # last: its axes are not those of the groups
 
 
 def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
@@ -726,10 +698,9 @@ def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
     none = np.full(len(each[0].axis), np.nan)
     for name in products:
         for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):
-            estimates = [[getattr(side, name).get(subject) for subject in subjects] for side in each]
-            values = np.array([[getattr(one, column.field, none) for one in own] for own in estimates])
-            words = {"units": column.unit, "long_name": column.text}
-            data[column.name] = (("side", "subject", "band"), values, words)
+            held = [[getattr(getattr(side, name).get(s), column.field, none) for s in subjects] for side in each]
+            words = {"units": column.units, "long_name": column.long_name}
+            data[column.name] = (("side", "subject", "band"), np.array(held), words)
     return data
 
 
@@ -741,9 +712,8 @@ def _write_group(group: Any, data: Arrays) -> None:
         group.dimensions.update(new)
         options: dict[str, Any] = {"dtype": h5py.string_dtype() if array.dtype.kind == "O" else array.dtype}
         if array.dtype.kind == "f" and name not in labels:
-            options["fillvalue"] = array.dtype.type(np.nan)
-            is_packed = array.dtype == np.float32
-            options |= {"compression": "gzip", "compression_opts": 4, "shuffle": True} if is_packed else {}
+            packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+            options |= {"fillvalue": array.dtype.type(np.nan), **(packed if array.dtype == np.float32 else {})}
         variable = group.create_variable(name, axes, data=array, **options)
         variable.attrs.update(attributes)
         beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
@@ -751,43 +721,25 @@ def _write_group(group: Any, data: Arrays) -> None:
             variable.attrs["coordinates"] = " ".join(beside)
 
 
-@contextmanager
-def _opened(folder: Path) -> Iterator[Any]:
-    """The open products.nc of a folder; whatever is wrong with it is an InputError."""
+@reader
+def read_products(folder: Path) -> Run:
+    """The sides of a run as they were written, and whether its collection is simulated; without its table.
+
+    Raises
+    ------
+    InputError : no products.nc, or one that is damaged or not of this kind.
+    """
     path = Path(folder) / PRODUCTS
     refuse(not path.is_file(), "products.file", path)
     check_hdf5(path)
     try:
-        with h5netcdf.File(path, "r") as file:
-            yield file
+        with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+            sides = {name: _products(group, SIDES.get(name, PredictedProducts)) for name, group in file.groups.items()}
+            return Run(ResultTable(), given=sides, simulated=bool(file.attrs.get("simulated") == "yes"))
     except KeyError as error:
         raise refusal("products.version", path, version=hyperval.__version__) from error
     except (OSError, ValueError, RuntimeError) as error:
         raise refusal("products.damaged", path, why=error) from error
-
-
-@reader
-def read_products(folder: Path) -> dict[str, Products]:
-    """The sides of a run as they were written.
-
-    Raises
-    ------
-    InputError : no products.nc, or one that is not of this kind.
-    """
-    with _opened(folder) as file:
-        return {name: _products(group, SIDES.get(name, PredictedProducts)) for name, group in file.groups.items()}
-
-
-def read_pair(folder: Path) -> tuple[PredictedProducts | None, ObservedProducts | None]:
-    """The prediction and the observation of a run, None for one that was not made; errors of read_products."""
-    return Run(ResultTable(), given=read_products(folder)).pair
-
-
-@reader
-def is_simulated(folder: Path) -> bool:
-    """Whether a run is one of a simulated collection; errors of read_products."""
-    with _opened(folder) as file:
-        return bool(file.attrs.get("simulated") == "yes")
 
 
 def _products(group: Any, kind: type[Products]) -> Products:
@@ -811,20 +763,23 @@ def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
     """Key and entry of each that a group holds of a product."""
     if f"{layout.prefix}_{layout.key[0]}" not in group:
         return []
-    keys = list(zip(*(_texts(group[f"{layout.prefix}_{part}"]) for part in layout.key), strict=True))
+    keys = list(zip(*(group[f"{layout.prefix}_{part}"][...] for part in layout.key), strict=True))
     items: list[dict[str, Any]] = [{} for _ in keys]
     for column in layout.columns:
         for name in fnmatch.filter(group.variables, column.name.format("*")):
             variable = group[name]
-            values = variable[...] if column.unit else _texts(variable)
-            for item, value in zip(items, values, strict=True):
+            for item, value in zip(items, variable[...], strict=True):
                 if "{}" not in column.name:
                     item[column.field] = value
                 elif not np.isnan(value).all():
                     item.setdefault(column.field, {})[str(variable.attrs["source"])] = value
+    # Cut off what fills arrays of one length up to the longest of their kind.
     for axes in {column.axes for column in layout.columns if column.axes and "band" not in column.axes}:
+        names = [column.field for column in layout.columns if column.axes == axes]
         for item in items:
-            _trim(item, [column.field for column in layout.columns if column.axes == axes])
+            arrays = {name: item[name] for name in names if name in item}
+            filled = np.flatnonzero(np.any(~np.isnan(list(arrays.values())), axis=0))
+            item.update({name: values[: filled.max(initial=-1) + 1] for name, values in arrays.items()})
     by_key = dict(zip(keys, items, strict=True))
     for name, inner in layout.inner.items():
         for key, entry in _entries(group, inner):
@@ -833,22 +788,7 @@ def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
     return [(key, _made(layout.kind, key, item)) for key, item in zip(keys, items, strict=True)]
 
 
-def _texts(variable: Any) -> list[str]:
-    return [text.decode() if isinstance(text, bytes) else str(text) for text in variable[...]]
-
-
-def _trim(item: dict[str, Any], names: Sequence[str]) -> None:
-    """Cut off what fills arrays of one length up to the longest of their kind."""
-    arrays = {name: item[name] for name in names if name in item}
-    filled = np.flatnonzero(np.any(~np.isnan(list(arrays.values())), axis=0))
-    item.update({name: values[: filled.max(initial=-1) + 1] for name, values in arrays.items()})
-
-
-# The value of a field by its type.
-_OF_FIELD: dict[str, Callable[[Any], Any]] = {
-    "int": int, "bool": bool, "float": float, "Array": partial(np.array, dtype=float),
-    "Counts": partial(np.array, dtype=np.int64),
-}  # fmt: skip
+_TYPES = {"int": int, "bool": bool, "Counts": np.int64}  # of the values of a field, where they are not float
 
 
 def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
@@ -862,9 +802,9 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
         item["error_covariance"] = covariance
     if kind is product_types.RocCurve:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
-    for name, hint in ((f.name, str(f.type)) for f in fields(kind)):
-        value = item.get(name)
+    for name, hint in ((f.name, str(f.type)) for f in fields(kind) if f.name in item):
+        value, of = item[name], _TYPES.get(hint.partition(" ")[0], float)
         if isinstance(value, np.ndarray | np.floating):
             is_none = "None" in hint and np.isnan(value).all()
-            item[name] = None if is_none else _OF_FIELD[hint.partition(" ")[0]](value)
+            item[name] = None if is_none else np.array(value, dtype=of) if value.ndim else of(value)
     return kind(**item)

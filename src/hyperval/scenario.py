@@ -475,10 +475,6 @@ class Processing(Model):
 class Scenario(FileModel):
     """One scenario."""
 
-    schema_version: Literal[1] = Field(1, alias="schema")
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
-    title: str = ""
-    description: str = ""
     formulation: Literal["corrected", "thesis"] = "corrected"
     atmosphere: AtmosphericState | None = None
     sensor: str | None = Field(None, description="name in the sensor library, or a sensor file")

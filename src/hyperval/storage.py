@@ -25,7 +25,7 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.util import find_spec
@@ -226,9 +226,7 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
         another run at this moment, or cannot be written.
     Unplaced : the new content is complete but could not be put there.
     """
-    with _making(Path(path)):
-        place = Path(path).resolve()
-    with _claimed(place, Path(path)):
+    with _claimed(Path(path)) as place:
         _finish(place)
         held, files = _list(place)  # hidden files stay as they are
         foreign = sorted(_names(place) - files)
@@ -261,10 +259,11 @@ def partial_folder(path: Path) -> Path:
 
 
 @contextmanager
-def _claimed(place: Path, given: Path) -> Iterator[None]:
-    """The folder, made where it is not there, and nobody else's for the block."""
-    lock = place / LOCK
+def _claimed(given: Path) -> Iterator[Path]:
+    """The folder itself, made where it is not there, and nobody else's for the block."""
     with _making(given):
+        place = given.resolve()
+        lock = place / LOCK
         refuse(place.exists() and not place.is_dir(), "folder.file", given)
         made = not place.exists()
         place.mkdir(parents=True, exist_ok=True)
@@ -276,7 +275,7 @@ def _claimed(place: Path, given: Path) -> Iterator[None]:
                 who = lock.read_text("utf-8", "replace")[:200].strip() or who
             raise refusal("folder.claimed", given, who=who) from error
     try:
-        yield
+        yield place
     finally:
         if _is_at(handle, lock):
             lock.unlink(missing_ok=True)
@@ -340,19 +339,6 @@ def _list(folder: Path) -> tuple[str, set[str]]:
     return "", set()
 
 
-def ending_with_this_process(command: Sequence[str]) -> list[str]:
-    """The command line by which a program ends with the process that starts it, killed ones too.
-
-    It is the command itself where the system has no such way: there the program goes on until it is done.
-    """
-    return [*_tie(), *command]
-
-
-def is_no_program(code: int) -> bool:
-    """Whether a command that ends with this process ended with ``code`` since it could not be started."""
-    return bool(_tie()) and code in (126, 127)  # of setpriv, as of a shell
-
-
 def last_line(text: str) -> str:
     """What a program said last, in at most 200 characters."""
     lines = [line for line in text.splitlines() if line.strip()]
@@ -360,8 +346,12 @@ def last_line(text: str) -> str:
 
 
 @cache
-def _tie() -> tuple[str, ...]:
-    """The program that asks Linux for it and then becomes the command: nothing runs between fork and exec here."""
+def tie() -> tuple[str, ...]:
+    """What stands before a command so that the program ends with the process that starts it, killed ones too.
+
+    It asks Linux for that and then becomes the command: nothing runs between fork and exec here.  Nothing where the
+    system has no such way: there the program goes on until it is done.
+    """
     tie = (shutil.which("setpriv") or "", "--pdeathsig", "KILL", "--")
     try:
         done = subprocess.run([*tie, "true"], capture_output=True, check=False)  # noqa: S603 - a program of the system

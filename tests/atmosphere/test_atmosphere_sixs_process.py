@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from processes import awaited, is_at_work
 
-from hyperval.atmosphere import cache_folder, cached, sixs
+from hyperval.atmosphere import cached, sixs
 from hyperval.errors import EngineError
 
 # Starting the executable on a machine with and without a Fortran run-time library.
@@ -65,7 +65,7 @@ def test_a_file_that_may_not_be_started(tmp_path, monkeypatch):
     monkeypatch.setattr(sixs, "sixs_path", lambda: text)
     for tied in (True, False):  # where the system has a way to end it with its run, and where it has none
         if not tied:
-            monkeypatch.setattr("hyperval.storage._tie", tuple)
+            monkeypatch.setattr("hyperval.atmosphere.terms.tie", tuple)
         with pytest.raises(EngineError, match=r"6S cannot be started: .*Permission denied"):
             sixs._start(sixs._TRIAL, None)
 
@@ -150,10 +150,3 @@ def test_many_writers_leave_one_whole_entry_and_a_folder_that_cannot_be_written_
             for arrays in pool.map(lambda _, at: cached(at, "kind", INPUTS, lambda: ARRAYS), range(32), [folder] * 32):
                 np.testing.assert_equal(arrays, ARRAYS)
     assert [p.suffix for p in (tmp_path / "kind").iterdir()] == [".npz"]
-
-
-def test_folder_comes_from_argument_then_environment(tmp_path, monkeypatch):
-    monkeypatch.setenv("HYPERVAL_CACHE", str(tmp_path / "env"))
-    assert (cache_folder(), cache_folder(tmp_path)) == (tmp_path / "env", tmp_path)
-    monkeypatch.delenv("HYPERVAL_CACHE")
-    assert "hyperval" in str(cache_folder())

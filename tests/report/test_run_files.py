@@ -121,7 +121,7 @@ def _same(one, other, at=""):
 
 def test_every_product_comes_back_as_it_was(folder):
     """But for predicted scores of objects, of which the file has quantiles: to a hundredth of their spread."""
-    read = run.read_pair(folder)
+    read = run.read_products(folder).pair
     for side, back in zip(_sides(), read, strict=True):
         for field in dataclasses.fields(side):
             if field.name != "object_scores":
@@ -144,10 +144,10 @@ def test_figures_are_drawn_from_the_file_in_each_format(folder, tmp_path, kind, 
 
 def test_what_is_no_run_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"products\.nc"):
-        run.read_pair(tmp_path)
+        run.read_products(tmp_path)
     (tmp_path / "products.nc").write_bytes(b"no netcdf")
     with pytest.raises(InputError, match="cannot be read"):
-        run.read_pair(tmp_path)
+        run.read_products(tmp_path)
     assert cli.run(["figures", str(tmp_path), "-o", str(tmp_path / "out")]) == 3
     assert not (tmp_path / "out").exists()
 

@@ -16,7 +16,7 @@ from web_server import ORDERED, serve
 from hyperval import api, model
 from hyperval.cli import app as command
 from hyperval.figures import Drawing
-from hyperval.run import read_pair
+from hyperval.run import read_products
 from hyperval.web import view_name
 from small_campaign import SmallCampaign, scene_data, undrawn, write_yaml
 
@@ -125,7 +125,7 @@ def thresholds_of_targets(page, content, results):
     """P_D and P_FA at every target's score are those of the pixels themselves, counted again on the map's file."""
     with rasterio.open(results / "scores" / "yellow-cem.tif") as file:
         scores = file.read(1).astype(float)
-    _, observed = read_pair(results)
+    _, observed = read_products(results).pair
     for number, curve in enumerate(content["curves"]):
         own = curve["target_scores"]
         n = curve["n_target"]
@@ -316,8 +316,8 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
         words = ["validate", str(tmp_path / "campaign.yaml"), "-o", str(tmp_path / "out")]
         done = CliRunner().invoke(command, words)
     assert done.exit_code in (0, 1), done.output
-    _, here = read_pair(own.app.state.runs.place(run["id"]) / "results")
-    predicted, there = read_pair(tmp_path / "out")
+    _, here = read_products(own.app.state.runs.place(run["id"]) / "results").pair
+    predicted, there = read_products(tmp_path / "out").pair
     assert predicted.radiance
     for name, spectrum in here.radiance.items():
         np.testing.assert_array_equal(spectrum.mean, there.radiance[name].mean)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.atmosphere import sixs
-from hyperval.atmosphere.terms import cache_folder
+from hyperval.datasets import cache_root
 
 FILE = Path(__file__).parents[2] / "src/hyperval/atmosphere/aerosol_extinction.csv"
 HEAD = """\
@@ -34,7 +34,7 @@ def shape(card: str) -> np.ndarray:
     depths = []
     for nm in sixs.NODES_NM:
         run = sixs.deck(sixs.Setting(0.0, 0.0, 0.0, 0.0, None), "0\n", f"-1\n{nm / 1e3:.4f}", (card, 1.0, 1.0))
-        depths.append(sixs.parse_monochromatic(sixs.run_sixs(run, cache_folder()))["depth_aerosol"])
+        depths.append(sixs.parse_monochromatic(sixs.run_sixs(run, cache_root()))["depth_aerosol"])
     found, nm = np.array(depths), sixs.NODES_NM
     power = np.log(found[-1] / found[-2]) / np.log(nm[-1] / nm[-2])
     found[-1] = found[-2] * (LAST_NM / nm[-2]) ** power

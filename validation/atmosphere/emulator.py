@@ -24,7 +24,7 @@ from scipy.stats import qmc
 from hyperval.atmosphere import AtmosphericState, sixs
 from hyperval.atmosphere.physics import amounts
 from hyperval.atmosphere.state import AtmosphereModel
-from hyperval.atmosphere.terms import cache_folder
+from hyperval.datasets import cache_root
 from hyperval.progress import bars, track
 
 MODELS = get_args(AtmosphereModel)
@@ -177,7 +177,7 @@ def beside(count: int, seed: int, held: dict[str, np.ndarray], folder: Path) -> 
 
 def main() -> None:
     """Make the numbers, print the error."""
-    folder = cache_folder(None)
+    folder = cache_root()
     held = fitted_scattering(states(MADE_FROM, 3), folder)
     for model in MODELS:
         held |= fitted_gas(model, folder)

@@ -25,7 +25,7 @@ from modtran_cases import Case, cases, data_file, matched, put_between_marks
 
 from hyperval.atmosphere import AtmosphericTerms, EngineRatio, amounts, sixs_terms
 from hyperval.atmosphere.physics import FILE
-from hyperval.atmosphere.terms import cache_folder
+from hyperval.datasets import cache_root
 
 # Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.
 CONTINUUM_NM = (
@@ -55,14 +55,14 @@ class Pair:
 
     def ours(self, ratio: EngineRatio | None) -> AtmosphericTerms:
         """The embedded engine at MODTRAN's channels, under its sun."""
-        return matched(self.case, sixs_terms(self.case.state, cache_folder(None), ratio=ratio))[0]
+        return matched(self.case, sixs_terms(self.case.state, cache_root(), ratio=ratio))[0]
 
 
 def pairs_of(locate: Callable[[str], Path]) -> list[Pair]:
     """All states."""
     pairs = []
     for case in cases(locate):
-        _, theirs = matched(case, sixs_terms(case.state, cache_folder(None), ratio=None))
+        _, theirs = matched(case, sixs_terms(case.state, cache_root(), ratio=None))
         air_atm, water_g_cm2, _ = amounts(case.state)[1][:, 0]
         pairs.append(Pair(case, theirs, air_atm, water_g_cm2))
     return pairs

@@ -31,7 +31,7 @@ from hyperval.envi_header import read_header
 from hyperval.imagery import Cube, open_cube, open_lookup_table, read_regions, read_targets
 from hyperval.observe import image_targets, material_regions, read_band_table
 from hyperval.results import Result
-from hyperval.run import read_pair, read_rows, results_json
+from hyperval.run import read_products, read_rows, results_json
 from hyperval.scenario import load_scenario
 from hyperval.sensor import load_sensor
 from hyperval.simulate.schema import load_scene
@@ -236,7 +236,7 @@ def samples(folder: Path) -> list[Sample]:
         Sample("dirsig header", beside["dirsig header"], lambda f: _truth(f / "truth.img"), 0.5),
         Sample("dirsig truth", beside["dirsig truth"], lambda f: _truth(f / "truth.img"), 0.3),
         Sample("radcalnet", {"a.input": RADCALNET.encode()}, lambda f: _spectra(f / "a.input")),
-        Sample("products.nc", run_products(folder), read_pair, 0.03),
+        Sample("products.nc", run_products(folder), read_products, 0.03),
     ]  # fmt: skip
     for kind, (path, read, share) in _yaml().items():
         content = {"a.yaml": path.read_bytes()}

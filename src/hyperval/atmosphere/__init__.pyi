@@ -48,7 +48,7 @@ from .state import (
     standard_profile,
 )
 from .table import AtmosphericTable, build_table, read_table, write_table
-from .terms import AtmosphericTerms, cache_folder, cached
+from .terms import AtmosphericTerms, cached
 
 __all__ = [
     "ENGINES",
@@ -68,7 +68,6 @@ __all__ = [
     "atmospheric_terms",
     "binary_coefficient",
     "build_table",
-    "cache_folder",
     "cached",
     "collision_column",
     "configured_modtran",

@@ -9,7 +9,8 @@ from hyperval.atmosphere.modtran import modtran_terms
 from hyperval.atmosphere.sixs import emulator_terms, sixs_terms, terms_near
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.table import read_table
-from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder
+from hyperval.atmosphere.terms import AtmosphericTerms
+from hyperval.datasets import cache_root
 from hyperval.errors import InputError, refuse
 from hyperval.progress import bars
 
@@ -60,5 +61,5 @@ def atmospheric_terms(
             raise
     with bars(show_progress):
         if near is not None and near.engine == state.engine == "sixs":
-            return terms_near(near, state, cache_folder(cache_dir))
-        return ENGINES[state.engine](state, cache_folder(cache_dir))
+            return terms_near(near, state, cache_dir or cache_root())
+        return ENGINES[state.engine](state, cache_dir or cache_root())

@@ -26,8 +26,9 @@ from hyperval.atmosphere import modtran, solar
 from hyperval.atmosphere.between import AS_THEY_ARE, Rule, along, between_aerosols, inside, path_error
 from hyperval.atmosphere.sixs import sixs_terms
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState, aot550_from_range, coordinates
-from hyperval.atmosphere.terms import AtmosphericTerms, cache_folder, lit_by
+from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
 from hyperval.data import Array
+from hyperval.datasets import cache_root
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.progress import bars, track
@@ -458,7 +459,7 @@ def build_table(
     refuse(not 0 < count <= _GREATEST_NODES, "table.many", count=count, most=_GREATEST_NODES)
     grid = product(*(n.tolist() for n in nodes.values()))
     states = [_at_node(base, dict(zip(order, c, strict=True))) for c in grid]
-    folder, rows = cache_folder(cache_dir), []
+    folder, rows = cache_dir or cache_root(), []
     for state in track(states, "atmosphere table", total=len(states)):
         with bars(False):
             terms = sixs_terms(state, folder)

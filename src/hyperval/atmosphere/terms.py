@@ -22,12 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import platformdirs
 
 from hyperval.data import Array
 from hyperval.errors import EngineError, refuse
 from hyperval.spectra.axis import SpectralAxis, band_average
-from hyperval.storage import ending_with_this_process, is_no_program, last_line, whole_file
+from hyperval.storage import last_line, tie, whole_file
 
 _NARROW = 0.5  # channels this much narrower than the bands, or more, can be averaged as samples
 # What goes in proportion to the sunlight; the rest are parts of light, which it leaves as they are.
@@ -164,7 +163,7 @@ def run_program(
     """
     try:
         process = subprocess.Popen(  # noqa: S603
-            ending_with_this_process(command), cwd=folder, env=environment, stdin=subprocess.PIPE,
+            [*tie(), *command], cwd=folder, env=environment, stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
         )  # fmt: skip
     except OSError as error:
@@ -178,17 +177,9 @@ def run_program(
             if process.poll() is None:
                 with contextlib.suppress(OSError):
                     os.killpg(process.pid, signal.SIGKILL)
-    if is_no_program(process.returncode):
+    if tie() and process.returncode in (126, 127):  # of setpriv, as of a shell
         raise EngineError(f"{name} cannot be started: {last_line(complaint)}", where=command[0], mend=mend)
     return subprocess.CompletedProcess(command, process.returncode, said, complaint)
-
-
-def cache_folder(given: Path | None = None) -> Path:
-    """The folder given, or HYPERVAL_CACHE, or the user's cache folder."""
-    if given is not None:
-        return Path(given)
-    from_environment = os.environ.get("HYPERVAL_CACHE")
-    return Path(from_environment or platformdirs.user_cache_dir("hyperval"))
 
 
 def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:

@@ -18,7 +18,7 @@ from hyperval.campaign.schema import Campaign, DayScenarios, Job, Reference, rea
 from hyperval.compare.judge import Gate
 from hyperval.compare.spectra import TOGETHER
 from hyperval.config import Location, load_yaml, twice
-from hyperval.datasets import SIMULATED, check_copy, how_to_get, resolve, set_on_request
+from hyperval.datasets import SIMULATED, check_copy, how_to_get, owner_of, resolve
 from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, InputError
 from hyperval.imagery import needs_header
@@ -136,8 +136,8 @@ def summary(items: Sequence[Item]) -> list[str]:
         states.setdefault((own[0].general(name), ", ".join(words) or ready), []).append(name)
     who = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
     out = [f"{names}: {state}" for (_, state), names in who.items()]
-    holders = {owner.name: owner for i in items if i.state == MISSING and (owner := set_on_request(i.what)) is not None}
-    out += [f"{o.name} is held by {o.holder}: {how_to_get(o)}" for o in holders.values()]
+    owners = {owner.name: owner for i in items if i.state == MISSING and (owner := owner_of(i.what)) is not None}
+    out += [f"{o.name} is held by {o.holder}: {how_to_get(o)}" for o in owners.values() if not o.public]
     return out
 
 
@@ -169,8 +169,8 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
 def _file(reference: Reference, job: Job) -> list[Item]:
     path = reference.path
     if path is None:
-        holder = set_on_request(reference.text)
-        place = f"expected below HYPERVAL_DATA (--data-dir); {holder.name} is not public" if holder else ""
+        held = owner_of(reference.text)
+        place = f"expected below HYPERVAL_DATA (--data-dir); {held.name} is not public" if held and held.holder else ""
         return [Item("", FILE, MISSING, reference.text, place or reference.problem)]
     try:
         check_copy(reference.text, path)

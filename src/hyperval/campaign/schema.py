@@ -22,7 +22,7 @@ from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
-from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve, set_on_request
+from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
 from hyperval.errors import HypervalError, UsageError, reader, refuse, told_of
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, read_radcalnet
@@ -301,7 +301,7 @@ class Job:
     @cached_property
     def waits(self) -> tuple[str, str] | None:
         """Why it cannot be tried here, and what to do: its collection is not public, and no file of it is at hand."""
-        owners = {r: owner for r in self.files if (owner := set_on_request(r.text)) is not None}
+        owners = {r: owner for r in self.files if (owner := owner_of(r.text)) and not owner.public}
         if not self.to_fill_in or not owners or any(r.path is not None for r in owners):
             return None
         first, owner = next(iter(owners.items()))

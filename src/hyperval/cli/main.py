@@ -667,7 +667,7 @@ def serve(
 
 def keep_caches(place: Path) -> None:
     """Keep what is computed once in the server's folder, where its user has no home, as that of a service."""
-    caches = hyperval.datasets.cache_dir().parent
+    caches = hyperval.datasets.cache_root()
     with suppress(OSError):
         caches.mkdir(parents=True, exist_ok=True)
     if not os.access(caches, os.W_OK):

@@ -12,13 +12,13 @@ import numpy as np
 
 from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, of_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result
+from hyperval.results import WORST_FIRST, Outcome, Result
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
 
 # Of outcomes and ranges, as in the style sheet of pages: blue, maroon and ochre, which no colour deficiency mixes up.
 MET, NOT_MET, INCONCLUSIVE, NOT_RUN, ACCEPTED = "#1f6f9f", "#7a1338", "#b07a10", "#8c959f", "#d8eaf5"
 _LOOKS: dict[Outcome, dict[str, Any]] = {
-    outcome: {"label": OUTCOMES[outcome].word, "colour": colour, "marker": marker, "hollow": marker == "diamond"}
+    outcome: {"label": outcome.word, "colour": colour, "marker": marker, "hollow": marker == "diamond"}
     for outcome, colour, marker in (
         (Outcome.DISAGREES, NOT_MET, "square"), (Outcome.ERROR, NOT_MET, "x"),
         (Outcome.UNDECIDED, INCONCLUSIVE, "diamond"), (Outcome.AGREES, MET, "circle"),
@@ -144,7 +144,7 @@ def row_label(row: Result, *, several: bool = False) -> str:
 def outcome_words(rows: Iterable[Result]) -> str:
     """Number of rows by outcome: "3 met, 1 not met, 40 without a range"."""
     count = Counter(row.outcome for row in rows)
-    return ", ".join(f"{count[key]} {said.word}" for key, said in OUTCOMES.items() if count[key]) or "no rows"
+    return ", ".join(f"{count[key]} {key.word}" for key in WORST_FIRST if count[key]) or "no rows"
 
 
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
@@ -165,7 +165,7 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, nothing), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
-    words = (f"{row.product} {row_label(row)}: {OUTCOMES[row.outcome].word}, {effect_text(row)}" for row in every)
+    words = (f"{row.product} {row_label(row)}: {row.outcome.word}, {effect_text(row)}" for row in every)
     kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
     return Figure(
         "criteria", "criteria", f"{kind} as effects with their 95 % intervals, the worst first",
@@ -184,7 +184,7 @@ def _part(own: Sequence[Result], most: int) -> Part:
     rest, first = own[most:], own[0]
     if rest:
         alike = len({row.outcome for row in rest}) == 1
-        names.append(f"{len(rest)} more, {OUTCOMES[rest[0].outcome].word if alike else outcome_words(rest)}")
+        names.append(f"{len(rest)} more, {rest[0].outcome.word if alike else outcome_words(rest)}")
         values = [row.effect for row in rest if math.isfinite(row.effect)]
         notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
     low, high = _ends(own, False)

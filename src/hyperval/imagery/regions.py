@@ -36,7 +36,7 @@ from shapely.geometry.base import BaseGeometry
 
 from hyperval.data import Array, Mask
 from hyperval.envi_header import header_beside
-from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
+from hyperval.errors import WARNING, HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.cube import HDF5, MATRICES, Cube, kind_of, open_raster
 from hyperval.imagery.description import Raster, crs_of_wkt, equals
@@ -49,7 +49,6 @@ Placing = Callable[[BaseGeometry, str], BaseGeometry]
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 _OFF_GRID = 0.25  # [pixel] that a raster may lie off the image; half of one puts a pixel on another
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
-WARNING = "warning: "
 _CHECK = "check whether the coordinates are pixel, map or longitude/latitude, and belong to this cube"
 _POINTS, _AREAS = ("Point", "MultiPoint"), ("Polygon", "MultiPolygon")
 _SMALL = 0.01  # a part outside that is said without a warning

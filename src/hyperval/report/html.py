@@ -19,15 +19,15 @@ from typing import Any, cast
 import jinja2
 
 import hyperval
-from hyperval.errors import refuse
+from hyperval.errors import WARNING, refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, grouped, outcome_words
 from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.results import OUTCOMES, WORST_FIRST, Outcome, Result, ResultTable, row_name
-from hyperval.run import WARNING, Run, is_run, is_simulated, read_pair
+from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, row_name
+from hyperval.run import Run, is_run, read_products
 from hyperval.storage import installed_file, whole_folder
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
@@ -104,11 +104,11 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
         return {"outcome": Outcome.NONE, "letter": "", "words": "not planned", "link": ""}
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     outcome = v.worst(gates or rows)
-    letter = OUTCOMES[outcome].letter if gates else OUTCOMES[outcome].letter.lower()
+    letter = outcome.letter if gates else outcome.letter.lower()
     parts = [f"criteria: {outcome_words(gates)}"] if gates else []
     informing = [row for row in rows if not row.gates and row.outcome is not Outcome.ERROR]
     if gates and outcome is not Outcome.DISAGREES and v.worst(informing) is Outcome.DISAGREES:
-        letter += f" {OUTCOMES[Outcome.DISAGREES].letter.lower()}"  # what decides does not, something else does
+        letter += f" {Outcome.DISAGREES.letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
     return {"outcome": outcome, "letter": letter, "words": "; ".join(parts), "link": link}
 
@@ -266,7 +266,7 @@ def environment() -> jinja2.Environment:
         limits=v.limits_text,
         detectable=lambda row: v.number_text(row.detectable) if row.detectable == row.detectable else "",
         about=lambda row: plain_words(row.metric, row.product),
-        outcome=lambda word: OUTCOMES[Outcome(word)].word,
+        outcome=lambda word: Outcome(word).word,
         subject=functools.partial(re.sub, r"(?<=\d) (?=(m|nm|km|%)\b)", "\u00a0"),  # a number beside its unit: "3 m"
         anchor=anchor,
     )
@@ -370,10 +370,10 @@ def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
     """
     from hyperval.figures.print import drawings_of
 
-    sides, known = read_pair(run), Run.open(run) if is_run(run) else Run(ResultTable())
-    figures = [criteria_figure(list(known.table)), *first_figures(sides)]
-    figures += further_figures(sides, known.table, equivalence_margin(known.provenance))
-    return drawings_of([one for one in figures if one], simulated=is_simulated(run), kind=kind, journal=journal)
+    stored, known = read_products(run), Run.open(run) if is_run(run) else Run(ResultTable())
+    figures = [criteria_figure(list(known.table)), *first_figures(stored.pair)]
+    figures += further_figures(stored.pair, known.table, equivalence_margin(known.provenance))
+    return drawings_of([one for one in figures if one], simulated=stored.simulated, kind=kind, journal=journal)
 
 
 def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hyperval.figures.rows import criteria_of, effect_text, outcome_words, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import EVERY, OUTCOMES, WORST_FIRST, Cause, Outcome, Result
+from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
 
 _MOST_NAMED = 9
 _MOST_KINDS = 5
@@ -115,7 +115,7 @@ def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str
 def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome, int]], str]:
     counts = Counter(row.outcome for row in rows)
     parts = [(o, counts[o]) for o in WORST_FIRST if counts[o]]
-    words = f"all {len(rows)} {OUTCOMES[parts[0][0]].word}" if len(parts) == 1 < len(rows) else outcome_words(rows)
+    words = f"all {len(rows)} {parts[0][0].word}" if len(parts) == 1 < len(rows) else outcome_words(rows)
     return product_words(name), parts, words
 
 
@@ -246,12 +246,12 @@ def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
 def _counted(gates: Sequence[Result], kind: Evidence, *, named: bool = True) -> str:
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
-    for outcome, said in OUTCOMES.items():
+    for outcome in WORST_FIRST:
         own = [row for row in gates if row.evidence is kind and row.outcome is outcome]
         if own:
             noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
             told = f" ({_named(own)})" if named else ""
-            parts.append(f"{len(own)}{noun} {said.of_one if len(own) == 1 else said.of_several}{told}")
+            parts.append(f"{len(own)}{noun} {outcome.of_one if len(own) == 1 else outcome.of_several}{told}")
     return f"{', '.join(parts)}." if parts else ""
 
 

@@ -247,10 +247,6 @@ class AtmosphereTable(Model):
 class StudyFile(FileModel):
     """One study."""
 
-    schema_version: Literal[1] = Field(1, alias="schema")
-    name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
-    title: str = ""
-    description: str = ""
     scenario: str = Field(description="a built-in scenario by name, or a file")
     settings: dict[str, Value] = Field({}, description="dotted path: value, for every point")
     inputs: list[Input] = Field(min_length=1)

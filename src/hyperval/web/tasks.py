@@ -31,7 +31,7 @@ from hyperval.figures import Figure, densities_figure, exceedance_figure, first_
 from hyperval.imagery import open_raster, record
 from hyperval.observe import open_source
 from hyperval.products import ObservedProducts, PredictedProducts, SpectralEstimate, background_of
-from hyperval.run import file_stems, read_pair
+from hyperval.run import file_stems, read_products
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import simulate
@@ -197,7 +197,7 @@ def _thresholds(ordered: npt.NDArray[Any], curves: list[dict[str, Any]]) -> list
 
 def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     """Measured curves whose scores the map shows: threshold, P_FA, P_D, and the scores at their upper ends."""
-    _, observed = read_pair(Path(folder) / "results")
+    _, observed = read_products(Path(folder) / "results").pair
     curves = [] if observed is None else list(observed.roc.items())
     # A map is named TARGET-DETECTOR, that of anomalies by its detector alone.
     detectors = {detector for _, detector, _ in dict(curves) if f"-{name}".endswith(f"-{detector}")}
@@ -258,7 +258,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     if not (0 <= line < cube.lines and 0 <= sample < cube.samples):
         raise UsageError(f"no such pixel: ({line}, {sample})", expected=f"({cube.lines}, {cube.samples}) pixels")
     values = cube.read(line, 1).values[0, sample]
-    predicted, quantity = read_pair(Path(folder) / "results")[0], source.quantity
+    predicted, quantity = read_products(Path(folder) / "results").pair[0], source.quantity
     spectra = getattr(predicted, quantity, None)
     if not spectra:
         raise refusal("web.spectra", quantity=quantity)
