@@ -136,13 +136,13 @@ def test_each_figure_is_the_same_again_and_told_in_words(sides, charts, drawings
 
 def test_the_words_of_a_figure_have_its_numbers(charts):
     for name, words in {
-        "radiance-eigenvalues": ("grass: first eigenvalue", "13 of 13 inside"),
+        "radiance-eigenvalues": ("grass (n = 150): predicted, ", "13 of 13 measured inside"),
         "pixel-tails": ("6 degrees of freedom measured",),
-        "class-error": ("a / b, 2 bands: predicted 0.1 (0.08 to 0.1)",),
+        "class-error": ("predicted: a / b, 2 bands: 0.1 (0.08 to 0.1)",),
         "unmixing-areas": ("predicted: 0.2 m² at 1 m², 0.2 m² at 4 m²",),
-        "object-scores": ("target 0 & $x$, cem: predicted 0.", "measured 0.95;", "1 of 6 outside"),
+        "object-scores": ("predicted: target 0 & $x$, cem: 0.", "cem: 0.95;", "1 of 6 outside"),
         "object-transforms": ("6 objects",),
-        "roc-difference": ("at P_FA",),
+        "roc-difference": (") at 0.00996",),
         "what-ifs": ("from 1.5 to 1.2",),
         "attribution-subjects": (f"lawn: {LONG}",),
     }.items():

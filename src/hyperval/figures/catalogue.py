@@ -98,18 +98,15 @@ def a_row_each(
     if not shown:
         return None
     marks, looks = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
-    names, told = [", ".join(key) for key in shown], list[list[str]]([[] for _ in shown])
-    for side, own, (make, marker, shift) in zip(SIDES, both, looks, strict=True):
+    names = [", ".join(key) for key in shown]
+    for own, (make, marker, shift) in zip(both, looks, strict=True):
         here = [(i, own[key]) for i, key in enumerate(shown) if key in own]
         if here:
             columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
             words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
-        for i, entry in here:
-            told[i].append(f"{side} {entry[3]}")
     title += left_out(len(shown), len(keys))
-    alt = "; ".join(f"{one}: {', '.join(words)}" for one, words in zip(names, told, strict=True))
-    return of_rows(name, section, title, f"{title}: {alt}.", x, Axis.named(names), marks, legend, rules)
+    return of_rows(name, section, title, x, Axis.named(names), marks, legend=legend, rules=rules)
 
 
 def wavelengths(axis: SpectralAxis) -> Axis:
@@ -130,7 +127,7 @@ def spectra_figure(
     rows : subjects about which more is amiss in these come first
     names : what the two sides are, where they are no prediction and collection
     """
-    label, title, ratio = SPECTRA[product]
+    _, title, ratio = SPECTRA[product]
     both, drawn, paired = drawn_of(sides, product)
     if not drawn or (not paired and None not in sides):
         return None  # a comparison that has none of this product
@@ -143,21 +140,11 @@ def spectra_figure(
     gaps = {s: _difference(aligned[0][s], aligned[1][s], ratio) for s in shown if all(s in own for own in aligned)}
     identical = bool(gaps) and not any(np.nan_to_num(gap).any() for gap, _ in gaps.values())
     gaps = {} if identical else gaps  # nothing to draw
-    below = f"difference{' ratio' if ratio else ''}"
-    views = tuple(_view(axis, s, [own.get(s) for own in aligned], gaps.get(s), label, below, names) for s in shown)
-    keep = in_windows(axis)
-    medians = [
-        f"{subject} {np.nanmedian(np.abs(gap[keep])):{'.2%' if ratio else '.4f'}}"
-        for subject, (gap, _) in gaps.items() if np.isfinite(gap[keep]).any()
-    ]  # fmt: skip
-    alt = f"{title} against {wavelengths(axis).label.partition(' [')[0]}, a subject at a time: {names[0]} (dashed) and "
-    alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}. "
-    alt += f"Subjects: {', '.join(shown)}."
-    alt += f" Median absolute {below} in the windows: {'; '.join(medians)}." if medians else ""
-    words = " and ".join(names) if paired else names[0] if sides[0] is not None else names[1]
-    head = f"{title}: {words}{', which are identical' * identical}{'' if axis.numbered else ' (grey: absorption)'}"
+    views = tuple(_view(axis, s, [own.get(s) for own in aligned], gaps.get(s), product, names) for s in shown)
+    head = f"{title}: {_there(both, names)}" + ", which are identical" * identical
+    head += "" if axis.numbered else " (grey: absorption)"
     title = head + left_out(len(shown), len({*both[0], *both[1]}))
-    return Figure(product, product, title, alt, views, head=head, together="offered")
+    return Figure(product, product, title, views, head=head, together="offered")
 
 
 def _difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
@@ -170,10 +157,11 @@ def _difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: 
 
 def _view(
     axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], gap: tuple[Array, Array] | None,
-    label: str, below: str, names: tuple[str, str],
+    product: str, names: tuple[str, str],
 ) -> Panels:  # fmt: skip
+    (label, _, ratio), keep, words = SPECTRA[product], in_windows(axis), ""
+
     def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
-        keep = in_windows(axis)
         ends = robust_limits([mark.numbers[end][keep] for mark in marks for end in ("low", "high")], trim)
         return Part(Axis(label, ends=ends), tuple(marks), rules)
 
@@ -184,9 +172,12 @@ def _view(
     ]  # fmt: skip
     parts = [part(label, marks, 0.5)]
     if gap is not None:
-        columns = {"x": axis.centre_nm, "y": gap[0], "half": Z95 * gap[1]}
+        columns, below = {"x": axis.centre_nm, "y": gap[0], "half": Z95 * gap[1]}, f"difference{' ratio' * ratio}"
         parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
-    return Panels(wavelengths(axis), tuple(parts), subject)
+        if np.isfinite(gap[0][keep]).any():
+            median = np.nanmedian(np.abs(gap[0][keep]))
+            words = f"median absolute {below} in the windows {median:{'.2%' if ratio else '.4f'}}"
+    return Panels(wavelengths(axis), tuple(parts), subject, words=words)
 
 
 def budget_figure(sides: Sides) -> Figure | None:
@@ -201,11 +192,8 @@ def budget_figure(sides: Sides) -> Figure | None:
     sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
     head = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
     return a_view_each(
-        "radiance-budget", "radiance", head,
-        "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
-        f"share of the variance. Sources, largest first: {', '.join(sources)}. Panels:",
-        list(panels), lambda name: _stack(*panels[name], sources, name), head=head,
-    )  # fmt: skip
+        "radiance-budget", "radiance", head, list(panels), lambda name: _stack(*panels[name], sources, name), head=head
+    )
 
 
 def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str], subject: str) -> Panels:
@@ -223,7 +211,7 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
         for low, high, source, colour in zip(edges[:-1], edges[1:], sources, SOURCES, strict=False)
     ]
     y = Axis("standard uncertainty [% of radiance]", ends=robust_limits([edges[-1][in_windows(axis)]]))
-    return single(wavelengths(axis), y, marks, subject, subject)
+    return single(wavelengths(axis), y, marks, subject)
 
 
 def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
@@ -269,19 +257,13 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         ratio = {"x": number, **{name: values / measured for name, values in expected.items()}}
         below = Part(Axis("predicted / measured"), (Mark("line", ratio, colour=DIFFERENCE),), (("y", 1.0),))
         inside = int(np.sum((measured >= low) & (measured <= high)))
-        words = f"{subject}: first eigenvalue predicted {mean[0]:.3g}, measured {measured[0]:.3g}; "
-        words += f"{inside} of {measured.size} inside"
+        words = f"{inside} of {measured.size} measured inside"
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
-        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words)
+        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, at=1.0)
 
-    return a_view_each(
-        f"{quantity}-eigenvalues", "covariance",
-        f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent pixels drawn "
-        "from the prediction)",
-        f"Leading eigenvalues of the pixel-to-pixel covariance of the {quantity}, logarithmic, predicted (hollow "
-        "circles, with the 95 % band of samples of as many pixels) and measured (squares); below, predicted over "
-        "measured with that band.", list(spreads), view,
-    )  # fmt: skip
+    title = f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent pixels drawn "
+    title += "from the prediction)"
+    return a_view_each(f"{quantity}-eigenvalues", "covariance", title, list(spreads), view)
 
 
 def _eigenvalues_alone(sides: Sides) -> Figure | None:
@@ -296,15 +278,10 @@ def _eigenvalues_alone(sides: Sides) -> Figure | None:
         columns = {"y": values, "low": values / factor, "high": values * factor}
         mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
         x, y = Axis(_EIGENVALUE, ends=(0.0, MOST_EIGENVALUES + 1.0)), Axis(_EIGENVALUES["radiance"], "log")
-        words = f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
-        return single(x, y, [mark], subject, words)
+        return single(x, y, [mark], subject, at=1.0 if values.size else None)
 
-    return a_view_each(
-        "radiance-eigenvalues", "covariance",
-        "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)",
-        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
-        "logarithmic scale. Largest:", list(known), view,
-    )  # fmt: skip
+    title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
+    return a_view_each("radiance-eigenvalues", "covariance", title, list(known), view)
 
 
 def _eigenvalues(estimate: SpectralEstimate) -> Array:
@@ -340,15 +317,11 @@ def tail_figure(sides: Sides) -> Figure | None:
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
         y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
         name = f"{subject}: {dimension} components, n = {count_text(n)}"
-        return single(x, y, marks, name, f"{subject}: {_dof(law.leading_tail_dof)} measured{told}")
+        return single(x, y, marks, name, f"{_dof(law.leading_tail_dof)} measured{told}")
 
     known = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
-    return a_view_each(
-        "pixel-tails", "covariance",
-        "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)",
-        "Share of a class's pixels beyond a Mahalanobis distance in the leading components, logarithmic: measured "
-        "with its 95 % interval, under the predicted law, the normal law, and the fitted t.", known, view,
-    )  # fmt: skip
+    title = "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)"
+    return a_view_each("pixel-tails", "covariance", title, known, view)
 
 
 def _dof(dof: float) -> str:
@@ -411,14 +384,10 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
         views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
     if not views:
         return None
-    head = f"ROC: {names[0]}" + (f" (dashed) and {names[1]}" if measured else "")
+    head = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
     head += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
-    return Figure(
-        "roc", "roc", head + left_out(len(views), len({*both[0], *measured})),
-        f"Probability of detection against probability of false alarm (logarithmic), {names[0]} (dashed) and "
-        f"{names[1]}, with 95 % intervals. {' '.join(view.words for view in views)}",
-        tuple(views), head=head, together="first",
-    )  # fmt: skip
+    title = head + left_out(len(views), len({*both[0], *measured}))
+    return Figure("roc", "roc", title, tuple(views), head=head, together="first")
 
 
 def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tuple[str, str]) -> Panels:
@@ -436,17 +405,7 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
             note.append(f"{count_text(background)} background px")
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
     x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
-    words = f"{', '.join(key)}: {_roc_words(curves, names) or 'no points'}."
-    return Panels(x, (part,), key[0], tab, ", ".join(note), words)
-
-
-def _roc_words(curves: Sequence[RocCurve | None], names: tuple[str, str]) -> str:
-    words = []
-    for name, curve in zip(names, curves, strict=True):
-        if curve is not None and curve.pfa.size:
-            at, (pd, low, high) = _detection(curve, 1e-3)
-            words.append(f"{name} P_D {pd:.2f} ({low:.2f} to {high:.2f}) at P_FA {at:.1e}")
-    return "; ".join(words)
+    return Panels(x, (part,), key[0], tab, ", ".join(note), at=1e-3)
 
 
 def _detection(curve: RocCurve, pfa: Array | float) -> tuple[Any, list[Any]]:
@@ -472,22 +431,15 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
 
     def view(key: Key) -> Panels:
         columns = _difference_columns(predicted[key], measured[key])
-        x, *limits = columns.values()
-        at = int(np.argmin(np.abs(np.log(x) - math.log(1e-2))))
         line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
-        across, up = Axis(_PFA, "log", ends=(float(x[0]), float(x[-1]))), Axis("difference of P_D", ends=(-1.05, 1.05))
-        d, low, high = (y[at] for y in limits)
-        words = f"{', '.join(key)}: {d:+.2f} ({low:+.2f} to {high:+.2f}) at P_FA {x[at]:.1e}"
-        return single(across, up, [line], f"{key[0]}, {key[1]}, by {key[2]}", words, rules=rules)
+        x, y = Axis(_PFA, "log", ends=tuple(columns["x"][[0, -1]])), Axis("difference of P_D", ends=(-1.05, 1.05))
+        return single(x, y, [line], f"{key[0]}, {key[1]}, by {key[2]}", at=1e-2, rules=rules)
 
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
     keys = sorted(counts, key=lambda key: (key[2] != "object" or counts[key] < 2, -counts[key]))
-    return a_view_each(
-        "roc-difference", "roc", "ROC: predicted minus measured P_D",
-        "Predicted minus measured probability of detection.", keys, view,
-        legend="" if margin is None else f"dotted: equivalence margin {margin:g}",
-    )  # fmt: skip
+    legend = "" if margin is None else f"dotted: equivalence margin {margin:g}"
+    return a_view_each("roc-difference", "roc", "ROC: predicted minus measured P_D", keys, view, legend=legend)
 
 
 def _difference_columns(predicted: RocCurve, measured: RocCurve) -> dict[str, Array]:
@@ -506,7 +458,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     predicted, measured = both_of(sides, "exceedance")
 
     def view(key: tuple[str, str]) -> Panels:
-        law, found, floor, span, words = predicted[key], measured.get(key), 1e-6, None, " ".join(key)
+        law, found, floor, span, at = predicted[key], measured.get(key), 1e-6, None, None
         columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
         marks = [predicted_mark("line", _thinned(columns))]
         if found is not None:
@@ -516,19 +468,14 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             columns = {"x": x, "y": p, "low": np.maximum(low, 1e-9), "high": high}
             marks.insert(0, measured_mark("line", _thinned(columns)))
             floor, span = 0.3 * float(p.min()), (1.05 * x[0] - 0.05 * x[-1], 1.35 * x[-1] - 0.35 * x[0])
-            at = int(np.argmin(np.abs(np.log(p) - math.log(1e-2))))
-            model = float(np.exp(np.interp(x[at], law.threshold, np.log(law.probability))))
-            words += f": at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
+            at = x[np.argmin(np.abs(np.log(p) - math.log(1e-2)))]
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
-        return single(Axis("score", ends=span), y, marks, ", ".join(key), words)
+        return single(Axis("score", ends=span), y, marks, ", ".join(key), at=at)
 
+    title = "False-alarm probability against the threshold"
+    keys = sorted(predicted, key=lambda key: key not in measured)
     legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
-    return a_view_each(
-        "exceedance", "scores", "False-alarm probability against the threshold",
-        "Fraction of the background above each score, predicted (dashed) and measured.",
-        sorted(predicted, key=lambda key: key not in measured), view, "results.csv",
-        legend=legend if measured else "",
-    )  # fmt: skip
+    return a_view_each("exceedance", "scores", title, keys, view, "results.csv", legend=legend if measured else "")
 
 
 def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
@@ -569,9 +516,9 @@ def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
     return value, value - reach, value + reach, f"{value:.3g} ± {half:.2g}{unit}{count}"
 
 
-def _there(both: Sequence[Mapping[Any, Any]]) -> str:
+def _there(both: Sequence[Mapping[Any, Any]], names: tuple[str, str] = SIDES) -> str:
     """The sides that have anything."""
-    return " and ".join(word for word, own in zip(SIDES, both, strict=True) if own)
+    return " and ".join(word for word, own in zip(names, both, strict=True) if own)
 
 
 def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
@@ -594,19 +541,15 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
                             for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
             below.append(make("line", columns_of(points), "", marker=marker))
             told = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
-            words += [f"{method}, {name.replace('observed', 'measured')}: {told}"] if told else []
+            words += [f"{name.replace('observed', 'measured')}: {told}"] if told else []
         ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
         below.append(Mark("line", {"x": sizes, "y": sizes}, "as large as the target"))
         parts = Part(ratio, tuple(above), (("y", 1.0),)), Part(Axis("rms error [m²]", "log"), tuple(below))
         x = Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8))
         return Panels(x, parts, method, words="; ".join(words))
 
-    return a_view_each(
-        "unmixing-areas", "abundance", "Target areas by unmixing against nominal areas, and their error by size",
-        "Area of each target by fully constrained unmixing over its nominal area, predicted and measured with 95 % "
-        "intervals, against the nominal area; below, root mean square error by nominal area.",
-        list(dict.fromkeys(method for _, method in both[1])), view,
-    )  # fmt: skip
+    title = "Target areas by unmixing against nominal areas, and their error by size"
+    return a_view_each("unmixing-areas", "abundance", title, list(dict.fromkeys(m for _, m in both[1])), view)
 
 
 def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
@@ -651,16 +594,11 @@ def transform_figure(sides: Sides) -> Figure | None:
             measured_mark("line", {"x": at, "y": u}, "objects, in order"),
         )
         x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("probability of a lower score", "transform value"))
-        words = f"{detector}: {n} objects, {np.mean(central(u)):.0%} in the central 95 %"
-        return single(x, y, marks, detector, words)
+        return single(x, y, marks, detector, f"{n} objects, {np.mean(central(u)):.0%} in the central 95 %")
 
-    return a_view_each(
-        "object-transforms", "scores",
-        "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction",
-        "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
-        "95 % band for independent objects. Objects share errors of the inputs, which the band leaves out.",
-        list(dict.fromkeys(detector for (_, detector), *_ in objects)), view,
-    )  # fmt: skip
+    title = "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction"
+    detectors = list(dict.fromkeys(detector for (_, detector), *_ in objects))
+    return a_view_each("object-transforms", "scores", title, detectors, view)
 
 
 def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
@@ -675,13 +613,9 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     of their scores; None where they are few.
     """
     found = {name: own for name, one in maps.items() if (own := _map_objects(name, one, sides)) is not None}
-    return a_view_each(
-        "objects", "scores",
-        "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
-        "in one is highlighted in the other",
-        "Map of the objects coloured by measured minus predicted score, and a histogram of the measured scores "
-        "with the prediction, a view for each score map.", list(found)[:_MOST_MAPS], found.__getitem__,
-    )  # fmt: skip
+    title = "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
+    title += "in one is highlighted in the other"
+    return a_view_each("objects", "scores", title, list(found)[:_MOST_MAPS], found.__getitem__)
 
 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
@@ -709,7 +643,7 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
     place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
     parts = place, _scores_of_all(measured, laws, said)
     words = f"{len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
-    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=f"{name}: {words}")
+    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=words)
 
 
 def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], said: tuple[str, ...]) -> Part:
@@ -754,13 +688,11 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
             for label, number, subject, x, y in curves
         )  # fmt: skip
         y = Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top))
-        return single(Axis(f"score of {detector}"), y, marks, detector, f"{detector}: {', '.join(subjects)}")
+        return single(Axis(f"score of {detector}"), y, marks, detector)
 
-    return a_view_each(
-        "densities", "scores", "Scores: probability density of each population and of the background",
-        "Probability density (logarithmic) of the detector's score, a view for each detector. Populations:",
-        list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores)), view,
-    )  # fmt: skip
+    title = "Scores: probability density of each population and of the background"
+    detectors = list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores))
+    return a_view_each("densities", "scores", title, detectors, view)
 
 
 def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
@@ -825,15 +757,14 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
     marks = bars.by_kind([name in stated for name in names], _STATED)
-    alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
-    alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
+    told = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
     numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
     legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
     legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
     y = Axis.named(names, _LONGEST)
-    return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
+    return of_rows("attribution-inputs", "attribution", title, x, y, marks, told, legend, (_TELLING,))
 
 
 def _gain(table: ResultTable) -> Figure | None:
@@ -851,12 +782,11 @@ def _gain(table: ResultTable) -> Figure | None:
     nm, gain, low, high = gains[0].columns.values()
     far = int(np.argmax(np.abs(gain - 1.0)))
     title = "Gain and offset of the sensor that would explain the radiance of all subjects"
-    alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
-    alt += f"{nm[far]:.0f} nm."
+    words = f"gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at {nm[far]:.0f} nm"
     parts = [Part(Axis("measured / predicted radiance"), tuple(gains), (("y", 1.0),))]
     for mark in marks("sensor_offset", "offset beside that gain", hollow=True):
         parts.append(Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)))
-    return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
+    return Figure("sensor-gain", "attribution", title, (Panels(Axis(WAVELENGTH), tuple(parts), words=words),))
 
 
 def _by_subject(rows: Sequence[Result]) -> Figure | None:
@@ -881,9 +811,9 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
     legend += left_out(len(subjects), len(every), "results.csv")
     tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
-    title, alt = "The same for each subject", f"For each subject the input that gains most: {tops}."
     names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
-    return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
+    told = f"input of the greatest gain: {tops}"
+    return of_rows("attribution-subjects", "attribution", "The same for each subject", *names, marks, told, legend)
 
 
 def _effects(rows: Sequence[Result]) -> Figure:
@@ -909,15 +839,14 @@ def _effects(rows: Sequence[Result]) -> Figure:
     scale = ColourScale("signed", -reach, reach, "change per unit")
     cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
     largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
-    alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
-    alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
+    told = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
     legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
     legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
     ways = Axis.named(names, _LONGEST), Axis.named(quantities, 56)
     title = "Change by one unit of each input"
-    return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
+    return of_rows("attribution-effects", "sensitivity", title, *ways, [cells], told, legend)
 
 
 def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
@@ -932,9 +861,9 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
-    each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
-    alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
-    return of_rows(name, product, title, alt, x, Axis.named(names, _LONGEST), marks, legend, (1.0,))
+    told = "; ".join(f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
+    legend = "dotted: 1, as expected from the uncertainties"
+    return of_rows(name, product, title, x, Axis.named(names, _LONGEST), marks, told, legend, (1.0,))
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:

@@ -87,8 +87,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
         for number, part in enumerate(view.parts):
             axes = canvas.add_subplot(grid[parts * row + number, column], sharex=None if part.x else above)
             if above is None:
-                name = [", ".join(word for word in (view.subject, view.tab) if word), view.note]
-                axes.set_title("\n".join(plain(shortened(line, 44)) for line in name if line), loc="left")
+                name = (plain(shortened(line, 44)) for line in (view.name, view.note) if line)
+                axes.set_title("\n".join(name), loc="left")
             draw_part(axes, view, part)
             last = number == len(view.parts) - 1
             axes.set_ylabel(plain(part.y.label).replace(" [", "\n[") if column == 0 else "")

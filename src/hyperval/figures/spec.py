@@ -66,6 +66,11 @@ class Axis:
         return cls("", "names", tuple(shortened(name, length) for name in names))
 
     @property
+    def told(self) -> str:
+        """What it is, in words."""
+        return self.label + " (logarithmic)" * (self.scale == "log")
+
+    @property
     def absorption(self) -> list[tuple[float, float]]:
         """Where gases absorb [nm], which is shaded over wavelengths; nowhere on another axis."""
         return [band[:2] for band in ABSORPTION_BANDS_NM if self.label == WAVELENGTH]
@@ -127,6 +132,13 @@ class Mark:
             out |= {"low": out["y"] - half, "high": out["y"] + half}
         return out
 
+    def told_at(self, place: float) -> str:
+        """The point nearest to a place along x, with its interval, in words."""
+        numbers = self.numbers
+        i = int(np.argmin(abs(numbers["x"] - place)))
+        ends = f" ({numbers['low'][i]:.3g} to {numbers['high'][i]:.3g})" if "low" in numbers else ""
+        return f"{self.label}: {numbers['y'][i]:.3g}{ends} at {numbers['x'][i]:.3g}"
+
     def by_kind(self, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, Any]]) -> list[Mark]:
         """A mark for each kind of its points that there is, each kind with its own look."""
         marks = []
@@ -172,7 +184,8 @@ class Panels:
     Attributes
     ----------
     note : what it rests on
-    words : its numbers, for those who cannot see it
+    words : its numbers, for those who cannot see it; without any, what is said of the points of its marks
+    at : where along x the numbers of its lines are told besides
     """
 
     x: Axis
@@ -181,6 +194,23 @@ class Panels:
     tab: str = ""
     note: str = ""
     words: str = ""
+    at: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Subject and tab."""
+        return ", ".join(filter(None, (self.subject, self.tab)))
+
+    @property
+    def told(self) -> str:
+        """Name and numbers in words."""
+        said, marks = [self.words], [(part.x, mark) for part in self.parts for mark in part.marks]
+        if self.at is not None:
+            said = [*(mark.told_at(self.at) for _, mark in marks if mark.label), self.words]
+        elif not self.words:
+            each = ((x.label if x else "", mark.label, "; ".join(mark.words)) for x, mark in marks if any(mark.words))
+            said = [": ".join(filter(None, words)) for words in each]
+        return ": ".join(filter(None, (self.name, "; ".join(filter(None, said)))))
 
     def ends(self, way: Way, part: Part | None = None) -> tuple[float, float]:
         """Ends of an axis of a part, the first: as stated, or with a margin about everything drawn along it."""
@@ -210,7 +240,7 @@ class Figure:
     ----------
     name : of its file, and of its place in a page
     section : the product it belongs to
-    title, alt : caption, and the text for those who cannot see it
+    title : caption
     views : one for each subject; one that needs no name has none
     legend : what a sign stands for, for the caption
     head : what stands above it on paper; the title where this is empty
@@ -222,7 +252,6 @@ class Figure:
     name: str
     section: str
     title: str
-    alt: str
     views: tuple[Panels, ...] = ()
     legend: str = ""
     head: str = ""
@@ -236,6 +265,16 @@ class Figure:
         shown = self.views[: MAX_PANELS * _MOST_PAGES]
         pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
         return pages, self.title + left_out(len(shown), len(self.views))
+
+    @property
+    def alt(self) -> str:
+        """Text for those who cannot see it: title, axes, what is shown, and each view in words."""
+        shared = [part for part in self.views[0].parts if part.x is None]
+        axes = [" over ".join(filter(None, (part.y.told, self.views[0].x.told))) for part in shared]
+        names = dict.fromkeys(mark.label for view in self.views for part in view.parts for mark in part.marks)
+        told = ["; ".join(filter(None, each)) for each in (axes, names, (view.told for view in self.views))]
+        parts = [f"{what}{words}" for what, words in zip(("Axes: ", "Shown: ", ""), told, strict=True) if words]
+        return f"{'. '.join([self.title, *parts])}."
 
     @property
     def caption(self) -> str:
@@ -340,9 +379,11 @@ def measured_mark(kind: Any, columns: Mapping[str, Any], label: str = "measured"
     return Mark(kind, columns, label, MEASURED, **more)
 
 
-def single(x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = ()) -> Panels:
+def single(
+    x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = (), **more: Any
+) -> Panels:
     """A view of one plot."""
-    return Panels(x, (Part(y, tuple(marks), rules),), subject, words=words)
+    return Panels(x, (Part(y, tuple(marks), rules),), subject, words=words, **more)
 
 
 def tones(palette: Sequence[str], count: int) -> list[str]:
@@ -385,22 +426,18 @@ def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, floa
 
 
 def a_view_each(
-    name: str, section: str, title: str, alt: str, items: Sequence[Any],
-    view: Callable[[Any], Panels], where: str = "products.nc", **more: Any,
+    name: str, section: str, title: str, items: Sequence[Any], view: Callable[[Any], Panels],
+    where: str = "products.nc", **more: Any,
 ) -> Figure | None:  # fmt: skip
-    """A figure with a view for each of the first items and the numbers of each in words; None without any."""
-    made = [view(item) for item in items[:MAX_PANELS]]
-    if not made:
-        return None
-    title += left_out(len(made), len(items), where)
-    words = "; ".join(one.words for one in made if one.words)
-    return Figure(name, section, title, f"{alt} {words}.", tuple(made), **more)
+    """A figure with a view for each of the first items; None without any."""
+    made = tuple(map(view, items[:MAX_PANELS]))
+    return Figure(name, section, title + left_out(len(made), len(items), where), made, **more) if made else None
 
 
 def of_rows(
-    name: str, section: str, title: str, alt: str, x: Axis, y: Axis, marks: Sequence[Mark], legend: str = "",
+    name: str, section: str, title: str, x: Axis, y: Axis, marks: Sequence[Mark], words: str = "", legend: str = "",
     rules: Sequence[float] = (),
 ) -> Figure:  # fmt: skip
     """A figure of one plot, whose rows have names; ``rules``: places of dotted lines along x."""
-    view = single(x, y, marks, rules=tuple(("x", place) for place in rules))
-    return Figure(name, section, title, alt, (view,), legend)
+    view = single(x, y, marks, words=words, rules=tuple(("x", place) for place in rules))
+    return Figure(name, section, title, (view,), legend)

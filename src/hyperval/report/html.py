@@ -195,7 +195,7 @@ def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | Non
     >>> from hyperval.figures.spec import Axis, Panels, Part
     >>> views = tuple(Panels(Axis("nm"), (Part(Axis("y"), ()),), name) for name in ("grass 2", "grass (n = 9)"))
     >>> row = Result("", "roc", "grass", "cem", "pd_difference", 0.1, "1")
-    >>> _worst_figure(row, [Figure("roc", "roc", "", "", views)]).views[0].subject
+    >>> _worst_figure(row, [Figure("roc", "roc", "", views)]).views[0].subject
     'grass (n = 9)'
     """
     if row is None:
