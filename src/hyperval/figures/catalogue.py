@@ -36,7 +36,7 @@ from hyperval.figures.spec import (
     single,
 )
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
-from hyperval.pixels import band_limits, exceedance_of_distance
+from hyperval.pixels import EigenDirections, band_limits, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable
 from hyperval.run import ScoreMap
@@ -127,7 +127,6 @@ def spectra_figure(
     rows : subjects about which more is amiss in these come first
     names : what the two sides are, where they are no prediction and collection
     """
-    _, title, ratio = SPECTRA[product]
     both, drawn, paired = drawn_of(sides, product)
     if not drawn or (not paired and None not in sides):
         return None  # a comparison that has none of this product
@@ -137,29 +136,22 @@ def spectra_figure(
     axis = next(side.axis for side, own in zip(sides, both, strict=True) if side and shown[0] in own)
     # Sides on other bands are not drawn over each other.
     aligned = [own if side and side.axis.matches(axis) else {} for side, own in zip(sides, both, strict=True)]
-    gaps = {s: _difference(aligned[0][s], aligned[1][s], ratio) for s in shown if all(s in own for own in aligned)}
-    identical = bool(gaps) and not any(np.nan_to_num(gap).any() for gap, _ in gaps.values())
-    gaps = {} if identical else gaps  # nothing to draw
-    views = tuple(_view(axis, s, [own.get(s) for own in aligned], gaps.get(s), product, names) for s in shown)
-    head = f"{title}: {_there(both, names)}" + ", which are identical" * identical
+    pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in own for own in aligned)]
+    identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
+    views = tuple(_view(axis, s, [own.get(s) for own in aligned], product, not identical, names) for s in shown)
+    head = f"{SPECTRA[product][1]}: {_there(both, names)}" + ", which are identical" * identical
     head += "" if axis.numbered else " (grey: absorption)"
     title = head + left_out(len(shown), len({*both[0], *both[1]}))
     return Figure(product, product, title, views, head=head, together="offered")
 
 
-def _difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
-    """(B,) predicted - measured, or that over measured, and its standard uncertainty, independent."""
-    p, c, up, uc = predicted.mean, measured.mean, predicted.standard_uncertainty, measured.standard_uncertainty
-    if ratio:
-        return difference_ratio(p, c), difference_ratio_uncertainty(p, c, up, uc)
-    return p - c, np.hypot(up, uc)
-
-
 def _view(
-    axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], gap: tuple[Array, Array] | None,
-    product: str, names: tuple[str, str],
+    axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], product: str, differ: bool,
+    names: tuple[str, str],
 ) -> Panels:  # fmt: skip
+    """Both sides, and below them their difference, with its standard uncertainty as of independent sides."""
     (label, _, ratio), keep, words = SPECTRA[product], in_windows(axis), ""
+    known = [(e.mean, e.standard_uncertainty) for e in both if e is not None]
 
     def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
         ends = robust_limits([mark.numbers[end][keep] for mark in marks for end in ("low", "high")], trim)
@@ -171,11 +163,14 @@ def _view(
         for e, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])) if e is not None
     ]  # fmt: skip
     parts = [part(label, marks, 0.5)]
-    if gap is not None:
-        columns, below = {"x": axis.centre_nm, "y": gap[0], "half": Z95 * gap[1]}, f"difference{' ratio' * ratio}"
+    if differ and len(known) == 2:
+        (p, up), (m, um) = known
+        gap = difference_ratio(p, m) if ratio else p - m
+        u = difference_ratio_uncertainty(p, m, up, um) if ratio else np.hypot(up, um)
+        columns, below = {"x": axis.centre_nm, "y": gap, "half": Z95 * u}, f"difference{' ratio' * ratio}"
         parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
-        if np.isfinite(gap[0][keep]).any():
-            median = np.nanmedian(np.abs(gap[0][keep]))
+        if np.isfinite(gap[keep]).any():
+            median = np.nanmedian(np.abs(gap[keep]))
             words = f"median absolute {below} in the windows {median:{'.2%' if ratio else '.4f'}}"
     return Panels(wavelengths(axis), tuple(parts), subject, words=words)
 
@@ -289,11 +284,10 @@ def _eigenvalues(estimate: SpectralEstimate) -> Array:
     covariance = np.asarray(estimate.pixel_covariance, dtype=float)
     finite = np.isfinite(np.diag(covariance))
     block = covariance[np.ix_(finite, finite)]
-    if block.size == 0 or not np.isfinite(block).all():
+    if not finite.any() or not np.isfinite(block).all():
         return np.empty(0)
-    rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
-    values = np.linalg.eigvalsh(block)[::-1][: min(rank, MOST_EIGENVALUES)]
-    return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
+    rank = MOST_EIGENVALUES if estimate.n is None else min(MOST_EIGENVALUES, max(estimate.n - 1, 0))
+    return EigenDirections.of(block).values[:rank]
 
 
 def tail_figure(sides: Sides) -> Figure | None:
@@ -475,7 +469,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     title = "False-alarm probability against the threshold"
     keys = sorted(predicted, key=lambda key: key not in measured)
     legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
-    return a_view_each("exceedance", "scores", title, keys, view, "results.csv", legend=legend if measured else "")
+    return a_view_each("exceedance", "scores", title, keys, view, legend=legend if measured else "")
 
 
 def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
@@ -565,8 +559,8 @@ def object_score_figure(sides: Sides) -> Figure | None:
     """Single objects: predicted median and 95 % interval of the score, and what was measured, a row each."""
     predicted, measured, outside = dict[Any, Entry](), dict[Any, Entry](), 0
     for key, draws, scores in _objects(sides):
-        if scores.size == 1:
-            (low, middle, high), score = np.quantile(draws, [0.025, 0.5, 0.975]), float(scores[0])
+        if len(scores) == 1:
+            (low, middle, high), (_, score) = np.quantile(draws, [0.025, 0.5, 0.975]), scores[0]
             interval = f" ({low:.3g} to {high:.3g})" if low < high else ""
             predicted[key] = middle, low, high, f"{middle:.3g}{interval}"
             measured[key] = score, score, score, f"{score:.3g}"
@@ -583,8 +577,8 @@ def transform_figure(sides: Sides) -> Figure | None:
     objects = _objects(sides)
 
     def view(detector: str) -> Panels:
-        own = [probability_integral_transform(scores, draws) for (_, by), draws, scores in objects if by == detector]
-        u = np.sort(np.concatenate(own))
+        own = [(draws, [score for _, score in scores]) for (_, by), draws, scores in objects if by == detector]
+        u = np.sort(np.concatenate([probability_integral_transform(scores, draws) for draws, scores in own]))
         n, rank = u.size, np.arange(1, u.size + 1)
         at = (rank - 0.5) / n
         low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
@@ -601,11 +595,12 @@ def transform_figure(sides: Sides) -> Figure | None:
     return a_view_each("object-transforms", "scores", title, detectors, view)
 
 
-def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
-    """(subject, detector), predicted draws and measured scores of what both sides hold."""
+def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, list[tuple[str, float]]]]:
+    """(subject, detector), predicted draws, and name and measured score of each object of what both sides hold."""
     predicted, measured = both_of(sides, "object_scores")
-    both = {key: measured[key].values[np.isfinite(measured[key].values)] for key in predicted if key in measured}
-    return [(key, predicted[key].values.ravel(), values) for key, values in both.items() if values.size]
+    both = ((key, zip(measured[key].names, measured[key].values, strict=True)) for key in predicted if key in measured)
+    known = ((key, [(name, float(score)) for name, score in each if np.isfinite(score)]) for key, each in both)
+    return [(key, predicted[key].values.ravel(), scores) for key, scores in known if scores]
 
 
 def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | None:
@@ -619,15 +614,11 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
 
 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
-    predicted, observed = both_of(sides, "object_scores")
     found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
-    for key, scores in observed.items():
-        if key not in predicted or not name.endswith(f"-{key[1]}"):
-            continue
-        law, each = np.ravel(predicted[key].values), zip(scores.names, scores.values, strict=True)
-        own = [(one, float(m)) for one, m in each if one in score_map.outlines and np.isfinite(m)]
-        found += [(*one, float(np.median(law))) for one in own]
-        laws += [(len(own), law)] if own else []
+    for (_, detector), draws, scores in _objects(sides):
+        own = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
+        found += [(*one, float(np.median(draws))) for one in own]
+        laws += [(len(own), draws)] if own else []
     if min(len(found), len(score_map.outlines)) <= MANY_OBJECTS:
         return None
     names, measured, median = zip(*found, strict=True)

@@ -56,12 +56,11 @@ def drawings_of(
     out = []
     with house_style(journal):
         for figure in figures:
-            pages, title = figure.pages
-            for number, views in enumerate(pages, start=1):
-                name = figure.name if len(pages) == 1 else f"{figure.name}-{number}"
+            for number, views in enumerate(figure.pages, start=1):
+                name = figure.name if len(figure.pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
                 canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
-                own = name, figure.section, title, figure.alt, content.getvalue(), kind
+                own = name, figure.section, figure.title, figure.alt, content.getvalue(), kind
                 out.append(Drawing(*own, legend=figure.legend))
     return out
 

@@ -32,7 +32,6 @@ VIRIDIS = (
     "#20A585", "#2EB27C", "#45BF6F", "#64CB5D", "#88D547", "#AFDC2E", "#D7E219", "#FDE724",
 )  # fmt: skip
 MAX_PANELS = 12
-_MOST_PAGES = 2
 WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Way = Literal["x", "y"]
@@ -260,11 +259,9 @@ class Figure:
     width_in: float = 10.0
 
     @property
-    def pages(self) -> tuple[list[tuple[Panels, ...]], str]:
-        """Views of each page on paper, and the title with how many these are."""
-        shown = self.views[: MAX_PANELS * _MOST_PAGES]
-        pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
-        return pages, self.title + left_out(len(shown), len(self.views))
+    def pages(self) -> list[tuple[Panels, ...]]:
+        """Views of each page on paper."""
+        return [self.views[i : i + MAX_PANELS] for i in range(0, len(self.views), MAX_PANELS)]
 
     @property
     def alt(self) -> str:
@@ -426,12 +423,11 @@ def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, floa
 
 
 def a_view_each(
-    name: str, section: str, title: str, items: Sequence[Any], view: Callable[[Any], Panels],
-    where: str = "products.nc", **more: Any,
-) -> Figure | None:  # fmt: skip
+    name: str, section: str, title: str, items: Sequence[Any], view: Callable[[Any], Panels], **more: Any
+) -> Figure | None:
     """A figure with a view for each of the first items; None without any."""
     made = tuple(map(view, items[:MAX_PANELS]))
-    return Figure(name, section, title + left_out(len(made), len(items), where), made, **more) if made else None
+    return Figure(name, section, title + left_out(len(made), len(items)), made, **more) if made else None
 
 
 def of_rows(

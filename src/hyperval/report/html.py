@@ -128,17 +128,15 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
     ]
 
 
-MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
-_FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
+_FIGURE_BYTES = 2_350_000  # of a page, for figures and the script that draws these; pictures beyond it are linked
 # Of a run, beside each other, before everything else, embedded whatever happens.
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
 
-# Products in the order of a page; titles that are not what a product is called in a sentence.
+# Products in the order of a page.
 _PRODUCTS = (*SPECTRA, "covariance", "classification", "scores", "roc", "abundance")
-_TITLES = {"toa_reflectance": "Reflectance at the top of the atmosphere", "roc": "Detection and false alarms"}
-_COMPARED = {name: _TITLES.get(name, product_words(name).capitalize()) for name in _PRODUCTS}
+_COMPARED = {name: product_words(name).capitalize() for name in _PRODUCTS}
 _REASONS = {"attribution": "Why they differ", "what-if": "What-ifs", "sensitivity": "Sensitivity to the inputs"}
 SECTIONS = _COMPARED | _REASONS
 # Gates that the model moves stand apart from checks that it does not.
