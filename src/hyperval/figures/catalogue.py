@@ -91,7 +91,7 @@ def count_text(n: int) -> str:
 
 def a_row_each(
     name: str, section: str, title: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Entry]], x: Axis, *,
-    under: Sequence[Mark] = (), rules: tuple[float, ...] = (), legend: str = "",
+    under: Sequence[Mark] = (), **more: Any,
 ) -> Figure | None:  # fmt: skip
     """A figure with a row for each of the first keys: dots of the sides that have it, a part of a row apart."""
     shown = keys[:_MOST_ROWS]
@@ -105,8 +105,7 @@ def a_row_each(
             columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
             words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
-    title += left_out(len(shown), len(keys))
-    return of_rows(name, section, title, x, Axis.named(names), marks, legend=legend, rules=rules)
+    return of_rows(name, section, title + left_out(len(shown), len(keys)), x, Axis.named(names), marks, **more)
 
 
 def wavelengths(axis: SpectralAxis) -> Axis:
@@ -520,8 +519,12 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
     both = [{k: a for k, a in own.items() if a.nominal_m2} for own in both_of(sides, "abundance")]
 
     def view(method: str) -> Panels:
-        place = _places({key: area.nominal_m2 for key, area in both[1].items() if key[1] == method})
-        sizes, words = np.array(sorted({both[1][key].nominal_m2 for key in place})), []
+        sized = grouped((key for key in both[1] if key[1] == method), lambda key: both[1][key].nominal_m2)
+        # Targets of one area stand beside each other, within a quarter of a decade.
+        steps = [np.linspace(-0.13, 0.13, len(keys) + 2)[1:-1] for keys in sized.values()]
+        place = {key: area * 10**step for (area, keys), own in zip(sized.items(), steps, strict=True)
+                 for key, step in zip(keys, own, strict=True)}  # fmt: skip
+        sizes, words = np.array(sorted(sized)), []
         above, below = list[Mark](), list[Mark]()
         looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
         for own, (make, marker, name, shift) in zip(both, looks, strict=True):
@@ -544,15 +547,6 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
 
     title = "Target areas by unmixing against nominal areas, and their error by size"
     return a_view_each("unmixing-areas", "abundance", title, list(dict.fromkeys(m for _, m in both[1])), view)
-
-
-def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
-    """Where each target stands: those of one area beside each other within a quarter of a decade."""
-    places: dict[Any, float] = {}
-    for area, keys in grouped(nominal, nominal.__getitem__).items():
-        steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,)
-        places |= {key: area * 10**step for key, step in zip(keys, steps, strict=True)}
-    return places
 
 
 def object_score_figure(sides: Sides) -> Figure | None:
@@ -749,9 +743,8 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
     marks = bars.by_kind([name in stated for name in names], _STATED)
     told = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
-    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
     legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
-    legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
+    legend += "; a number in brackets: one of several independent shapes of an error"
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
     y = Axis.named(names, _LONGEST)
@@ -784,11 +777,10 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
     by = {(r.subject, r.method): r.value for r in rows}
     # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
-    telling, asked = {r.subject for r in rows if r.value >= 1.0}, list(dict.fromkeys(r.subject for r in rows))
-    every = [s for s in asked if s in telling]
-    if not every:
+    telling = list(dict.fromkeys(r.subject for r in rows if r.value >= 1.0))
+    if not telling:
         return None
-    subjects = every[:_MOST_QUANTITIES]
+    subjects = telling[:_MOST_QUANTITIES]
     best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
     inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
     gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
@@ -798,9 +790,9 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[at])
     marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[at] >= 0.999, _GREATEST)
     legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
-    quiet = len(asked) - len(every)
+    quiet = len({r.subject for r in rows}) - len(telling)
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
-    legend += left_out(len(subjects), len(every), "results.csv")
+    legend += left_out(len(subjects), len(telling), "results.csv")
     tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
     names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
     told = f"input of the greatest gain: {tops}"

@@ -60,8 +60,8 @@ def drawings_of(
                 name = figure.name if len(figure.pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
                 canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
-                own = name, figure.section, figure.title, figure.alt, content.getvalue(), kind
-                out.append(Drawing(*own, legend=figure.legend))
+                own = figure.section, figure.title, figure.alt, content.getvalue(), kind
+                out.append(Drawing(name, *own, legend=figure.legend))
     return out
 
 
@@ -182,15 +182,14 @@ def _mark(axes: Axes, mark: Mark) -> None:
         inside = "none" if mark.hollow else colour
         fill: Any = {"color": colour} if ticks else {"facecolors": inside, "edgecolors": colour}
         if mark.scale is not None:
-            fill = {"c": columns["value"], "edgecolors": GREY, **_colours(axes, mark.scale)}
+            fill = {"facecolors": _colours(axes, mark.scale, columns["value"]), "edgecolors": GREY}
         shape = "_" if ticks and mark.along == "y" else _MARKERS[mark.marker]
         axes.scatter(x, y, s=np.square(size), marker=shape, zorder=3, **fill)
     if mark.kind in ("bars", "cells"):
         left, right, bottom, top = (columns[name] for name in ("left", "right", "bottom", "top"))
         fill = {"color": colour, "alpha": mark.alpha}
         if mark.scale is not None:
-            own = _colours(axes, mark.scale)
-            fill = {"color": own["cmap"](own["norm"](columns["value"]))}
+            fill = {"color": _colours(axes, mark.scale, columns["value"])}
             axes.grid(visible=False)
         axes.bar(left, top - bottom, right - left, bottom, align="edge", linewidth=0, **fill)
         x = {"left": left, "centre": 0.5 * (left + right)}.get(mark.beside, right)
@@ -208,13 +207,13 @@ def _words(axes: Axes, mark: Mark, x: Any, y: Any) -> None:
                       fontsize=7.0, color=shade)  # fmt: skip
 
 
-def _colours(axes: Axes, scale: ColourScale) -> dict[str, Any]:
-    """Colours of a scale, with their bar beside the plot."""
+def _colours(axes: Axes, scale: ColourScale, values: Any) -> Any:
+    """Values as colours of a scale, with its bar beside the plot."""
     cmap = LinearSegmentedColormap.from_list(scale.kind, scale.palette)
-    norm = Normalize(scale.low, scale.high)
+    mapper = ScalarMappable(Normalize(scale.low, scale.high), cmap)
     if scale.label:
-        axes.figure.colorbar(ScalarMappable(norm, cmap), ax=axes, label=plain(scale.label), shrink=0.8)
-    return {"cmap": cmap, "norm": norm}
+        axes.figure.colorbar(mapper, ax=axes, label=plain(scale.label), shrink=0.8)
+    return mapper.to_rgba(values)
 
 
 def _handle(mark: Mark) -> Any:

@@ -231,8 +231,8 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
     numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in known]
     columns = columns_of(numbers, ("x", "low", "high", "y"))
     columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
-    words = tuple(f"{row_label(row)}: {OUTCOMES[row.outcome].word}, {effect_text(row)}" for _, row in known)
-    marks += Mark("dots", columns, along="x", words=words).by_kind([row.outcome for _, row in known], _LOOKS)
+    words = (f"{row.product}, {row_label(row)}: {OUTCOMES[row.outcome].word}, {effect_text(row)}" for _, row in known)
+    marks += Mark("dots", columns, along="x", words=tuple(words)).by_kind([row.outcome for _, row in known], _LOOKS)
     found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
         x, y = np.array(found).T

@@ -203,13 +203,11 @@ class Panels:
     @property
     def told(self) -> str:
         """Name and numbers in words."""
-        said, marks = [self.words], [(part.x, mark) for part in self.parts for mark in part.marks]
-        if self.at is not None:
-            said = [*(mark.told_at(self.at) for _, mark in marks if mark.label), self.words]
-        elif not self.words:
-            each = ((x.label if x else "", mark.label, "; ".join(mark.words)) for x, mark in marks if any(mark.words))
-            said = [": ".join(filter(None, words)) for words in each]
-        return ": ".join(filter(None, (self.name, "; ".join(filter(None, said)))))
+        marks = [mark for part in self.parts for mark in part.marks]
+        numbers = [mark.told_at(self.at) for mark in marks if mark.label and self.at is not None]
+        points = [": ".join(filter(None, (mark.label, "; ".join(mark.words)))) for mark in marks if any(mark.words)]
+        said = list(filter(None, [*numbers, self.words])) or points
+        return ": ".join(filter(None, (self.name, "; ".join(said))))
 
     def ends(self, way: Way, part: Part | None = None) -> tuple[float, float]:
         """Ends of an axis of a part, the first: as stated, or with a margin about everything drawn along it."""

@@ -142,12 +142,6 @@ SECTIONS = _COMPARED | _REASONS
 # Gates that the model moves stand apart from checks that it does not.
 _MATRICES = (("Model and collection", (Evidence.MODEL,)), ("Checks of the pipeline", (Evidence.PIPELINE,)))
 _NUMBERS = (("Numbers", tuple(Evidence)),)  # beside the accepted ones
-# Heading of the index, and (simulated, computed) of the campaigns that stand there.
-_GROUPS = (
-    ("Collected imagery", (False, False)),
-    ("Computed references", (False, True)),
-    ("Simulated collections", (True, False)),
-)
 
 
 def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
@@ -226,18 +220,18 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     def link(campaign: str, rows: Sequence[Result]) -> str:
         return f"{pages[campaign]}#{anchor(rows[0])}" if rows else pages[campaign]
 
+    def heading(run: Run) -> str:
+        collected = "Computed references" if run.computed else "Collected imagery"
+        return "Simulated collections" if run.simulated else collected
+
     groups = []
-    for heading, kind in _GROUPS:
-        own = [r for r in runs if not r.remedy and (r.simulated, r.computed and not r.simulated) == kind]
-        if not own:
-            continue
+    for kind, own in sorted(grouped((run for run in runs if not run.remedy), heading).items()):
         together = [row for run in own for row in run.table]
         matrices = _matrices(own[0], together, lambda r: r.campaign, link)
         entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
         sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
-        groups.append((heading, v.first_screen(together), sentence if own[0].sentence else "", matrices, entries))
-    remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
-    absent = [(remedy, [(run, pages[run.campaign]) for run in runs if run.remedy == remedy]) for remedy in remedies]
+        groups.append((kind, v.first_screen(together), sentence if own[0].sentence else "", matrices, entries))
+    absent = list(grouped(((r, pages[r.campaign]) for r in runs if r.remedy), lambda one: one[0].remedy).items())
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
     return page("index.html.j2", [forest], forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
 
