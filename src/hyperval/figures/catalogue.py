@@ -16,7 +16,6 @@ from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
     MAX_PANELS,
-    PREDICTED,
     SOURCES,
     WAVELENGTH,
     Axis,
@@ -52,7 +51,7 @@ SPECTRA = {
     "snr": ("signal-to-noise ratio", "Signal-to-noise ratio", True),
     "reflectance": ("reflectance", "Reflectance", False),
 }
-MOST_SUBJECTS = 24
+MOST_SUBJECTS = 24  # and curves
 _MOST_ROWS = 40
 _MOST_SOURCES = 7
 _REST = "other sources"
@@ -348,11 +347,8 @@ def class_error_figure(sides: Sides) -> Figure | None:
     )  # fmt: skip
 
 
-MOST_CURVES = 24
-MANY_OBJECTS = 40  # of fewer, each has its place in a list
 _MOST_POINTS = 200
 _MOST_POPULATIONS = 12
-_MOST_MAPS = 6
 _SPAN = 5.0  # standard deviations about the mean, where a density is not stated
 _DEEPEST = 1e-8  # part of the greatest density
 _BINS = 24
@@ -371,7 +367,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     views = []
     for own in kinds.values():
         # Of too many those with the most targets, pools of targets among them.
-        chosen = sorted(own, key=lambda key: -counts[key])[: MOST_CURVES // len(kinds) or 1]
+        chosen = sorted(own, key=lambda key: -counts[key])[: MOST_SUBJECTS // len(kinds) or 1]
         keys = [key for key in own if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
         views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
@@ -386,19 +382,17 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
 def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tuple[str, str]) -> Panels:
     predicted, measured = curves
     marks = [] if predicted is None else [predicted_mark("line", _roc_columns(predicted, low), names[0])]
-    note, background = [], None
+    note, background = "", None
     if measured is not None:
         # Steps are counted pixels; the second of two predictions is as smooth as the first.
         kind = "steps" if names[1] == SIDES[1] else "line"
         marks.append(measured_mark(kind, _roc_columns(measured, low), names[1]))
-        background = measured.n_background
-        if measured.n_target is not None:
-            note.append(f"{count_text(measured.n_target)} {measured.unit}{'s' if measured.n_target != 1 else ''}")
-        if background is not None:
-            note.append(f"{count_text(background)} background px")
+        background, n = measured.n_background, measured.n_target
+        counted = (n, measured.unit + "s" * (n != 1)), (background, "background px")
+        note = ", ".join(f"{count_text(number)} {what}" for number, what in counted if number is not None)
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
     x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
-    return Panels(x, (part,), key[0], tab, ", ".join(note), at=1e-3)
+    return Panels(x, (part,), key[0], tab, note, at=1e-3)
 
 
 def _detection(curve: RocCurve, pfa: Array | float) -> tuple[Any, list[Any]]:
@@ -577,7 +571,7 @@ def transform_figure(sides: Sides) -> Figure | None:
         at = (rank - 0.5) / n
         low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
         marks = (
-            Mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects", PREDICTED),
+            predicted_mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects"),
             Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", dash="dotted"),
             measured_mark("line", {"x": at, "y": u}, "objects, in order"),
         )
@@ -604,7 +598,7 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     found = {name: own for name, one in maps.items() if (own := _map_objects(name, one, sides)) is not None}
     title = "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
     title += "in one is highlighted in the other"
-    return a_view_each("objects", "scores", title, list(found)[:_MOST_MAPS], found.__getitem__)
+    return a_view_each("objects", "scores", title, list(found), found.__getitem__)
 
 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
@@ -613,7 +607,7 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
         own = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
         found += [(*one, float(np.median(draws))) for one in own]
         laws += [(len(own), draws)] if own else []
-    if min(len(found), len(score_map.outlines)) <= MANY_OBJECTS:
+    if min(len(found), len(score_map.outlines)) <= _MOST_ROWS:  # each has its place in a list
         return None
     names, measured, median = zip(*found, strict=True)
     line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5

@@ -228,11 +228,9 @@ def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
     if not finite.any():
         return 0.0, 1.0
     low, high = map(float, np.percentile(values[finite], [1.0, 99.9]))
-    on_target = functools.reduce(np.logical_or, score_map.outlines.values(), np.zeros(values.shape, bool))
-    scores = values[on_target & finite]
-    if scores.size:
-        high = max(high, float(np.percentile(scores, 75.0)))
-    return low, max(high, low + 1e-9)
+    on_target = functools.reduce(np.logical_or, score_map.outlines.values(), np.zeros(values.shape, bool)) & finite
+    better = float(np.percentile(values[on_target], 75.0)) if on_target.any() else high
+    return low, max(high, better, low + 1e-9)
 
 
 def block_maximum(values: Array, most: int) -> tuple[Array, int]:

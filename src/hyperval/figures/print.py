@@ -76,9 +76,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
     if not journal:
         words = plain(figure.head or figure.title) + (" (simulated collection)" if simulated else "")
         canvas.suptitle(words, fontsize=10.5)
-    ratios = [2.0, 1.0] if parts == 2 else [1.0] * parts
-    if views[0].parts[0].y.names:
-        ratios = [len(part.y.names) + 1.5 for part in views[0].parts]
+    names = [len(part.y.names) for part in views[0].parts]
+    ratios = [count + 1.5 for count in names] if any(names) else [2.0, *[1.0] * (parts - 1)]
     grid = canvas.add_gridspec(parts * rows, columns, height_ratios=ratios * rows)
     for at, view in enumerate(views):
         row, column = divmod(at, columns)
@@ -132,10 +131,8 @@ def draw_part(axes: Axes, view: Panels, part: Part) -> None:
     x = part.x or view.x
     for way, axis in (("x", x), ("y", part.y)):
         _scale(axes, way, axis, view.ends(way, part))  # type: ignore[arg-type]
-    low, high = view.ends("x", part)
     for start, end in x.absorption:
-        if end > low and start < high:
-            axes.axvspan(max(start, low), min(end, high), color=_ABSORPTION, linewidth=0, zorder=0)
+        axes.axvspan(start, end, color=_ABSORPTION, linewidth=0, zorder=0)
     for mark in part.marks:
         _mark(axes, mark)
     for way, place in part.rules:

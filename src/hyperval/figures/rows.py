@@ -249,13 +249,12 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
     if not names:
         return None
     names.sort(key=lambda name: [-counts[name][outcome] / counts[name].total() for outcome in WORST_FIRST])
-    y, start, marks = np.arange(float(len(names))), np.zeros(len(names)), []
-    for outcome, look in _LOOKS.items():
-        share = np.array([100.0 * counts[name][outcome] / counts[name].total() for name in names])
+    shares = np.array([[100.0 * counts[n][outcome] / counts[n].total() for n in names] for outcome in _LOOKS])
+    y, ends, marks = np.arange(float(len(names))), np.cumsum(shares, axis=0), []
+    for look, share, end in zip(_LOOKS.values(), shares, ends, strict=True):
         if share.any():
-            edges = {"left": start, "right": start + share, "bottom": y - 0.3, "top": y + 0.3}
+            edges = {"left": end - share, "right": end, "bottom": y - 0.3, "top": y + 0.3}
             marks.append(Mark("bars", edges, look["label"], look["colour"], alpha=1.0))
-            start = start + share
     notes = tuple(outcome_words(criteria[name]) for name in names)
     words = "; ".join(f"{name}: {note}" for name, note in zip(names, notes, strict=True))
     title = "Acceptance criteria of the model by campaign, the worst first"

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jinja2
 
@@ -119,12 +119,10 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
     They are the same but for the subject; the first stands for all, and says how many are alike.
     """
 
-    def key(row: Result) -> str | int:
-        return repr(replace(row, subject="")) if row.subject.endswith(background_of("")) else id(row)
-
+    alike = grouped(rows, lambda r: repr(replace(r, subject="")) if r.subject.endswith(background_of("")) else id(r))
     return [
         first if not more else replace(first, subject=f"{first.subject} and {len(more)} alike")
-        for first, *more in grouped(rows, key).values()
+        for first, *more in alike.values()
     ]
 
 
@@ -149,8 +147,8 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     rows, sides = list(run.table), run.pair
     spectra = _worst_first(first_figures(sides, run.table), rows)
     many = many_objects_figure(run.score_maps, sides)
-    shown_first = [*spectra, *([many] if many is not None else [])]
-    charts, further = shown_first[:_MOST_OPEN_FIGURES], shown_first[_MOST_OPEN_FIGURES:]
+    first = [*spectra, *filter(None, [many])]
+    charts, further = first[:_MOST_OPEN_FIGURES], first[_MOST_OPEN_FIGURES:]
     plots = further_figures(sides, run.table, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
@@ -265,10 +263,9 @@ def environment() -> jinja2.Environment:
     return environment
 
 
-def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
-    """The margin that the campaign of a run states, as its provenance records it."""
-    campaign = provenance.get("configuration", {}).get("campaign", {})
-    return cast("float | None", campaign.get("equivalence_margin"))
+def equivalence_margin(provenance: Mapping[str, Any]) -> Any:
+    """The margin that the campaign of a run states, as its provenance records it; None without any."""
+    return provenance.get("configuration", {}).get("campaign", {}).get("equivalence_margin")
 
 
 def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (), /, **words: Any) -> str:
