@@ -138,7 +138,7 @@ def test_the_words_of_a_figure_have_its_numbers(charts):
     for name, words in {
         "radiance-eigenvalues": ("grass (n = 150): predicted, ", "13 of 13 measured inside"),
         "pixel-tails": ("6 degrees of freedom measured",),
-        "class-error": ("predicted: a / b, 2 bands: 0.1 (0.08 to 0.1)",),
+        "class-error": ("predicted: a / b, 2 bands: 0.1 (0.08 to 0.13)",),
         "unmixing-areas": ("predicted: 0.2 m² at 1 m², 0.2 m² at 4 m²",),
         "object-scores": ("predicted: target 0 & $x$, cem: 0.", "cem: 0.95;", "1 of 6 outside"),
         "object-transforms": ("6 objects",),
@@ -247,7 +247,7 @@ def test_statements_hold_the_numbers_and_a_view_each(charts):
     np.testing.assert_allclose(predicted["y"] / measured["y"], ratio["y"], rtol=1e-6)
     assert np.all((ratio["low"] < 1.0) & (ratio["high"] > 1.0))
     (view,) = charts["class-error"].views
-    assert view.ends("x")[0] > 0.0
+    assert view.ends("x", view.parts[0])[0] > 0.0
     assert [place for _, place in charts["roc-difference"].views[0].parts[0].rules] == [0.0, -0.1, 0.1]
     many = dataclasses.replace(charts["unmixing-areas"], views=charts["unmixing-areas"].views * 24)
     sheets = figures.drawings_of([many], simulated=False)

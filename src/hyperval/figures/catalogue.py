@@ -137,10 +137,9 @@ def spectra_figure(
     pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in own for own in aligned)]
     identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
     views = tuple(_view(axis, s, [own.get(s) for own in aligned], product, not identical, names) for s in shown)
-    head = f"{SPECTRA[product][1]}: {_there(both, names)}" + ", which are identical" * identical
-    head += "" if axis.numbered else " (grey: absorption)"
-    title = head + left_out(len(shown), len({*both[0], *both[1]}))
-    return Figure(product, product, title, views, head=head, together="offered")
+    title = f"{SPECTRA[product][1]}: {_there(both, names)}" + ", which are identical" * identical
+    title += "" if axis.numbered else " (grey: absorption)"
+    return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
 
 
 def _view(
@@ -337,7 +336,7 @@ def class_error_figure(sides: Sides) -> Figure | None:
 
     def entry(e: ClassificationError) -> Entry:
         value, low, high = (max(x, floor) for x in (e.error, e.lower, e.upper))
-        return value, low, high, f"{e.error:.2g} ({e.lower:.1g} to {e.upper:.1g})"
+        return value, low, high, f"{e.error:.2g} ({e.lower:.2g} to {e.upper:.2g})"
 
     return a_row_each(
         "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys,
@@ -373,10 +372,10 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
         views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
     if not views:
         return None
-    head = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
-    head += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
-    title = head + left_out(len(views), len({*both[0], *measured}))
-    return Figure("roc", "roc", title, tuple(views), head=head, together="first")
+    title = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
+    title += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
+    title += left_out(len(views), len({*both[0], *measured}))
+    return Figure("roc", "roc", title, tuple(views), together="first")
 
 
 def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tuple[str, str]) -> Panels:
@@ -738,7 +737,8 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     marks = bars.by_kind([name in stated for name in names], _STATED)
     told = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
     legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
-    legend += "; a number in brackets: one of several independent shapes of an error"
+    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
+    legend += "; a number in brackets: one of several independent shapes of an error" * numbered
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
     y = Axis.named(names, _LONGEST)

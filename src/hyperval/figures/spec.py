@@ -209,9 +209,8 @@ class Panels:
         said = list(filter(None, [*numbers, self.words])) or points
         return ": ".join(filter(None, (self.name, "; ".join(said))))
 
-    def ends(self, way: Way, part: Part | None = None) -> tuple[float, float]:
-        """Ends of an axis of a part, the first: as stated, or with a margin about everything drawn along it."""
-        part = part or self.parts[0]
+    def ends(self, way: Way, part: Part) -> tuple[float, float]:
+        """Ends of an axis of a part: as stated, or with a margin about everything drawn along it."""
         axis = part.y if way == "y" else part.x or self.x
         if axis.scale == "names":
             return -0.6, len(axis.names) - 0.4
@@ -307,11 +306,6 @@ class Drawing:
 def base64_of(content: bytes) -> str:
     """Bytes as text."""
     return base64.b64encode(content).decode("ascii")
-
-
-def data_uri(content: bytes, kind: str) -> str:
-    """An image of a kind as a data URI."""
-    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
 
 
 def statement(figure: Figure) -> str:

@@ -22,7 +22,7 @@ import hyperval
 from hyperval.errors import refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, grouped, outcome_words
-from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
+from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, statement
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
@@ -100,8 +100,6 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     The letter is a capital of criteria, small of what is informational, "M n" where the criteria are met and something
     informational is not; empty where nothing was planned.
     """
-    if not rows:
-        return {"outcome": Outcome.NONE, "letter": "", "words": "not planned", "link": ""}
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     outcome = v.worst(gates or rows)
     letter = OUTCOMES[outcome].letter if gates else OUTCOMES[outcome].letter.lower()
@@ -110,7 +108,8 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     if gates and outcome is not Outcome.DISAGREES and v.worst(informing) is Outcome.DISAGREES:
         letter += f" {OUTCOMES[Outcome.DISAGREES].letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
-    return {"outcome": outcome, "letter": letter, "words": "; ".join(parts), "link": link}
+    words = "; ".join(parts) or "not planned"
+    return {"outcome": outcome, "letter": letter, "words": words, "link": link if rows else ""}
 
 
 def same_background_once(rows: Sequence[Result]) -> list[Result]:
@@ -155,9 +154,11 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     compares = any(row.planned for row in rows)
     screen = v.first_screen(rows, run.power[0].sentence.partition(". ")[0] + "." if run.power else "")
     forest = criteria_figure(rows) if compares and not run.sentence else None
-    worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
+    worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest and screen.worst else None
     statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
+    # What shows the most comes first: the scene and the first score map.
+    images = ((d.name, d.content, d.kind) for d in sorted(drawings, key=lambda d: d.name not in PICTURES))
     return page(
         "report.html.j2", statements,
         run=run,
@@ -169,7 +170,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         matrices=_matrices(run, shown, lambda r: r.subject, _link),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
-        embedded=_embedded(drawings, statements),
+        embedded=embedded(images, _FIGURE_BYTES - sum(map(len, (*statements.values(), *packed_library())))),
         budget=[chart for chart in folded if chart.name == _BUDGET],
         parts=_sections(drawings, folded, shown),
         of_reasons=_REASONS,
@@ -179,7 +180,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     )  # fmt: skip
 
 
-def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | None:
+def _worst_figure(row: Result, figures: Sequence[Figure]) -> Figure | None:
     """What shows the worst criterion, small: the difference of its spectrum, its curve, the scores of its objects.
 
     >>> from hyperval.figures.spec import Axis, Panels, Part
@@ -188,8 +189,6 @@ def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | Non
     >>> _worst_figure(row, [Figure("roc", "roc", "", views)]).views[0].subject
     'grass (n = 9)'
     """
-    if row is None:
-        return None
     for figure in figures:
         if figure.section != row.product or any(part.y.names for view in figure.views for part in view.parts):
             continue
@@ -325,18 +324,14 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
     return sections
 
 
-def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dict[str, str]:
-    """Name of a figure -> its data URI, for as many as the page has room for.
-
-    What shows the most comes first: the scene and the first score map.
-    """
-    sources: dict[str, str] = {}
-    room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
-    for drawing in sorted(drawings, key=lambda d: d.name not in PICTURES):
-        source = data_uri(drawing.content, drawing.kind)
+def embedded(images: Iterable[tuple[Any, bytes, str]], room: int) -> dict[Any, str]:
+    """Names of images, their bytes and kinds -> data URI of each, for as many as there is room for."""
+    sources: dict[Any, str] = {}
+    for name, content, kind in images:
+        source = f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
         if len(source) <= room:
             room -= len(source)
-            sources[drawing.name] = source
+            sources[name] = source
     return sources
 
 

@@ -167,7 +167,7 @@ def _unseen(gates: Sequence[Result]) -> str:
     if not any(known.values()):
         return ""
     names = list(dict.fromkeys(row.subject for row in known["fitted"] if row.subject not in EVERY))
-    names = [*names[:_MOST_NAMED], f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else names
+    names[_MOST_NAMED:] = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
     unseen = f"{outcome_words(known['unseen'])} ({_named(known['unseen'])})" if known["unseen"] else "none yet"
     return f"Budget and settings were fitted on {', '.join(names) or 'others'}; unseen: {unseen}."
 
