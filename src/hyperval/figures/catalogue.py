@@ -253,8 +253,7 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
         return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, at=1.0)
 
-    title = f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent pixels drawn "
-    title += "from the prediction)"
+    title = f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent predicted pixels)"
     return a_view_each(f"{quantity}-eigenvalues", "covariance", title, list(spreads), view)
 
 
@@ -394,12 +393,6 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
     return Panels(x, (part,), key[0], tab, note, at=1e-3)
 
 
-def _detection(curve: RocCurve, pfa: Array | float) -> tuple[Any, list[Any]]:
-    """P_FA within the curve, and P_D there with its limits."""
-    at = np.clip(pfa, curve.pfa[0], curve.pfa[-1])
-    return at, [detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper)]
-
-
 def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
     """At most a few hundred points of a curve, evenly spread over the logarithm of P_FA."""
     keep = np.flatnonzero(curve.pfa >= low)
@@ -416,9 +409,15 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
     rules: Rules = (("y", 0.0),) if margin is None else (("y", 0.0), ("y", -margin), ("y", margin))
 
     def view(key: Key) -> Panels:
-        columns = _difference_columns(predicted[key], measured[key])
+        both = predicted[key], measured[key]
+        low = max(both[0].pfa[0], both[1].pfa[both[1].pfa > 0].min(), 3.0 / (both[1].n_background or 3e9))
+        pfa = np.geomspace(low, min(curve.pfa[-1] for curve in both), 120)
+        known = [[detection_at(c, pfa, values) for values in (c.pd, c.pd_lower, c.pd_upper)] for c in both]
+        (p, p_low, p_high), (m, m_low, m_high) = known
+        d, below, above = p - m, np.hypot(p - p_low, m_high - m), np.hypot(p_high - p, m - m_low)
+        columns = {"x": pfa, "y": d, "low": d - below, "high": d + above}
         line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
-        x, y = Axis(_PFA, "log", ends=tuple(columns["x"][[0, -1]])), Axis("difference of P_D", ends=(-1.05, 1.05))
+        x, y = Axis(_PFA, "log", ends=tuple(pfa[[0, -1]])), Axis("difference of P_D", ends=(-1.05, 1.05))
         return single(x, y, [line], f"{key[0]}, {key[1]}, by {key[2]}", at=1e-2, rules=rules)
 
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
@@ -426,17 +425,6 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
     keys = sorted(counts, key=lambda key: (key[2] != "object" or counts[key] < 2, -counts[key]))
     legend = "" if margin is None else f"dotted: equivalence margin {margin:g}"
     return a_view_each("roc-difference", "roc", "ROC: predicted minus measured P_D", keys, view, legend=legend)
-
-
-def _difference_columns(predicted: RocCurve, measured: RocCurve) -> dict[str, Array]:
-    """P_FA where both are known, the difference of P_D there, and the limits of its interval."""
-    low = max(float(predicted.pfa[0]), float(measured.pfa[measured.pfa > 0].min()), 1e-9)
-    if measured.n_background:
-        low = max(low, 3.0 / measured.n_background)
-    x = np.geomspace(low, min(float(predicted.pfa[-1]), float(measured.pfa[-1])), 120)
-    (_, (p, p_low, p_high)), (_, (o, o_low, o_high)) = (_detection(curve, x) for curve in (predicted, measured))
-    d = p - o
-    return {"x": x, "y": d, "low": d - np.hypot(p - p_low, o_high - o), "high": d + np.hypot(p_high - p, o - o_low)}
 
 
 def exceedance_figure(sides: Sides) -> Figure | None:
