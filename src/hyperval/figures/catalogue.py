@@ -359,13 +359,13 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     both, drawn, _ = drawn_of(sides, "roc")
     measured: Mapping[Key, RocCurve] = both[1]
     kinds = grouped(drawn, lambda key: key[1:])  # detector and unit
-    counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in drawn}
     # Two decades past what the background can resolve are enough.
     seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
     views = []
     for own in kinds.values():
         # Of too many those with the most targets, pools of targets among them.
-        chosen = sorted(own, key=lambda key: -counts[key])[: MOST_SUBJECTS // len(kinds) or 1]
+        most = sorted(own, key=lambda key: -(getattr(measured.get(key), "n_target", -1) or 0))
+        chosen = most[: MOST_SUBJECTS // len(kinds) or 1]
         keys = [key for key in own if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
         views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
@@ -502,10 +502,9 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
     def view(method: str) -> Panels:
         sized = grouped((key for key in both[1] if key[1] == method), lambda key: both[1][key].nominal_m2)
         # Targets of one area stand beside each other, within a quarter of a decade.
-        steps = [np.linspace(-0.13, 0.13, len(keys) + 2)[1:-1] for keys in sized.values()]
-        place = {key: area * 10**step for (area, keys), own in zip(sized.items(), steps, strict=True)
-                 for key, step in zip(keys, own, strict=True)}  # fmt: skip
-        sizes, words = np.array(sorted(sized)), []
+        sizes, words, place = np.array(sorted(sized)), [], dict[Any, float]()
+        for area, keys in sized.items():
+            place |= zip(keys, area * 10.0 ** np.linspace(-0.13, 0.13, len(keys) + 2)[1:-1], strict=True)
         above, below = list[Mark](), list[Mark]()
         looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
         for own, (make, marker, name, shift) in zip(both, looks, strict=True):

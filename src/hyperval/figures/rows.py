@@ -180,8 +180,7 @@ def _part(own: Sequence[Result], most: int) -> Part:
     notes = [effect_text(row) for row in own[:most]]
     rest, first = own[most:], own[0]
     if rest:
-        alike = len({row.outcome for row in rest}) == 1
-        names.append(f"{len(rest)} more, {OUTCOMES[rest[0].outcome].word if alike else outcome_words(rest)}")
+        names.append(f"more: {outcome_words(rest)}")
         values = [row.effect for row in rest if math.isfinite(row.effect)]
         notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
     low, high = _ends(own, False)

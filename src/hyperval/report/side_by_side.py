@@ -83,10 +83,8 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
 def _names(a: Path, b: Path) -> tuple[str, str]:
     """Last parts of two paths, as many as tell them apart."""
     first, second = a.resolve().parts, b.resolve().parts
-    for most in range(1, max(len(first), len(second))):
-        if first[-most:] != second[-most:]:
-            return "/".join(first[-most:]), "/".join(second[-most:])
-    return a.name or str(a), b.name or str(b)
+    most = next((n for n in range(1, max(len(first), len(second))) if first[-n:] != second[-n:]), 1)
+    return "/".join(first[-most:]), "/".join(second[-most:])
 
 
 def provenance_differences(a: Run, b: Run) -> list[tuple[str, str, str]]:
