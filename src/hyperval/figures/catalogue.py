@@ -16,7 +16,6 @@ from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
     MAX_PANELS,
-    PREDICTED,
     SOURCES,
     WAVELENGTH,
     Axis,
@@ -36,7 +35,7 @@ from hyperval.figures.spec import (
     single,
 )
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
-from hyperval.pixels import band_limits, exceedance_of_distance
+from hyperval.pixels import EigenDirections, band_limits, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable
 from hyperval.run import ScoreMap
@@ -52,7 +51,7 @@ SPECTRA = {
     "snr": ("signal-to-noise ratio", "Signal-to-noise ratio", True),
     "reflectance": ("reflectance", "Reflectance", False),
 }
-MOST_SUBJECTS = 24
+MOST_SUBJECTS = 24  # and curves
 _MOST_ROWS = 40
 _MOST_SOURCES = 7
 _REST = "other sources"
@@ -91,25 +90,21 @@ def count_text(n: int) -> str:
 
 def a_row_each(
     name: str, section: str, title: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Entry]], x: Axis, *,
-    under: Sequence[Mark] = (), rules: tuple[float, ...] = (), legend: str = "",
+    under: Sequence[Mark] = (), **more: Any,
 ) -> Figure | None:  # fmt: skip
     """A figure with a row for each of the first keys: dots of the sides that have it, a part of a row apart."""
     shown = keys[:_MOST_ROWS]
     if not shown:
         return None
     marks, looks = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
-    names, told = [", ".join(key) for key in shown], list[list[str]]([[] for _ in shown])
-    for side, own, (make, marker, shift) in zip(SIDES, both, looks, strict=True):
+    names = [", ".join(key) for key in shown]
+    for own, (make, marker, shift) in zip(both, looks, strict=True):
         here = [(i, own[key]) for i, key in enumerate(shown) if key in own]
         if here:
             columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
             words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
-        for i, entry in here:
-            told[i].append(f"{side} {entry[3]}")
-    title += left_out(len(shown), len(keys))
-    alt = "; ".join(f"{one}: {', '.join(words)}" for one, words in zip(names, told, strict=True))
-    return of_rows(name, section, title, f"{title}: {alt}.", x, Axis.named(names), marks, legend, rules)
+    return of_rows(name, section, title + left_out(len(shown), len(keys)), x, Axis.named(names), marks, **more)
 
 
 def wavelengths(axis: SpectralAxis) -> Axis:
@@ -130,7 +125,6 @@ def spectra_figure(
     rows : subjects about which more is amiss in these come first
     names : what the two sides are, where they are no prediction and collection
     """
-    label, title, ratio = SPECTRA[product]
     both, drawn, paired = drawn_of(sides, product)
     if not drawn or (not paired and None not in sides):
         return None  # a comparison that has none of this product
@@ -140,40 +134,23 @@ def spectra_figure(
     axis = next(side.axis for side, own in zip(sides, both, strict=True) if side and shown[0] in own)
     # Sides on other bands are not drawn over each other.
     aligned = [own if side and side.axis.matches(axis) else {} for side, own in zip(sides, both, strict=True)]
-    gaps = {s: _difference(aligned[0][s], aligned[1][s], ratio) for s in shown if all(s in own for own in aligned)}
-    identical = bool(gaps) and not any(np.nan_to_num(gap).any() for gap, _ in gaps.values())
-    gaps = {} if identical else gaps  # nothing to draw
-    below = f"difference{' ratio' if ratio else ''}"
-    views = tuple(_view(axis, s, [own.get(s) for own in aligned], gaps.get(s), label, below, names) for s in shown)
-    keep = in_windows(axis)
-    medians = [
-        f"{subject} {np.nanmedian(np.abs(gap[keep])):{'.2%' if ratio else '.4f'}}"
-        for subject, (gap, _) in gaps.items() if np.isfinite(gap[keep]).any()
-    ]  # fmt: skip
-    alt = f"{title} against {wavelengths(axis).label.partition(' [')[0]}, a subject at a time: {names[0]} (dashed) and "
-    alt += f"{names[1]} (solid) with 95 % intervals{', the difference below' if gaps else ''}. "
-    alt += f"Subjects: {', '.join(shown)}."
-    alt += f" Median absolute {below} in the windows: {'; '.join(medians)}." if medians else ""
-    words = " and ".join(names) if paired else names[0] if sides[0] is not None else names[1]
-    head = f"{title}: {words}{', which are identical' * identical}{'' if axis.numbered else ' (grey: absorption)'}"
-    title = head + left_out(len(shown), len({*both[0], *both[1]}))
-    return Figure(product, product, title, alt, views, head=head, together="offered")
-
-
-def _difference(predicted: SpectralEstimate, measured: SpectralEstimate, ratio: bool) -> tuple[Array, Array]:
-    """(B,) predicted - measured, or that over measured, and its standard uncertainty, independent."""
-    p, c, up, uc = predicted.mean, measured.mean, predicted.standard_uncertainty, measured.standard_uncertainty
-    if ratio:
-        return difference_ratio(p, c), difference_ratio_uncertainty(p, c, up, uc)
-    return p - c, np.hypot(up, uc)
+    pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in own for own in aligned)]
+    identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
+    views = tuple(_view(axis, s, [own.get(s) for own in aligned], product, not identical, names) for s in shown)
+    title = f"{SPECTRA[product][1]}: {_there(both, names)}" + ", which are identical" * identical
+    title += "" if axis.numbered else " (grey: absorption)"
+    return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
 
 
 def _view(
-    axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], gap: tuple[Array, Array] | None,
-    label: str, below: str, names: tuple[str, str],
+    axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], product: str, differ: bool,
+    names: tuple[str, str],
 ) -> Panels:  # fmt: skip
+    """Both sides, and below them their difference, with its standard uncertainty as of independent sides."""
+    (label, _, ratio), keep, words = SPECTRA[product], in_windows(axis), ""
+    known = [(e.mean, e.standard_uncertainty) for e in both if e is not None]
+
     def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
-        keep = in_windows(axis)
         ends = robust_limits([mark.numbers[end][keep] for mark in marks for end in ("low", "high")], trim)
         return Part(Axis(label, ends=ends), tuple(marks), rules)
 
@@ -183,10 +160,16 @@ def _view(
         for e, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])) if e is not None
     ]  # fmt: skip
     parts = [part(label, marks, 0.5)]
-    if gap is not None:
-        columns = {"x": axis.centre_nm, "y": gap[0], "half": Z95 * gap[1]}
+    if differ and len(known) == 2:
+        (p, up), (m, um) = known
+        gap = difference_ratio(p, m) if ratio else p - m
+        u = difference_ratio_uncertainty(p, m, up, um) if ratio else np.hypot(up, um)
+        columns, below = {"x": axis.centre_nm, "y": gap, "half": Z95 * u}, f"difference{' ratio' * ratio}"
         parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
-    return Panels(wavelengths(axis), tuple(parts), subject)
+        if np.isfinite(gap[keep]).any():
+            median = np.nanmedian(np.abs(gap[keep]))
+            words = f"median absolute {below} in the windows {median:{'.2%' if ratio else '.4f'}}"
+    return Panels(wavelengths(axis), tuple(parts), subject, words=words)
 
 
 def budget_figure(sides: Sides) -> Figure | None:
@@ -201,11 +184,8 @@ def budget_figure(sides: Sides) -> Figure | None:
     sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
     head = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
     return a_view_each(
-        "radiance-budget", "radiance", head,
-        "Relative standard uncertainty of the radiance against wavelength, stacked by source in proportion to its "
-        f"share of the variance. Sources, largest first: {', '.join(sources)}. Panels:",
-        list(panels), lambda name: _stack(*panels[name], sources, name), head=head,
-    )  # fmt: skip
+        "radiance-budget", "radiance", head, list(panels), lambda name: _stack(*panels[name], sources, name), head=head
+    )
 
 
 def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str], subject: str) -> Panels:
@@ -223,7 +203,7 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
         for low, high, source, colour in zip(edges[:-1], edges[1:], sources, SOURCES, strict=False)
     ]
     y = Axis("standard uncertainty [% of radiance]", ends=robust_limits([edges[-1][in_windows(axis)]]))
-    return single(wavelengths(axis), y, marks, subject, subject)
+    return single(wavelengths(axis), y, marks, subject)
 
 
 def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
@@ -269,19 +249,12 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
         ratio = {"x": number, **{name: values / measured for name, values in expected.items()}}
         below = Part(Axis("predicted / measured"), (Mark("line", ratio, colour=DIFFERENCE),), (("y", 1.0),))
         inside = int(np.sum((measured >= low) & (measured <= high)))
-        words = f"{subject}: first eigenvalue predicted {mean[0]:.3g}, measured {measured[0]:.3g}; "
-        words += f"{inside} of {measured.size} inside"
+        words = f"{inside} of {measured.size} measured inside"
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
-        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words)
+        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, at=1.0)
 
-    return a_view_each(
-        f"{quantity}-eigenvalues", "covariance",
-        f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent pixels drawn "
-        "from the prediction)",
-        f"Leading eigenvalues of the pixel-to-pixel covariance of the {quantity}, logarithmic, predicted (hollow "
-        "circles, with the 95 % band of samples of as many pixels) and measured (squares); below, predicted over "
-        "measured with that band.", list(spreads), view,
-    )  # fmt: skip
+    title = f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent predicted pixels)"
+    return a_view_each(f"{quantity}-eigenvalues", "covariance", title, list(spreads), view)
 
 
 def _eigenvalues_alone(sides: Sides) -> Figure | None:
@@ -296,15 +269,10 @@ def _eigenvalues_alone(sides: Sides) -> Figure | None:
         columns = {"y": values, "low": values / factor, "high": values * factor}
         mark = make("line", {"x": np.arange(1.0, values.size + 1), **columns}, marker="circle")
         x, y = Axis(_EIGENVALUE, ends=(0.0, MOST_EIGENVALUES + 1.0)), Axis(_EIGENVALUES["radiance"], "log")
-        words = f"{subject} {values[0]:.3g}" if values.size else f"{subject} none"
-        return single(x, y, [mark], subject, words)
+        return single(x, y, [mark], subject, at=1.0 if values.size else None)
 
-    return a_view_each(
-        "radiance-eigenvalues", "covariance",
-        "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)",
-        f"The largest {MOST_EIGENVALUES} eigenvalues of the pixel-to-pixel covariance of the radiance, on a "
-        "logarithmic scale. Largest:", list(known), view,
-    )  # fmt: skip
+    title = "Eigenvalues of the pixel covariance (band: 95 % sampling interval, pixels taken as independent)"
+    return a_view_each("radiance-eigenvalues", "covariance", title, list(known), view)
 
 
 def _eigenvalues(estimate: SpectralEstimate) -> Array:
@@ -312,11 +280,10 @@ def _eigenvalues(estimate: SpectralEstimate) -> Array:
     covariance = np.asarray(estimate.pixel_covariance, dtype=float)
     finite = np.isfinite(np.diag(covariance))
     block = covariance[np.ix_(finite, finite)]
-    if block.size == 0 or not np.isfinite(block).all():
+    if not finite.any() or not np.isfinite(block).all():
         return np.empty(0)
-    rank = block.shape[0] if estimate.n is None else min(block.shape[0], max(estimate.n - 1, 0))
-    values = np.linalg.eigvalsh(block)[::-1][: min(rank, MOST_EIGENVALUES)]
-    return values[values > 1e-13 * max(values[0], 0.0)] if values.size else values
+    rank = MOST_EIGENVALUES if estimate.n is None else min(MOST_EIGENVALUES, max(estimate.n - 1, 0))
+    return EigenDirections.of(block).values[:rank]
 
 
 def tail_figure(sides: Sides) -> Figure | None:
@@ -340,15 +307,11 @@ def tail_figure(sides: Sides) -> Figure | None:
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
         y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
         name = f"{subject}: {dimension} components, n = {count_text(n)}"
-        return single(x, y, marks, name, f"{subject}: {_dof(law.leading_tail_dof)} measured{told}")
+        return single(x, y, marks, name, f"{_dof(law.leading_tail_dof)} measured{told}")
 
     known = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
-    return a_view_each(
-        "pixel-tails", "covariance",
-        "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)",
-        "Share of a class's pixels beyond a Mahalanobis distance in the leading components, logarithmic: measured "
-        "with its 95 % interval, under the predicted law, the normal law, and the fitted t.", known, view,
-    )  # fmt: skip
+    title = "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)"
+    return a_view_each("pixel-tails", "covariance", title, known, view)
 
 
 def _dof(dof: float) -> str:
@@ -372,7 +335,7 @@ def class_error_figure(sides: Sides) -> Figure | None:
 
     def entry(e: ClassificationError) -> Entry:
         value, low, high = (max(x, floor) for x in (e.error, e.lower, e.upper))
-        return value, low, high, f"{e.error:.2g} ({e.lower:.1g} to {e.upper:.1g})"
+        return value, low, high, f"{e.error:.2g} ({e.lower:.2g} to {e.upper:.2g})"
 
     return a_row_each(
         "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys,
@@ -382,11 +345,8 @@ def class_error_figure(sides: Sides) -> Figure | None:
     )  # fmt: skip
 
 
-MOST_CURVES = 24
-MANY_OBJECTS = 40  # of fewer, each has its place in a list
 _MOST_POINTS = 200
 _MOST_POPULATIONS = 12
-_MOST_MAPS = 6
 _SPAN = 5.0  # standard deviations about the mean, where a density is not stated
 _DEEPEST = 1e-8  # part of the greatest density
 _BINS = 24
@@ -399,60 +359,38 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     both, drawn, _ = drawn_of(sides, "roc")
     measured: Mapping[Key, RocCurve] = both[1]
     kinds = grouped(drawn, lambda key: key[1:])  # detector and unit
-    counts = {key: (measured[key].n_target or 0) if key in measured else -1 for key in drawn}
     # Two decades past what the background can resolve are enough.
     seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
     views = []
     for own in kinds.values():
         # Of too many those with the most targets, pools of targets among them.
-        chosen = sorted(own, key=lambda key: -counts[key])[: MOST_CURVES // len(kinds) or 1]
+        most = sorted(own, key=lambda key: -(getattr(measured.get(key), "n_target", -1) or 0))
+        chosen = most[: MOST_SUBJECTS // len(kinds) or 1]
         keys = [key for key in own if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
         views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
     if not views:
         return None
-    head = f"ROC: {names[0]}" + (f" (dashed) and {names[1]}" if measured else "")
-    head += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
-    return Figure(
-        "roc", "roc", head + left_out(len(views), len({*both[0], *measured})),
-        f"Probability of detection against probability of false alarm (logarithmic), {names[0]} (dashed) and "
-        f"{names[1]}, with 95 % intervals. {' '.join(view.words for view in views)}",
-        tuple(views), head=head, together="first",
-    )  # fmt: skip
+    title = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
+    title += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
+    title += left_out(len(views), len({*both[0], *measured}))
+    return Figure("roc", "roc", title, tuple(views), together="first")
 
 
 def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tuple[str, str]) -> Panels:
     predicted, measured = curves
     marks = [] if predicted is None else [predicted_mark("line", _roc_columns(predicted, low), names[0])]
-    note, background = [], None
+    note, background = "", None
     if measured is not None:
         # Steps are counted pixels; the second of two predictions is as smooth as the first.
         kind = "steps" if names[1] == SIDES[1] else "line"
         marks.append(measured_mark(kind, _roc_columns(measured, low), names[1]))
-        background = measured.n_background
-        if measured.n_target is not None:
-            note.append(f"{count_text(measured.n_target)} {measured.unit}{'s' if measured.n_target != 1 else ''}")
-        if background is not None:
-            note.append(f"{count_text(background)} background px")
+        background, n = measured.n_background, measured.n_target
+        counted = (n, measured.unit + "s" * (n != 1)), (background, "background px")
+        note = ", ".join(f"{count_text(number)} {what}" for number, what in counted if number is not None)
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
     x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
-    words = f"{', '.join(key)}: {_roc_words(curves, names) or 'no points'}."
-    return Panels(x, (part,), key[0], tab, ", ".join(note), words)
-
-
-def _roc_words(curves: Sequence[RocCurve | None], names: tuple[str, str]) -> str:
-    words = []
-    for name, curve in zip(names, curves, strict=True):
-        if curve is not None and curve.pfa.size:
-            at, (pd, low, high) = _detection(curve, 1e-3)
-            words.append(f"{name} P_D {pd:.2f} ({low:.2f} to {high:.2f}) at P_FA {at:.1e}")
-    return "; ".join(words)
-
-
-def _detection(curve: RocCurve, pfa: Array | float) -> tuple[Any, list[Any]]:
-    """P_FA within the curve, and P_D there with its limits."""
-    at = np.clip(pfa, curve.pfa[0], curve.pfa[-1])
-    return at, [detection_at(curve, at, y) for y in (curve.pd, curve.pd_lower, curve.pd_upper)]
+    return Panels(x, (part,), key[0], tab, note, at=1e-3)
 
 
 def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
@@ -471,34 +409,22 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
     rules: Rules = (("y", 0.0),) if margin is None else (("y", 0.0), ("y", -margin), ("y", margin))
 
     def view(key: Key) -> Panels:
-        columns = _difference_columns(predicted[key], measured[key])
-        x, *limits = columns.values()
-        at = int(np.argmin(np.abs(np.log(x) - math.log(1e-2))))
+        both = predicted[key], measured[key]
+        low = max(both[0].pfa[0], both[1].pfa[both[1].pfa > 0].min(), 3.0 / (both[1].n_background or 3e9))
+        pfa = np.geomspace(low, min(curve.pfa[-1] for curve in both), 120)
+        known = [[detection_at(c, pfa, values) for values in (c.pd, c.pd_lower, c.pd_upper)] for c in both]
+        (p, p_low, p_high), (m, m_low, m_high) = known
+        d, below, above = p - m, np.hypot(p - p_low, m_high - m), np.hypot(p_high - p, m - m_low)
+        columns = {"x": pfa, "y": d, "low": d - below, "high": d + above}
         line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
-        across, up = Axis(_PFA, "log", ends=(float(x[0]), float(x[-1]))), Axis("difference of P_D", ends=(-1.05, 1.05))
-        d, low, high = (y[at] for y in limits)
-        words = f"{', '.join(key)}: {d:+.2f} ({low:+.2f} to {high:+.2f}) at P_FA {x[at]:.1e}"
-        return single(across, up, [line], f"{key[0]}, {key[1]}, by {key[2]}", words, rules=rules)
+        x, y = Axis(_PFA, "log", ends=tuple(pfa[[0, -1]])), Axis("difference of P_D", ends=(-1.05, 1.05))
+        return single(x, y, [line], f"{key[0]}, {key[1]}, by {key[2]}", at=1e-2, rules=rules)
 
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
     keys = sorted(counts, key=lambda key: (key[2] != "object" or counts[key] < 2, -counts[key]))
-    return a_view_each(
-        "roc-difference", "roc", "ROC: predicted minus measured P_D",
-        "Predicted minus measured probability of detection.", keys, view,
-        legend="" if margin is None else f"dotted: equivalence margin {margin:g}",
-    )  # fmt: skip
-
-
-def _difference_columns(predicted: RocCurve, measured: RocCurve) -> dict[str, Array]:
-    """P_FA where both are known, the difference of P_D there, and the limits of its interval."""
-    low = max(float(predicted.pfa[0]), float(measured.pfa[measured.pfa > 0].min()), 1e-9)
-    if measured.n_background:
-        low = max(low, 3.0 / measured.n_background)
-    x = np.geomspace(low, min(float(predicted.pfa[-1]), float(measured.pfa[-1])), 120)
-    (_, (p, p_low, p_high)), (_, (o, o_low, o_high)) = (_detection(curve, x) for curve in (predicted, measured))
-    d = p - o
-    return {"x": x, "y": d, "low": d - np.hypot(p - p_low, o_high - o), "high": d + np.hypot(p_high - p, o - o_low)}
+    legend = "" if margin is None else f"dotted: equivalence margin {margin:g}"
+    return a_view_each("roc-difference", "roc", "ROC: predicted minus measured P_D", keys, view, legend=legend)
 
 
 def exceedance_figure(sides: Sides) -> Figure | None:
@@ -506,7 +432,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     predicted, measured = both_of(sides, "exceedance")
 
     def view(key: tuple[str, str]) -> Panels:
-        law, found, floor, span, words = predicted[key], measured.get(key), 1e-6, None, " ".join(key)
+        law, found, floor, span, at = predicted[key], measured.get(key), 1e-6, None, None
         columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
         marks = [predicted_mark("line", _thinned(columns))]
         if found is not None:
@@ -516,19 +442,14 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             columns = {"x": x, "y": p, "low": np.maximum(low, 1e-9), "high": high}
             marks.insert(0, measured_mark("line", _thinned(columns)))
             floor, span = 0.3 * float(p.min()), (1.05 * x[0] - 0.05 * x[-1], 1.35 * x[-1] - 0.35 * x[0])
-            at = int(np.argmin(np.abs(np.log(p) - math.log(1e-2))))
-            model = float(np.exp(np.interp(x[at], law.threshold, np.log(law.probability))))
-            words += f": at score {x[at]:.3g} measured {p[at]:.2g}, predicted {model:.2g}"
+            at = x[np.argmin(np.abs(np.log(p) - math.log(1e-2)))]
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
-        return single(Axis("score", ends=span), y, marks, ", ".join(key), words)
+        return single(Axis("score", ends=span), y, marks, ", ".join(key), at=at)
 
+    title = "False-alarm probability against the threshold"
+    keys = sorted(predicted, key=lambda key: key not in measured)
     legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
-    return a_view_each(
-        "exceedance", "scores", "False-alarm probability against the threshold",
-        "Fraction of the background above each score, predicted (dashed) and measured.",
-        sorted(predicted, key=lambda key: key not in measured), view, "results.csv",
-        legend=legend if measured else "",
-    )  # fmt: skip
+    return a_view_each("exceedance", "scores", title, keys, view, legend=legend if measured else "")
 
 
 def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
@@ -569,9 +490,9 @@ def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
     return value, value - reach, value + reach, f"{value:.3g} ± {half:.2g}{unit}{count}"
 
 
-def _there(both: Sequence[Mapping[Any, Any]]) -> str:
+def _there(both: Sequence[Mapping[Any, Any]], names: tuple[str, str] = SIDES) -> str:
     """The sides that have anything."""
-    return " and ".join(word for word, own in zip(SIDES, both, strict=True) if own)
+    return " and ".join(word for word, own in zip(names, both, strict=True) if own)
 
 
 def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
@@ -579,8 +500,11 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
     both = [{k: a for k, a in own.items() if a.nominal_m2} for own in both_of(sides, "abundance")]
 
     def view(method: str) -> Panels:
-        place = _places({key: area.nominal_m2 for key, area in both[1].items() if key[1] == method})
-        sizes, words = np.array(sorted({both[1][key].nominal_m2 for key in place})), []
+        sized = grouped((key for key in both[1] if key[1] == method), lambda key: both[1][key].nominal_m2)
+        # Targets of one area stand beside each other, within a quarter of a decade.
+        sizes, words, place = np.array(sorted(sized)), [], dict[Any, float]()
+        for area, keys in sized.items():
+            place |= zip(keys, area * 10.0 ** np.linspace(-0.13, 0.13, len(keys) + 2)[1:-1], strict=True)
         above, below = list[Mark](), list[Mark]()
         looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
         for own, (make, marker, name, shift) in zip(both, looks, strict=True):
@@ -594,36 +518,23 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
                             for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
             below.append(make("line", columns_of(points), "", marker=marker))
             told = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
-            words += [f"{method}, {name.replace('observed', 'measured')}: {told}"] if told else []
+            words += [f"{name.replace('observed', 'measured')}: {told}"] if told else []
         ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
         below.append(Mark("line", {"x": sizes, "y": sizes}, "as large as the target"))
         parts = Part(ratio, tuple(above), (("y", 1.0),)), Part(Axis("rms error [m²]", "log"), tuple(below))
         x = Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8))
         return Panels(x, parts, method, words="; ".join(words))
 
-    return a_view_each(
-        "unmixing-areas", "abundance", "Target areas by unmixing against nominal areas, and their error by size",
-        "Area of each target by fully constrained unmixing over its nominal area, predicted and measured with 95 % "
-        "intervals, against the nominal area; below, root mean square error by nominal area.",
-        list(dict.fromkeys(method for _, method in both[1])), view,
-    )  # fmt: skip
-
-
-def _places(nominal: Mapping[Any, float]) -> dict[Any, float]:
-    """Where each target stands: those of one area beside each other within a quarter of a decade."""
-    places: dict[Any, float] = {}
-    for area, keys in grouped(nominal, nominal.__getitem__).items():
-        steps = np.linspace(-0.13, 0.13, len(keys)) if len(keys) > 1 else (0.0,)
-        places |= {key: area * 10**step for key, step in zip(keys, steps, strict=True)}
-    return places
+    title = "Target areas by unmixing against nominal areas, and their error by size"
+    return a_view_each("unmixing-areas", "abundance", title, list(dict.fromkeys(m for _, m in both[1])), view)
 
 
 def object_score_figure(sides: Sides) -> Figure | None:
     """Single objects: predicted median and 95 % interval of the score, and what was measured, a row each."""
     predicted, measured, outside = dict[Any, Entry](), dict[Any, Entry](), 0
     for key, draws, scores in _objects(sides):
-        if scores.size == 1:
-            (low, middle, high), score = np.quantile(draws, [0.025, 0.5, 0.975]), float(scores[0])
+        if len(scores) == 1:
+            (low, middle, high), (_, score) = np.quantile(draws, [0.025, 0.5, 0.975]), scores[0]
             interval = f" ({low:.3g} to {high:.3g})" if low < high else ""
             predicted[key] = middle, low, high, f"{middle:.3g}{interval}"
             measured[key] = score, score, score, f"{score:.3g}"
@@ -640,34 +551,30 @@ def transform_figure(sides: Sides) -> Figure | None:
     objects = _objects(sides)
 
     def view(detector: str) -> Panels:
-        own = [probability_integral_transform(scores, draws) for (_, by), draws, scores in objects if by == detector]
-        u = np.sort(np.concatenate(own))
+        own = [(draws, [score for _, score in scores]) for (_, by), draws, scores in objects if by == detector]
+        u = np.sort(np.concatenate([probability_integral_transform(scores, draws) for draws, scores in own]))
         n, rank = u.size, np.arange(1, u.size + 1)
         at = (rank - 0.5) / n
         low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
         marks = (
-            Mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects", PREDICTED),
+            predicted_mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects"),
             Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", dash="dotted"),
             measured_mark("line", {"x": at, "y": u}, "objects, in order"),
         )
         x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("probability of a lower score", "transform value"))
-        words = f"{detector}: {n} objects, {np.mean(central(u)):.0%} in the central 95 %"
-        return single(x, y, marks, detector, words)
+        return single(x, y, marks, detector, f"{n} objects, {np.mean(central(u)):.0%} in the central 95 %")
 
-    return a_view_each(
-        "object-transforms", "scores",
-        "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction",
-        "Probability integral transforms of the objects' scores in order against the uniform distribution with its "
-        "95 % band for independent objects. Objects share errors of the inputs, which the band leaves out.",
-        list(dict.fromkeys(detector for (_, detector), *_ in objects)), view,
-    )  # fmt: skip
+    title = "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction"
+    detectors = list(dict.fromkeys(detector for (_, detector), *_ in objects))
+    return a_view_each("object-transforms", "scores", title, detectors, view)
 
 
-def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, Array]]:
-    """(subject, detector), predicted draws and measured scores of what both sides hold."""
+def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, list[tuple[str, float]]]]:
+    """(subject, detector), predicted draws, and name and measured score of each object of what both sides hold."""
     predicted, measured = both_of(sides, "object_scores")
-    both = {key: measured[key].values[np.isfinite(measured[key].values)] for key in predicted if key in measured}
-    return [(key, predicted[key].values.ravel(), values) for key, values in both.items() if values.size]
+    both = ((key, zip(measured[key].names, measured[key].values, strict=True)) for key in predicted if key in measured)
+    known = ((key, [(name, float(score)) for name, score in each if np.isfinite(score)]) for key, each in both)
+    return [(key, predicted[key].values.ravel(), scores) for key, scores in known if scores]
 
 
 def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | None:
@@ -675,26 +582,18 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     of their scores; None where they are few.
     """
     found = {name: own for name, one in maps.items() if (own := _map_objects(name, one, sides)) is not None}
-    return a_view_each(
-        "objects", "scores",
-        "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
-        "in one is highlighted in the other",
-        "Map of the objects coloured by measured minus predicted score, and a histogram of the measured scores "
-        "with the prediction, a view for each score map.", list(found)[:_MOST_MAPS], found.__getitem__,
-    )  # fmt: skip
+    title = "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
+    title += "in one is highlighted in the other"
+    return a_view_each("objects", "scores", title, list(found), found.__getitem__)
 
 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
-    predicted, observed = both_of(sides, "object_scores")
     found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
-    for key, scores in observed.items():
-        if key not in predicted or not name.endswith(f"-{key[1]}"):
-            continue
-        law, each = np.ravel(predicted[key].values), zip(scores.names, scores.values, strict=True)
-        own = [(one, float(m)) for one, m in each if one in score_map.outlines and np.isfinite(m)]
-        found += [(*one, float(np.median(law))) for one in own]
-        laws += [(len(own), law)] if own else []
-    if min(len(found), len(score_map.outlines)) <= MANY_OBJECTS:
+    for (_, detector), draws, scores in _objects(sides):
+        own = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
+        found += [(*one, float(np.median(draws))) for one in own]
+        laws += [(len(own), draws)] if own else []
+    if min(len(found), len(score_map.outlines)) <= _MOST_ROWS:  # each has its place in a list
         return None
     names, measured, median = zip(*found, strict=True)
     line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5
@@ -709,7 +608,7 @@ def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
     place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
     parts = place, _scores_of_all(measured, laws, said)
     words = f"{len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
-    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=f"{name}: {words}")
+    return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=words)
 
 
 def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], said: tuple[str, ...]) -> Part:
@@ -754,13 +653,11 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
             for label, number, subject, x, y in curves
         )  # fmt: skip
         y = Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top))
-        return single(Axis(f"score of {detector}"), y, marks, detector, f"{detector}: {', '.join(subjects)}")
+        return single(Axis(f"score of {detector}"), y, marks, detector)
 
-    return a_view_each(
-        "densities", "scores", "Scores: probability density of each population and of the background",
-        "Probability density (logarithmic) of the detector's score, a view for each detector. Populations:",
-        list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores)), view,
-    )  # fmt: skip
+    title = "Scores: probability density of each population and of the background"
+    detectors = list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores))
+    return a_view_each("densities", "scores", title, detectors, view)
 
 
 def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
@@ -825,15 +722,14 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
     marks = bars.by_kind([name in stated for name in names], _STATED)
-    alt = f"Bars of the likelihood gained by freeing each input, all residuals together: {best.method} gains most"
-    alt += f" ({best.value:.3g}); then " + ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[1:4]) + "."
-    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
+    told = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
     legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
-    legend += "; a number in brackets: one of several independent shapes of an error" if numbered else ""
+    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
+    legend += "; a number in brackets: one of several independent shapes of an error" * numbered
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
     y = Axis.named(names, _LONGEST)
-    return of_rows("attribution-inputs", "attribution", title, alt, x, y, marks, legend, (_TELLING,))
+    return of_rows("attribution-inputs", "attribution", title, x, y, marks, told, legend, (_TELLING,))
 
 
 def _gain(table: ResultTable) -> Figure | None:
@@ -851,23 +747,21 @@ def _gain(table: ResultTable) -> Figure | None:
     nm, gain, low, high = gains[0].columns.values()
     far = int(np.argmax(np.abs(gain - 1.0)))
     title = "Gain and offset of the sensor that would explain the radiance of all subjects"
-    alt = f"{title}; gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at "
-    alt += f"{nm[far]:.0f} nm."
+    words = f"gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at {nm[far]:.0f} nm"
     parts = [Part(Axis("measured / predicted radiance"), tuple(gains), (("y", 1.0),))]
     for mark in marks("sensor_offset", "offset beside that gain", hollow=True):
         parts.append(Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)))
-    return Figure("sensor-gain", "attribution", title, alt, (Panels(Axis(WAVELENGTH), tuple(parts)),))
+    return Figure("sensor-gain", "attribution", title, (Panels(Axis(WAVELENGTH), tuple(parts), words=words),))
 
 
 def _by_subject(rows: Sequence[Result]) -> Figure | None:
     """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
     by = {(r.subject, r.method): r.value for r in rows}
     # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
-    telling, asked = {r.subject for r in rows if r.value >= 1.0}, list(dict.fromkeys(r.subject for r in rows))
-    every = [s for s in asked if s in telling]
-    if not every:
+    telling = list(dict.fromkeys(r.subject for r in rows if r.value >= 1.0))
+    if not telling:
         return None
-    subjects = every[:_MOST_QUANTITIES]
+    subjects = telling[:_MOST_QUANTITIES]
     best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
     inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
     gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
@@ -877,13 +771,13 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[at])
     marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[at] >= 0.999, _GREATEST)
     legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
-    quiet = len(asked) - len(every)
+    quiet = len({r.subject for r in rows}) - len(telling)
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
-    legend += left_out(len(subjects), len(every), "results.csv")
+    legend += left_out(len(subjects), len(telling), "results.csv")
     tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
-    title, alt = "The same for each subject", f"For each subject the input that gains most: {tops}."
     names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
-    return of_rows("attribution-subjects", "attribution", title, alt, *names, marks, legend)
+    told = f"input of the greatest gain: {tops}"
+    return of_rows("attribution-subjects", "attribution", "The same for each subject", *names, marks, told, legend)
 
 
 def _effects(rows: Sequence[Result]) -> Figure:
@@ -909,15 +803,14 @@ def _effects(rows: Sequence[Result]) -> Figure:
     scale = ColourScale("signed", -reach, reach, "change per unit")
     cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
     largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
-    alt = f"Change of {len(shown)} numbers of the comparison per unit of {len(names)} inputs; the largest, "
-    alt += f"{largest[0]:.2g}, is that of {largest[1]} by {largest[2]}."
+    told = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
     legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
     legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
     ways = Axis.named(names, _LONGEST), Axis.named(quantities, 56)
     title = "Change by one unit of each input"
-    return of_rows("attribution-effects", "sensitivity", title, alt, *ways, [cells], legend)
+    return of_rows("attribution-effects", "sensitivity", title, *ways, [cells], told, legend)
 
 
 def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
@@ -932,9 +825,9 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
-    each = (f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
-    alt, legend = f"{title}. Reduced chi-square: {'; '.join(each)}.", "dotted: 1, as expected from the uncertainties"
-    return of_rows(name, product, title, alt, x, Axis.named(names, _LONGEST), marks, legend, (1.0,))
+    told = "; ".join(f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
+    legend = "dotted: 1, as expected from the uncertainties"
+    return of_rows(name, product, title, x, Axis.named(names, _LONGEST), marks, told, legend, (1.0,))
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:

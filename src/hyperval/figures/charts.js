@@ -127,7 +127,7 @@ function styleAxis(ruler, axis, narrow) {
 
 // On a phone the names of rows and what stands at their other end lie above each row, inside the plot.
 function rowsInside(plot, axis, x) {
-  const at = axis.names.map((_, i) => i), edge = x.scale === "log" ? x.ends : x.ends;
+  const at = axis.names.map((_, i) => i), edge = x.ends;
   plot.yaxis.visible = false;
   for (const [words, place, align] of [[axis.names, edge[0], "left"], [axis.notes ?? [], edge[1], "right"]]) {
     if (words.length > 0) plot.text({ x: at.map(() => place), y: at, text: words, text_align: align, text_baseline: "bottom", y_offset: -9, text_color: INK, text_font_size: "12px" });

@@ -55,12 +55,10 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     few = whole.quantize(_OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
-    cut = _cut(rgb.shape, view)
-    title = f"Scene with its regions of interest{f' (red, green, blue: {bands})' if quicklook.band_nm else ''}{cut}"
-    size = f"{rgb.shape[0]} lines by {rgb.shape[1]} samples" + (f",{cut[1:]} of them shown" if cut else "")
-    alt = f"Image of the scene, {size}; outlined: {', '.join(quicklook.regions) or 'nothing'}."
+    title = f"Scene with its regions of interest{f' (red, green, blue: {bands})' if quicklook.band_nm else ''}"
+    title += _cut(rgb.shape, view)
     canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
-    return canvas.drawing("scene", "scene", title, alt, quicklook.regions, quicklook.pixel_size_m)
+    return canvas.drawing("scene", "scene", title, quicklook.regions, quicklook.pixel_size_m)
 
 
 def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) -> Iterator[Drawing]:
@@ -70,21 +68,17 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
     values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
     colours = [int(tone[at : at + 2], 16) for tone in tones(VIRIDIS, _TONES) for at in (1, 3, 5)]
     canvas = functools.partial(_Canvas, colours=colours, view=view, block=block, simulated=simulated)
-    named = f"{len(outlines)} objects" if len(outlines) > _MOST_NUMBERED else ", ".join(outlines)
-    outlined = f"; outlined: {named or 'nothing'}."
     note = _cut(scores.shape, view)
     note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
     title = f"Score map {name}{', targets outlined' if outlines else ''}{note}"
-    alt = f"Map of the detector score {name}, {scores.shape[0]} lines by {scores.shape[1]} samples{note}{outlined}"
     drawn = canvas(f"Score map {name}", _toned(values, limits), limits=limits)
-    yield drawn.drawing(file, "scores", title, alt, outlines, metres)
+    yield drawn.drawing(file, "scores", title, outlines, metres)
     if score_map.expected is not None:
         expected, _ = block_maximum(score_map.expected.of(view).astype(float), _MOST_PIXELS)
         title = f"Model expectation of {name}, in the colours of the measured map: the mean score of each class of "
         title += "ground and kind of target; blank where the campaign does not state the ground"
-        alt = f"Map of the score {name} that the model expects, of the same pixels{note}{outlined}"
         drawn = canvas(f"Expected score {name}", _toned(expected, limits), limits=limits)
-        yield drawn.drawing(f"{file}-expected", "scores", title, alt, outlines, metres)
+        yield drawn.drawing(f"{file}-expected", "scores", title, outlines, metres)
     if score_map.influence is not None:
         ratio, threshold, words = score_map.influence
         limits = float(np.nanmin(ratio)), float(np.nanmax(ratio)) + 1e-9
@@ -93,7 +87,7 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
         title = f"False alarms of {name}, predicted over measured, without the part of the image that a pixel "
         title += f"lies in; black: pixels above the threshold{note}. {words[0].upper()}{words[1:]}"
         drawn = canvas(f"False alarms {name}", toned, limits=limits, what="ratio")
-        yield drawn.drawing(f"{file}-influence", "scores", title, f"Map: {title}.", {}, metres)
+        yield drawn.drawing(f"{file}-influence", "scores", title, {}, metres)
 
 
 def _toned(values: Array, limits: tuple[float, float]) -> Indices:
@@ -132,7 +126,7 @@ class _Canvas:
             self._scale_of_colours(limits, what)
 
     def drawing(
-        self, name: str, section: str, title: str, alt: str, regions: Mapping[str, Any], pixel_size_m: float | None
+        self, name: str, section: str, title: str, regions: Mapping[str, Any], pixel_size_m: float | None
     ) -> Drawing:
         """The finished picture with the outlines of regions, their numbers, and a scale."""
         labels = []
@@ -156,7 +150,8 @@ class _Canvas:
         self._image.save(out, format="png")
         named = "; ".join(f"{number} {one}" for number, one in enumerate(regions, start=1))
         named = f"{len(regions)} outlines" if len(regions) > _MOST_NUMBERED else named
-        width_px = round(self._image.width / _PER_CSS)
+        width_px, (lines, samples) = round(self._image.width / _PER_CSS), _size(self._view)
+        alt = f"{title}: {lines} lines by {samples} samples; outlined: {named or 'nothing'}."
         return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)
 
     def _at(self, places: npt.ArrayLike) -> Array:
@@ -233,11 +228,9 @@ def _score_limits(score_map: ScoreMap) -> tuple[float, float]:
     if not finite.any():
         return 0.0, 1.0
     low, high = map(float, np.percentile(values[finite], [1.0, 99.9]))
-    on_target = functools.reduce(np.logical_or, score_map.outlines.values(), np.zeros(values.shape, bool))
-    scores = values[on_target & finite]
-    if scores.size:
-        high = max(high, float(np.percentile(scores, 75.0)))
-    return low, max(high, low + 1e-9)
+    on_target = functools.reduce(np.logical_or, score_map.outlines.values(), np.zeros(values.shape, bool)) & finite
+    better = float(np.percentile(values[on_target], 75.0)) if on_target.any() else high
+    return low, max(high, better, low + 1e-9)
 
 
 def block_maximum(values: Array, most: int) -> tuple[Array, int]:
@@ -271,10 +264,8 @@ def _round_length(length: float) -> float:
 
 def _cut(shape: tuple[int, ...], view: Window) -> str:
     """Of a window that is not the whole image "; ", and its lines and samples; empty when it is."""
-    if _size(view) == tuple(shape[:2]):
-        return ""
-    lines, samples = (f"{part.start} to {part.stop - 1}" for part in view)
-    return f"; lines {lines}, samples {samples}"
+    lines, samples = (f"{part.start} to {part.stop - 1} of {size}" for part, size in zip(view, shape, strict=False))
+    return "" if _size(view) == tuple(shape[:2]) else f"; lines {lines}, samples {samples}"
 
 
 def _css_width(view: Window) -> float:

@@ -56,13 +56,12 @@ def drawings_of(
     out = []
     with house_style(journal):
         for figure in figures:
-            pages, title = figure.pages
-            for number, views in enumerate(pages, start=1):
-                name = figure.name if len(pages) == 1 else f"{figure.name}-{number}"
+            for number, views in enumerate(figure.pages, start=1):
+                name = figure.name if len(figure.pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
                 canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
-                own = name, figure.section, title, figure.alt, content.getvalue(), kind
-                out.append(Drawing(*own, legend=figure.legend))
+                own = figure.section, figure.title, figure.alt, content.getvalue(), kind
+                out.append(Drawing(name, *own, legend=figure.legend))
     return out
 
 
@@ -77,9 +76,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
     if not journal:
         words = plain(figure.head or figure.title) + (" (simulated collection)" if simulated else "")
         canvas.suptitle(words, fontsize=10.5)
-    ratios = [2.0, 1.0] if parts == 2 else [1.0] * parts
-    if views[0].parts[0].y.names:
-        ratios = [len(part.y.names) + 1.5 for part in views[0].parts]
+    names = [len(part.y.names) for part in views[0].parts]
+    ratios = [count + 1.5 for count in names] if any(names) else [2.0, *[1.0] * (parts - 1)]
     grid = canvas.add_gridspec(parts * rows, columns, height_ratios=ratios * rows)
     for at, view in enumerate(views):
         row, column = divmod(at, columns)
@@ -87,8 +85,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
         for number, part in enumerate(view.parts):
             axes = canvas.add_subplot(grid[parts * row + number, column], sharex=None if part.x else above)
             if above is None:
-                name = [", ".join(word for word in (view.subject, view.tab) if word), view.note]
-                axes.set_title("\n".join(plain(shortened(line, 44)) for line in name if line), loc="left")
+                name = (plain(shortened(line, 44)) for line in (view.name, view.note) if line)
+                axes.set_title("\n".join(name), loc="left")
             draw_part(axes, view, part)
             last = number == len(view.parts) - 1
             axes.set_ylabel(plain(part.y.label).replace(" [", "\n[") if column == 0 else "")
@@ -133,10 +131,8 @@ def draw_part(axes: Axes, view: Panels, part: Part) -> None:
     x = part.x or view.x
     for way, axis in (("x", x), ("y", part.y)):
         _scale(axes, way, axis, view.ends(way, part))  # type: ignore[arg-type]
-    low, high = view.ends("x", part)
     for start, end in x.absorption:
-        if end > low and start < high:
-            axes.axvspan(max(start, low), min(end, high), color=_ABSORPTION, linewidth=0, zorder=0)
+        axes.axvspan(start, end, color=_ABSORPTION, linewidth=0, zorder=0)
     for mark in part.marks:
         _mark(axes, mark)
     for way, place in part.rules:
@@ -183,15 +179,14 @@ def _mark(axes: Axes, mark: Mark) -> None:
         inside = "none" if mark.hollow else colour
         fill: Any = {"color": colour} if ticks else {"facecolors": inside, "edgecolors": colour}
         if mark.scale is not None:
-            fill = {"c": columns["value"], "edgecolors": GREY, **_colours(axes, mark.scale)}
+            fill = {"facecolors": _colours(axes, mark.scale, columns["value"]), "edgecolors": GREY}
         shape = "_" if ticks and mark.along == "y" else _MARKERS[mark.marker]
         axes.scatter(x, y, s=np.square(size), marker=shape, zorder=3, **fill)
     if mark.kind in ("bars", "cells"):
         left, right, bottom, top = (columns[name] for name in ("left", "right", "bottom", "top"))
         fill = {"color": colour, "alpha": mark.alpha}
         if mark.scale is not None:
-            own = _colours(axes, mark.scale)
-            fill = {"color": own["cmap"](own["norm"](columns["value"]))}
+            fill = {"color": _colours(axes, mark.scale, columns["value"])}
             axes.grid(visible=False)
         axes.bar(left, top - bottom, right - left, bottom, align="edge", linewidth=0, **fill)
         x = {"left": left, "centre": 0.5 * (left + right)}.get(mark.beside, right)
@@ -209,13 +204,13 @@ def _words(axes: Axes, mark: Mark, x: Any, y: Any) -> None:
                       fontsize=7.0, color=shade)  # fmt: skip
 
 
-def _colours(axes: Axes, scale: ColourScale) -> dict[str, Any]:
-    """Colours of a scale, with their bar beside the plot."""
+def _colours(axes: Axes, scale: ColourScale, values: Any) -> Any:
+    """Values as colours of a scale, with its bar beside the plot."""
     cmap = LinearSegmentedColormap.from_list(scale.kind, scale.palette)
-    norm = Normalize(scale.low, scale.high)
+    mapper = ScalarMappable(Normalize(scale.low, scale.high), cmap)
     if scale.label:
-        axes.figure.colorbar(ScalarMappable(norm, cmap), ax=axes, label=plain(scale.label), shrink=0.8)
-    return {"cmap": cmap, "norm": norm}
+        axes.figure.colorbar(mapper, ax=axes, label=plain(scale.label), shrink=0.8)
+    return mapper.to_rgba(values)
 
 
 def _handle(mark: Mark) -> Any:

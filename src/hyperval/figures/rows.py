@@ -165,12 +165,9 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, nothing), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
-    words = (f"{row.product} {row_label(row)}: {row.outcome.word}, {effect_text(row)}" for row in every)
     kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
-    return Figure(
-        "criteria", "criteria", f"{kind} as effects with their 95 % intervals, the worst first",
-        f"{kind} as effects in units of the field. {'; '.join(words)}.", (Panels(Axis(), tuple(parts)),),
-    )  # fmt: skip
+    title = f"{kind} as effects with their 95 % intervals, the worst first"
+    return Figure("criteria", "criteria", title, (Panels(Axis(), tuple(parts)),))
 
 
 def _part(own: Sequence[Result], most: int) -> Part:
@@ -183,8 +180,7 @@ def _part(own: Sequence[Result], most: int) -> Part:
     notes = [effect_text(row) for row in own[:most]]
     rest, first = own[most:], own[0]
     if rest:
-        alike = len({row.outcome for row in rest}) == 1
-        names.append(f"{len(rest)} more, {rest[0].outcome.word if alike else outcome_words(rest)}")
+        names.append(f"more: {outcome_words(rest)}")
         values = [row.effect for row in rest if math.isfinite(row.effect)]
         notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
     low, high = _ends(own, False)
@@ -234,8 +230,8 @@ def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tup
     numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in known]
     columns = columns_of(numbers, ("x", "low", "high", "y"))
     columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
-    words = tuple(f"{row_label(row)}: {effect_text(row)}" for _, row in known)
-    marks += Mark("dots", columns, along="x", words=words).by_kind([row.outcome for _, row in known], _LOOKS)
+    words = (f"{row.product}, {row_label(row)}: {row.outcome.word}, {effect_text(row)}" for _, row in known)
+    marks += Mark("dots", columns, along="x", words=tuple(words)).by_kind([row.outcome for _, row in known], _LOOKS)
     found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
         x, y = np.array(found).T
@@ -252,17 +248,14 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
     if not names:
         return None
     names.sort(key=lambda name: [-counts[name][outcome] / counts[name].total() for outcome in WORST_FIRST])
-    y, start, marks = np.arange(float(len(names))), np.zeros(len(names)), []
-    for outcome, look in _LOOKS.items():
-        share = np.array([100.0 * counts[name][outcome] / counts[name].total() for name in names])
+    shares = np.array([[100.0 * counts[n][outcome] / counts[n].total() for n in names] for outcome in _LOOKS])
+    y, ends, marks = np.arange(float(len(names))), np.cumsum(shares, axis=0), []
+    for look, share, end in zip(_LOOKS.values(), shares, ends, strict=True):
         if share.any():
-            edges = {"left": start, "right": start + share, "bottom": y - 0.3, "top": y + 0.3}
+            edges = {"left": end - share, "right": end, "bottom": y - 0.3, "top": y + 0.3}
             marks.append(Mark("bars", edges, look["label"], look["colour"], alpha=1.0))
-            start = start + share
     notes = tuple(outcome_words(criteria[name]) for name in names)
     words = "; ".join(f"{name}: {note}" for name, note in zip(names, notes, strict=True))
-    return of_rows(
-        "campaigns", "criteria", "Acceptance criteria of the model by campaign, the worst first",
-        f"Share of acceptance criteria by outcome. {words}.",
-        Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(Axis.named(names), notes=notes), marks,
-    )  # fmt: skip
+    title = "Acceptance criteria of the model by campaign, the worst first"
+    axes = Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(Axis.named(names), notes=notes)
+    return of_rows("campaigns", "criteria", title, *axes, marks, words)

@@ -32,7 +32,6 @@ VIRIDIS = (
     "#20A585", "#2EB27C", "#45BF6F", "#64CB5D", "#88D547", "#AFDC2E", "#D7E219", "#FDE724",
 )  # fmt: skip
 MAX_PANELS = 12
-_MOST_PAGES = 2
 WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
 Way = Literal["x", "y"]
@@ -64,6 +63,11 @@ class Axis:
     def named(cls, names: Sequence[str], length: int = 44) -> Axis:
         """An axis of named rows."""
         return cls("", "names", tuple(shortened(name, length) for name in names))
+
+    @property
+    def told(self) -> str:
+        """What it is, in words."""
+        return self.label + " (logarithmic)" * (self.scale == "log")
 
     @property
     def absorption(self) -> list[tuple[float, float]]:
@@ -127,6 +131,13 @@ class Mark:
             out |= {"low": out["y"] - half, "high": out["y"] + half}
         return out
 
+    def told_at(self, place: float) -> str:
+        """The point nearest to a place along x, with its interval, in words."""
+        numbers = self.numbers
+        i = int(np.argmin(abs(numbers["x"] - place)))
+        ends = f" ({numbers['low'][i]:.3g} to {numbers['high'][i]:.3g})" if "low" in numbers else ""
+        return f"{self.label}: {numbers['y'][i]:.3g}{ends} at {numbers['x'][i]:.3g}"
+
     def by_kind(self, kinds: Sequence[Any], looks: Mapping[Any, Mapping[str, Any]]) -> list[Mark]:
         """A mark for each kind of its points that there is, each kind with its own look."""
         marks = []
@@ -172,7 +183,8 @@ class Panels:
     Attributes
     ----------
     note : what it rests on
-    words : its numbers, for those who cannot see it
+    words : its numbers, for those who cannot see it; without any, what is said of the points of its marks
+    at : where along x the numbers of its lines are told besides
     """
 
     x: Axis
@@ -181,10 +193,24 @@ class Panels:
     tab: str = ""
     note: str = ""
     words: str = ""
+    at: float | None = None
 
-    def ends(self, way: Way, part: Part | None = None) -> tuple[float, float]:
-        """Ends of an axis of a part, the first: as stated, or with a margin about everything drawn along it."""
-        part = part or self.parts[0]
+    @property
+    def name(self) -> str:
+        """Subject and tab."""
+        return ", ".join(filter(None, (self.subject, self.tab)))
+
+    @property
+    def told(self) -> str:
+        """Name and numbers in words."""
+        marks = [mark for part in self.parts for mark in part.marks]
+        numbers = [mark.told_at(self.at) for mark in marks if mark.label and self.at is not None]
+        points = [": ".join(filter(None, (mark.label, "; ".join(mark.words)))) for mark in marks if any(mark.words)]
+        said = list(filter(None, [*numbers, self.words])) or points
+        return ": ".join(filter(None, (self.name, "; ".join(said))))
+
+    def ends(self, way: Way, part: Part) -> tuple[float, float]:
+        """Ends of an axis of a part: as stated, or with a margin about everything drawn along it."""
         axis = part.y if way == "y" else part.x or self.x
         if axis.scale == "names":
             return -0.6, len(axis.names) - 0.4
@@ -210,7 +236,7 @@ class Figure:
     ----------
     name : of its file, and of its place in a page
     section : the product it belongs to
-    title, alt : caption, and the text for those who cannot see it
+    title : caption
     views : one for each subject; one that needs no name has none
     legend : what a sign stands for, for the caption
     head : what stands above it on paper; the title where this is empty
@@ -222,7 +248,6 @@ class Figure:
     name: str
     section: str
     title: str
-    alt: str
     views: tuple[Panels, ...] = ()
     legend: str = ""
     head: str = ""
@@ -231,11 +256,19 @@ class Figure:
     width_in: float = 10.0
 
     @property
-    def pages(self) -> tuple[list[tuple[Panels, ...]], str]:
-        """Views of each page on paper, and the title with how many these are."""
-        shown = self.views[: MAX_PANELS * _MOST_PAGES]
-        pages = [shown[i : i + MAX_PANELS] for i in range(0, len(shown), MAX_PANELS)]
-        return pages, self.title + left_out(len(shown), len(self.views))
+    def pages(self) -> list[tuple[Panels, ...]]:
+        """Views of each page on paper."""
+        return [self.views[i : i + MAX_PANELS] for i in range(0, len(self.views), MAX_PANELS)]
+
+    @property
+    def alt(self) -> str:
+        """Text for those who cannot see it: title, axes, what is shown, and each view in words."""
+        shared = [part for part in self.views[0].parts if part.x is None]
+        axes = [" over ".join(filter(None, (part.y.told, self.views[0].x.told))) for part in shared]
+        names = dict.fromkeys(mark.label for view in self.views for part in view.parts for mark in part.marks)
+        told = ["; ".join(filter(None, each)) for each in (axes, names, (view.told for view in self.views))]
+        parts = [f"{what}{words}" for what, words in zip(("Axes: ", "Shown: ", ""), told, strict=True) if words]
+        return f"{'. '.join([self.title, *parts])}."
 
     @property
     def caption(self) -> str:
@@ -273,11 +306,6 @@ class Drawing:
 def base64_of(content: bytes) -> str:
     """Bytes as text."""
     return base64.b64encode(content).decode("ascii")
-
-
-def data_uri(content: bytes, kind: str) -> str:
-    """An image of a kind as a data URI."""
-    return f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
 
 
 def statement(figure: Figure) -> str:
@@ -340,9 +368,11 @@ def measured_mark(kind: Any, columns: Mapping[str, Any], label: str = "measured"
     return Mark(kind, columns, label, MEASURED, **more)
 
 
-def single(x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = ()) -> Panels:
+def single(
+    x: Axis, y: Axis, marks: Iterable[Mark], subject: str = "", words: str = "", *, rules: Rules = (), **more: Any
+) -> Panels:
     """A view of one plot."""
-    return Panels(x, (Part(y, tuple(marks), rules),), subject, words=words)
+    return Panels(x, (Part(y, tuple(marks), rules),), subject, words=words, **more)
 
 
 def tones(palette: Sequence[str], count: int) -> list[str]:
@@ -385,22 +415,17 @@ def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, floa
 
 
 def a_view_each(
-    name: str, section: str, title: str, alt: str, items: Sequence[Any],
-    view: Callable[[Any], Panels], where: str = "products.nc", **more: Any,
-) -> Figure | None:  # fmt: skip
-    """A figure with a view for each of the first items and the numbers of each in words; None without any."""
-    made = [view(item) for item in items[:MAX_PANELS]]
-    if not made:
-        return None
-    title += left_out(len(made), len(items), where)
-    words = "; ".join(one.words for one in made if one.words)
-    return Figure(name, section, title, f"{alt} {words}.", tuple(made), **more)
+    name: str, section: str, title: str, items: Sequence[Any], view: Callable[[Any], Panels], **more: Any
+) -> Figure | None:
+    """A figure with a view for each of the first items; None without any."""
+    made = tuple(map(view, items[:MAX_PANELS]))
+    return Figure(name, section, title + left_out(len(made), len(items)), made, **more) if made else None
 
 
 def of_rows(
-    name: str, section: str, title: str, alt: str, x: Axis, y: Axis, marks: Sequence[Mark], legend: str = "",
+    name: str, section: str, title: str, x: Axis, y: Axis, marks: Sequence[Mark], words: str = "", legend: str = "",
     rules: Sequence[float] = (),
 ) -> Figure:  # fmt: skip
     """A figure of one plot, whose rows have names; ``rules``: places of dotted lines along x."""
-    view = single(x, y, marks, rules=tuple(("x", place) for place in rules))
-    return Figure(name, section, title, alt, (view,), legend)
+    view = single(x, y, marks, words=words, rules=tuple(("x", place) for place in rules))
+    return Figure(name, section, title, (view,), legend)

@@ -1,6 +1,6 @@
 """Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""
 
-from .html import MAX_BYTES, figures_to_folder, index_page, report_page
+from .html import figures_to_folder, index_page, report_page
 from .outputs import write_index, write_outputs
 from .side_by_side import compare_runs
 from .verdict import (
@@ -15,7 +15,6 @@ from .verdict import (
 )
 
 __all__ = [
-    "MAX_BYTES",
     "accepted_words",
     "compare_runs",
     "figures_to_folder",

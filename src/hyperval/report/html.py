@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jinja2
 
@@ -22,7 +22,7 @@ import hyperval
 from hyperval.errors import WARNING, refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, grouped, outcome_words
-from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, data_uri, statement
+from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, statement
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
@@ -100,8 +100,6 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     The letter is a capital of criteria, small of what is informational, "M n" where the criteria are met and something
     informational is not; empty where nothing was planned.
     """
-    if not rows:
-        return {"outcome": Outcome.NONE, "letter": "", "words": "not planned", "link": ""}
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     outcome = v.worst(gates or rows)
     letter = outcome.letter if gates else outcome.letter.lower()
@@ -110,7 +108,8 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
     if gates and outcome is not Outcome.DISAGREES and v.worst(informing) is Outcome.DISAGREES:
         letter += f" {Outcome.DISAGREES.letter.lower()}"  # what decides does not, something else does
     parts += [f"informational: {outcome_words(informing)}"] if informing else []
-    return {"outcome": outcome, "letter": letter, "words": "; ".join(parts), "link": link}
+    words = "; ".join(parts) or "not planned"
+    return {"outcome": outcome, "letter": letter, "words": words, "link": link if rows else ""}
 
 
 def same_background_once(rows: Sequence[Result]) -> list[Result]:
@@ -119,37 +118,27 @@ def same_background_once(rows: Sequence[Result]) -> list[Result]:
     They are the same but for the subject; the first stands for all, and says how many are alike.
     """
 
-    def key(row: Result) -> str | int:
-        return repr(replace(row, subject="")) if row.subject.endswith(background_of("")) else id(row)
-
+    alike = grouped(rows, lambda r: repr(replace(r, subject="")) if r.subject.endswith(background_of("")) else id(r))
     return [
         first if not more else replace(first, subject=f"{first.subject} and {len(more)} alike")
-        for first, *more in grouped(rows, key).values()
+        for first, *more in alike.values()
     ]
 
 
-MAX_BYTES = 3_000_000  # of a page; figures beyond it are linked, not embedded
-_FIGURE_BYTES = 2_350_000  # of that, for figures, charts and the script that draws these
+_FIGURE_BYTES = 2_350_000  # of a page, for figures and the script that draws these; pictures beyond it are linked
 # Of a run, beside each other, before everything else, embedded whatever happens.
 PICTURES = ("scene", "score-map-1", "score-map-1-expected")
 _BUDGET = "radiance-budget"
 _MOST_OPEN_FIGURES = 2  # of spectra, curves and scores of objects; the others are folded in their sections
 
-# Products in the order of a page; titles that are not what a product is called in a sentence.
+# Products in the order of a page.
 _PRODUCTS = (*SPECTRA, "covariance", "classification", "scores", "roc", "abundance")
-_TITLES = {"toa_reflectance": "Reflectance at the top of the atmosphere", "roc": "Detection and false alarms"}
-_COMPARED = {name: _TITLES.get(name, product_words(name).capitalize()) for name in _PRODUCTS}
+_COMPARED = {name: product_words(name).capitalize() for name in _PRODUCTS}
 _REASONS = {"attribution": "Why they differ", "what-if": "What-ifs", "sensitivity": "Sensitivity to the inputs"}
 SECTIONS = _COMPARED | _REASONS
 # Gates that the model moves stand apart from checks that it does not.
 _MATRICES = (("Model and collection", (Evidence.MODEL,)), ("Checks of the pipeline", (Evidence.PIPELINE,)))
 _NUMBERS = (("Numbers", tuple(Evidence)),)  # beside the accepted ones
-# Heading of the index, and (simulated, computed) of the campaigns that stand there.
-_GROUPS = (
-    ("Collected imagery", (False, False)),
-    ("Computed references", (False, True)),
-    ("Simulated collections", (True, False)),
-)
 
 
 def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
@@ -157,17 +146,19 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     rows, sides = list(run.table), run.pair
     spectra = _worst_first(first_figures(sides, run.table), rows)
     many = many_objects_figure(run.score_maps, sides)
-    shown_first = [*spectra, *([many] if many is not None else [])]
-    charts, further = shown_first[:_MOST_OPEN_FIGURES], shown_first[_MOST_OPEN_FIGURES:]
+    first = [*spectra, *filter(None, [many])]
+    charts, further = first[:_MOST_OPEN_FIGURES], first[_MOST_OPEN_FIGURES:]
     plots = further_figures(sides, run.table, equivalence_margin(run.provenance))
     # Of many objects that figure is a map and a histogram in place of a list.
     folded = [*further, *(one for one in plots if many is None or one.name != "object-scores")]
     compares = any(row.planned for row in rows)
     screen = v.first_screen(rows, run.power[0].sentence.partition(". ")[0] + "." if run.power else "")
     forest = criteria_figure(rows) if compares and not run.sentence else None
-    worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest is not None else None
+    worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest and screen.worst else None
     statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
+    # What shows the most comes first: the scene and the first score map.
+    images = ((d.name, d.content, d.kind) for d in sorted(drawings, key=lambda d: d.name not in PICTURES))
     return page(
         "report.html.j2", statements,
         run=run,
@@ -179,7 +170,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         matrices=_matrices(run, shown, lambda r: r.subject, _link),
         charts=charts,
         pictures=[d for d in drawings if d.name in PICTURES],
-        embedded=_embedded(drawings, statements),
+        embedded=embedded(images, _FIGURE_BYTES - sum(map(len, (*statements.values(), *packed_library())))),
         budget=[chart for chart in folded if chart.name == _BUDGET],
         parts=_sections(drawings, folded, shown),
         of_reasons=_REASONS,
@@ -189,17 +180,15 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     )  # fmt: skip
 
 
-def _worst_figure(row: Result | None, figures: Sequence[Figure]) -> Figure | None:
+def _worst_figure(row: Result, figures: Sequence[Figure]) -> Figure | None:
     """What shows the worst criterion, small: the difference of its spectrum, its curve, the scores of its objects.
 
     >>> from hyperval.figures.spec import Axis, Panels, Part
     >>> views = tuple(Panels(Axis("nm"), (Part(Axis("y"), ()),), name) for name in ("grass 2", "grass (n = 9)"))
     >>> row = Result("", "roc", "grass", "cem", "pd_difference", 0.1, "1")
-    >>> _worst_figure(row, [Figure("roc", "roc", "", "", views)]).views[0].subject
+    >>> _worst_figure(row, [Figure("roc", "roc", "", views)]).views[0].subject
     'grass (n = 9)'
     """
-    if row is None:
-        return None
     for figure in figures:
         if figure.section != row.product or any(part.y.names for view in figure.views for part in view.parts):
             continue
@@ -228,18 +217,18 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     def link(campaign: str, rows: Sequence[Result]) -> str:
         return f"{pages[campaign]}#{anchor(rows[0])}" if rows else pages[campaign]
 
+    def heading(run: Run) -> str:
+        collected = "Computed references" if run.computed else "Collected imagery"
+        return "Simulated collections" if run.simulated else collected
+
     groups = []
-    for heading, kind in _GROUPS:
-        own = [r for r in runs if not r.remedy and (r.simulated, r.computed and not r.simulated) == kind]
-        if not own:
-            continue
+    for kind, own in sorted(grouped((run for run in runs if not run.remedy), heading).items()):
         together = [row for run in own for row in run.table]
         matrices = _matrices(own[0], together, lambda r: r.campaign, link)
         entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
         sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
-        groups.append((heading, v.first_screen(together), sentence if own[0].sentence else "", matrices, entries))
-    remedies = dict.fromkeys(run.remedy for run in runs if run.remedy)
-    absent = [(remedy, [(run, pages[run.campaign]) for run in runs if run.remedy == remedy]) for remedy in remedies]
+        groups.append((kind, v.first_screen(together), sentence if own[0].sentence else "", matrices, entries))
+    absent = list(grouped(((r, pages[r.campaign]) for r in runs if r.remedy), lambda one: one[0].remedy).items())
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
     return page("index.html.j2", [forest], forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
 
@@ -273,10 +262,9 @@ def environment() -> jinja2.Environment:
     return environment
 
 
-def equivalence_margin(provenance: Mapping[str, Any]) -> float | None:
-    """The margin that the campaign of a run states, as its provenance records it."""
-    campaign = provenance.get("configuration", {}).get("campaign", {})
-    return cast("float | None", campaign.get("equivalence_margin"))
+def equivalence_margin(provenance: Mapping[str, Any]) -> Any:
+    """The margin that the campaign of a run states, as its provenance records it; None without any."""
+    return provenance.get("configuration", {}).get("campaign", {}).get("equivalence_margin")
 
 
 def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (), /, **words: Any) -> str:
@@ -336,18 +324,14 @@ def _sections(drawings: Sequence[Drawing], charts: Sequence[Figure], rows: Seque
     return sections
 
 
-def _embedded(drawings: Sequence[Drawing], statements: Mapping[str, str]) -> dict[str, str]:
-    """Name of a figure -> its data URI, for as many as the page has room for.
-
-    What shows the most comes first: the scene and the first score map.
-    """
-    sources: dict[str, str] = {}
-    room = _FIGURE_BYTES - sum(map(len, statements.values())) - (sum(map(len, packed_library())) if statements else 0)
-    for drawing in sorted(drawings, key=lambda d: d.name not in PICTURES):
-        source = data_uri(drawing.content, drawing.kind)
+def embedded(images: Iterable[tuple[Any, bytes, str]], room: int) -> dict[Any, str]:
+    """Names of images, their bytes and kinds -> data URI of each, for as many as there is room for."""
+    sources: dict[Any, str] = {}
+    for name, content, kind in images:
+        source = f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
         if len(source) <= room:
             room -= len(source)
-            sources[drawing.name] = source
+            sources[name] = source
     return sources
 
 

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from hyperval.errors import refuse
-from hyperval.figures import Figure, data_uri, first_figures, outcome_words
+from hyperval.figures import Figure, first_figures, outcome_words
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
-from hyperval.report.html import flat, page
+from hyperval.report.html import embedded, flat, page
 from hyperval.results import WORST_FIRST, Cause, Outcome, Pair, Result, ResultTable, paired
 from hyperval.run import Run
 from hyperval.storage import whole_folder
@@ -83,10 +83,8 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
 def _names(a: Path, b: Path) -> tuple[str, str]:
     """Last parts of two paths, as many as tell them apart."""
     first, second = a.resolve().parts, b.resolve().parts
-    for most in range(1, max(len(first), len(second))):
-        if first[-most:] != second[-most:]:
-            return "/".join(first[-most:]), "/".join(second[-most:])
-    return a.name or str(a), b.name or str(b)
+    most = next((n for n in range(1, max(len(first), len(second))) if first[-n:] != second[-n:]), 1)
+    return "/".join(first[-most:]), "/".join(second[-most:])
 
 
 def provenance_differences(a: Run, b: Run) -> list[tuple[str, str, str]]:
@@ -119,13 +117,9 @@ def _same_curves(one: Products, other: Products) -> bool:
 
 def _figures(a: Run, b: Run, alike: Sequence[str]) -> list[dict[str, Any]]:
     """Figures that are not the same in both runs, as data; beyond the size of the page they are named only."""
-    room, out = _FIGURE_BYTES, []
-    for name in (name for name in dict.fromkeys([*a.figures, *b.figures]) if name not in alike):
-        sources = []
-        for run in (a, b):
-            path = run.figures.get(name)
-            source = data_uri(path.read_bytes(), path.suffix[1:]) if path else ""
-            room -= len(source)
-            sources.append({"source": source if room > 0 else "", "there": path is not None})
-        out.append({"name": name.rsplit(".", 1)[0], "sides": sources})
-    return out
+    names = [name for name in dict.fromkeys([*a.figures, *b.figures]) if name not in alike]
+    paths = {(name, run): each.figures.get(name) for name in names for run, each in zip("AB", (a, b), strict=True)}
+    files = ((key, path.read_bytes(), path.suffix[1:]) for key, path in paths.items() if path)
+    sources = embedded(files, _FIGURE_BYTES)
+    sides = {key: {"source": sources.get(key, ""), "there": path is not None} for key, path in paths.items()}
+    return [{"name": name.rsplit(".", 1)[0], "sides": [sides[name, "A"], sides[name, "B"]]} for name in names]

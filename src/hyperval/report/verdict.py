@@ -19,6 +19,7 @@ SINCE = "since the accepted run"  # group of the attribution
 _KINDS = {
     Evidence.MODEL: ("acceptance criterion", "acceptance criteria"),
     Evidence.PIPELINE: ("check of the pipeline", "checks of the pipeline"),
+    None: ("informational comparison", "informational comparisons"),
 }
 # What the criterion that stands first is.
 _AHEAD = {
@@ -74,6 +75,7 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     """What is said of the rows of a run; ``power`` : what its criteria could have found, in words."""
     gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     model = [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
+    informing = [row for row in rows if not row.gates and row.outcome in (Outcome.DISAGREES, Outcome.UNDECIDED)]
     told = ranked(criteria_of(rows))
     told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
     first = told[0] if told else None
@@ -82,41 +84,28 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     kinds = dict.fromkeys(row.product for row in told if row.gates)
     products = [_product(kind, [row for row in model if row.product == kind]) for kind in kinds]
     reason, ahead = _reason(rows, first.subject if first else "all"), _AHEAD.get(first.outcome, "") if first else ""
+    counted = _counted(gates, Evidence.MODEL), _counted(gates, Evidence.PIPELINE), _counted(informing, None)
+    words = opening, *counted[:2], _never_met(gates), counted[2], _which_to_believe(rows)
     return FirstScreen(
-        outcome, head, _lead(gates, rows, ahead, first), _words(opening, gates, rows), list(filter(None, asides)),
+        outcome, head, _lead(gates, informing, ahead, first), " ".join(filter(None, words)), list(filter(None, asides)),
         products, first, ahead, reason, _steps(rows, told, reason),
     )  # fmt: skip
 
 
-def _lead(gates: Sequence[Result], rows: Sequence[Result], ahead: str, first: Result | None) -> str:
+def _lead(gates: Sequence[Result], informing: Sequence[Result], ahead: str, first: Result | None) -> str:
     """ "2 acceptance criteria are not met, 5 are inconclusive, 10 are met. Worst: ..." """
     if not gates:
-        outside = sum(row.outcome is Outcome.DISAGREES for row in rows)
-        return f"Nothing here can pass or fail. {outside} informational comparisons are outside their range."
-    parts = [_counted(gates, kind, named=False) for kind in _KINDS]
+        return f"Nothing here can pass or fail. {_counted(informing, None, named=False)}".strip()
+    parts = [_counted(gates, kind, named=False) for kind in Evidence]
     if first is not None and first.gates and ahead:
         parts.append(f"{ahead}: {product_words(first.product)}, {row_label(first)}, {effect_text(first)}.")
     return " ".join(filter(None, parts))
 
 
-def _words(opening: str, gates: Sequence[Result], rows: Sequence[Result]) -> str:
-    telling = [row for row in rows if disagrees_without_gating(row)]
-    unsure = sum(not row.gates and row.outcome is Outcome.UNDECIDED for row in rows)
-    words = [opening, *(_counted(gates, kind) for kind in _KINDS), _never_met(gates)]
-    if telling:
-        noun = "comparison is" if len(telling) == 1 else "comparisons are"
-        words.append(f"Besides, {len(telling)} informational {noun} not met ({_named(telling)}).")
-    words.append(_which_to_believe(rows))
-    if unsure:
-        words.append(f"{unsure} informational comparison{' is' if unsure == 1 else 's are'} inconclusive.")
-    return " ".join(part for part in words if part)
-
-
 def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome, int]], str]:
     counts = Counter(row.outcome for row in rows)
     parts = [(o, counts[o]) for o in WORST_FIRST if counts[o]]
-    words = f"all {len(rows)} {parts[0][0].word}" if len(parts) == 1 < len(rows) else outcome_words(rows)
-    return product_words(name), parts, words
+    return product_words(name), parts, outcome_words(rows)
 
 
 def _reason(rows: Sequence[Result], subject: str) -> str:
@@ -165,10 +154,8 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
         )
     if any(row.gates and row.outcome is Outcome.SKIPPED for row in rows):
         steps.append("Get what is missing for the criteria that were not run: it stands under Not compared.")
-    telling = sum(disagrees_without_gating(row) for row in rows)
-    if telling and len(steps) < _MOST_STEPS:
-        those = "comparison that is" if telling == 1 else "comparisons that are"
-        steps.append(f"Look at the {telling} informational {those} not met: they do not change the status.")
+    if any(map(disagrees_without_gating, rows)) and len(steps) < _MOST_STEPS:
+        steps.append("Look at the informational comparisons that are not met: they do not change the status.")
     if not criteria and any(row.planned for row in rows):
         steps.append("State acceptance criteria, if this campaign is to pass or fail.")
     return steps or ["Nothing: keep these numbers as accepted."]
@@ -180,7 +167,7 @@ def _unseen(gates: Sequence[Result]) -> str:
     if not any(known.values()):
         return ""
     names = list(dict.fromkeys(row.subject for row in known["fitted"] if row.subject not in EVERY))
-    names = [*names[:_MOST_NAMED], f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else names
+    names[_MOST_NAMED:] = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
     unseen = f"{outcome_words(known['unseen'])} ({_named(known['unseen'])})" if known["unseen"] else "none yet"
     return f"Budget and settings were fitted on {', '.join(names) or 'others'}; unseen: {unseen}."
 
@@ -243,11 +230,11 @@ def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
     return max((r.value for r in reduced if key(r) in behind and math.isfinite(r.value)), default=math.nan)
 
 
-def _counted(gates: Sequence[Result], kind: Evidence, *, named: bool = True) -> str:
+def _counted(rows: Sequence[Result], kind: Evidence | None, *, named: bool = True) -> str:
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
     for outcome in WORST_FIRST:
-        own = [row for row in gates if row.evidence is kind and row.outcome is outcome]
+        own = [row for row in rows if kind in (None, row.evidence) and row.outcome is outcome]
         if own:
             noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
             told = f" ({_named(own)})" if named else ""

@@ -33,7 +33,7 @@ from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark
+from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark, single
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -792,13 +792,12 @@ def detector_figure(one: Benchmarked) -> Figure | None:
             marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
         none = far and any(row.value == 0.0 for row, _ in known.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
-        said = [f"{'/'.join(one.groups[i])} {metric} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
+        said = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
         part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
         return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(said))
 
     title = f"{one.name}: detectors on all objects with 95 % intervals; rank [95 % set]"
-    alt = f"Metrics of each detector on all objects of {one.name}."
-    return a_view_each(f"{one.name}-detectors", one.name, title, alt, one.measures, view)
+    return a_view_each(f"{one.name}-detectors", one.name, title, one.measures, view)
 
 
 def rank_figure(one: Benchmarked) -> Figure | None:
@@ -834,11 +833,9 @@ def _rank_map(
     columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
-    return Figure(
-        name, section, title, f"{title}. {'; '.join(captions)}.",
-        (Panels(Axis.named([" = ".join(g) for g in groups]), (Part(Axis.named(list(rows)), (mark,)),)),),
-        head=title.partition(",")[0], width_in=2.6 + 1.35 * len(groups),
-    )  # fmt: skip
+    x, y = Axis.named([" = ".join(group) for group in groups]), Axis.named(list(rows))
+    view = single(x, y, [mark], words="; ".join(captions))
+    return Figure(name, section, title, (view,), head=title.partition(",")[0], width_in=2.6 + 1.35 * len(groups))
 
 
 def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
@@ -866,11 +863,11 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
         dots = measured_mark("dots", {"x": x, "y": y, "low": low, "high": high}, marker="circle", words=said)
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
-        return Panels(x, (Part(y, (diagonal, dots)),), MEASURES[metric].title, words="; ".join(said))
+        return single(x, y, (diagonal, dots), MEASURES[metric].title)
 
     title = f"{one.name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
     known = [name for name in names if pairs[name]]
-    return a_view_each(f"{one.name}-predicted", one.name, title, f"{title}.", known, view)
+    return a_view_each(f"{one.name}-predicted", one.name, title, known, view)
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:

@@ -54,9 +54,9 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         columns = {"x": 0.5 * (axis.centre_nm[:-1] + axis.centre_nm[1:]), "y": spacing}
         marks.append(Mark("line", columns, "spacing", narrow, "dashed"))
         ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings"
-    title, view = "Width and spacing of the bands", single(_wavelengths(axis), Axis("width, spacing [nm]"), marks)
-    alt = f"Width and spacing of the {len(axis)} bands against wavelength{ratio}."
-    yield Figure("response", "response", title, alt, (view,))
+    y, words = Axis("width, spacing [nm]"), f"{len(axis)} bands{ratio}"
+    view = single(_wavelengths(axis), y, marks, words=words)
+    yield Figure("response", "response", "Width and spacing of the bands", (view,))
     sigmas, responses = np.linspace(-3.0, 3.0, 61), []
     most = max(len(axis) - _MOST_RESPONSES, 0)
     first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, most))
@@ -65,8 +65,7 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         responses.append(Mark("line", {"x": w, "y": np.exp(-0.5 * sigmas**2)}, "", (wide, narrow)[k % 2]))
     ends = responses[0].columns["x"][0], responses[-1].columns["x"][-1]
     count, view = len(responses), single(Axis(WAVELENGTH, ends=ends), Axis("relative response"), responses)
-    alt = f"Relative response of {count} bands against wavelength."
-    yield Figure("responses", "response", f"Responses of {count} bands", alt, (view,))
+    yield Figure("responses", "response", f"Responses of {count} bands", (view,))
 
 
 def _snr(check: SensorCheck) -> Iterator[Figure]:
@@ -81,12 +80,9 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
         highest.append(free[check.good if len(axis) >= 30 else axis.good])
     middle = noise.snr(check.sunlit(MIDDLE), calibration=False)[check.good]
     title = "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)"
-    alt = (
-        "Signal-to-noise ratio against wavelength for ground of 0.05, 0.25 and 0.6, with and without the calibration "
-        f"error. At 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to {middle.max():.0f}."
-    )
-    view = single(_wavelengths(axis), Axis("signal-to-noise ratio", ends=robust_limits(highest)), marks)
-    yield Figure("snr", "snr", title, alt, (view,))
+    words = f"at 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to {middle.max():.0f}"
+    y = Axis("signal-to-noise ratio", ends=robust_limits(highest))
+    yield Figure("snr", "snr", title, (single(_wavelengths(axis), y, marks, words=words),))
 
 
 def _noise(check: SensorCheck) -> Iterator[Figure]:
@@ -94,7 +90,6 @@ def _noise(check: SensorCheck) -> Iterator[Figure]:
     axis, few = check.axis, len(check.axis) < 30
     left, right = axis.centre_nm - axis.fwhm_nm / 2, axis.centre_nm + axis.fwhm_nm / 2
     views: list[Panels] = []
-    shown: dict[str, str] = {}
     for level in (LEVELS[0], LEVELS[-1]):
         parts, base, marks = check.noise.breakdown(check.sunlit(level)), np.zeros(len(axis)), []
         shares = np.abs([*vars(parts).values()])
@@ -104,11 +99,9 @@ def _noise(check: SensorCheck) -> Iterator[Figure]:
                 columns = bars if few else {"x": axis.centre_nm, "low": base, "high": base + share}
                 marks.append(Mark("bars" if few else "area", columns, words, colour, alpha=1.0))
                 base = base + share
-                shown.setdefault(words, colour)
         y = Axis("share of the variance [%]", ends=(0.0, 100.0))
         views.append(single(_wavelengths(axis), y, marks, f"reflectance {level:g}"))
-    alt = f"Share of each source in the variance of the noise, dark and bright ground: {', '.join(shown)}."
-    yield Figure("noise", "noise", "Sources of noise, dark and bright ground", alt, tuple(views))
+    yield Figure("noise", "noise", "Sources of noise, dark and bright ground", tuple(views))
 
 
 def _saturation(check: SensorCheck) -> Iterator[Figure]:
@@ -121,10 +114,9 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     marks = [_curve(check.axis, part, f"reflectance {level:g}", colour) for level, part, colour in named]
     highest = max(1.0, float(np.max(parts)))
     title = "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)"
-    alt = f"Signal as a part of full scale against wavelength; the highest, at reflectance 1, is {highest:.2f}."
-    y = Axis("part of full scale", ends=(0.0, 1.08 * highest))
-    view = single(_wavelengths(check.axis), y, marks, rules=(("y", 1.0),))
-    yield Figure("saturation", "saturation", title, alt, (view,))
+    y, words = Axis("part of full scale", ends=(0.0, 1.08 * highest)), f"the highest is {np.max(parts):.2f}"
+    view = single(_wavelengths(check.axis), y, marks, words=words, rules=(("y", 1.0),))
+    yield Figure("saturation", "saturation", title, (view,))
 
 
 def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, **look: Any) -> Mark:
@@ -167,9 +159,9 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     marks += Mark("dots", {"x": w, "y": ratios}, words=words, beside="right").by_kind(kinds, looks)
     listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
     ends = min(0.6, 0.9 * float(ratios.min())), max(1.4, 1.15 * float(ratios.max()))
-    title, alt = "Computed over published signal-to-noise ratio", f"Computed against published ratios: {listed}."
-    view = single(Axis(WAVELENGTH, ends=x), Axis("computed / published", ends=ends), marks, rules=(("y", 1.0),))
-    yield Figure("published-snr", "published_snr", title, alt, (view,))
+    y = Axis("computed / published", ends=ends)
+    view = single(Axis(WAVELENGTH, ends=x), y, marks, words=listed, rules=(("y", 1.0),))
+    yield Figure("published-snr", "published_snr", "Computed over published signal-to-noise ratio", (view,))
 
 
 def _detection(check: SensorCheck) -> Iterator[Figure]:
@@ -200,11 +192,8 @@ def _sensitivity(check: SensorCheck) -> Iterator[Figure]:
     most, what = kept[0], f" of {probe.key[0]} by {probe.key[1]}" if probe else ""
     more = f"; {len(kept)} of {len(swings)} are drawn" if len(kept) < len(swings) else ""
     title = f"Assumed numbers {100 * vary:g} % lower and higher: SNR of the band that moves most, P_D{what}{more}"
-    alt = (
-        f"Bars of what each of {len(swings)} assumed numbers does when it is {100 * vary:g} % lower or higher. "
-        f"Most for the SNR: {most.name}, {100 * most.snr[0]:+.1f} % and {100 * most.snr[1]:+.1f} %."
-    )
-    yield Figure("sensitivity", "sensitivity", title, alt, tuple(views))
+    views[0] = replace(views[0], words=f"most {most.name}, {100 * most.snr[0]:+.1f} % and {100 * most.snr[1]:+.1f} %")
+    yield Figure("sensitivity", "sensitivity", title, tuple(views))
 
 
 _FOLDED = 12  # rows of a section that are not folded

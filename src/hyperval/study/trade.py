@@ -503,7 +503,7 @@ def _curves(
     marks = _lines(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
     rules = _present(p, trade) + ((("y", trade.wanted),) if trade.wanted is not None else ())
     view = Panels(axis, (Part(_y_axis(trade), marks, rules),))
-    return Figure("trade", "study", f"{KINDS[trade.output]} against {axis.label}", "", (view,))
+    return Figure("trade", "study", f"{KINDS[trade.output]} against {axis.label}", (view,))
 
 
 def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int) -> Figure:
@@ -514,7 +514,7 @@ def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int
     mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
     part = Part(y_axis, (mark,), _present(p, trade) + _present(p, trade, "y"))
     title = f"{KINDS[trade.output]}, {trade.subject[0]}"
-    return Figure("trade", "study", title, "", (Panels(x_axis, (part,)),), legend_title=title)
+    return Figure("trade", "study", title, (Panels(x_axis, (part,)),), legend_title=title)
 
 
 def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]:
@@ -550,7 +550,7 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
     if not trade.is_spectral:
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
-    figure = Figure("live", "roc", "", "", (Panels(x, (Part(y, marks, rules),)),))
+    figure = Figure("live", "roc", "", (Panels(x, (Part(y, marks, rules),)),))
     return {"figure": statement(figure), "values": known, "error": _error(p, trade)}
 
 
