@@ -224,7 +224,9 @@ def collected(
     """
     campaign, inputs = job.campaign, InputLog.of_file(job.path)
     with ExitStack() as stack:
-        scenarios = [one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.base, job.words)]
+        scenarios = [
+            one for s in campaign.scenarios for one, *_ in scenarios_of(s, inputs.resolve, inputs.base, job.words)
+        ]
         seed = None
         if campaign.collection.simulate:
             from hyperval.simulate import load_inputs, load_scene, simulate

@@ -95,8 +95,10 @@ ScenarioSource = Annotated[
 
 def scenarios_of(
     source: DayScenarios | Scenario | str, resolve: Callable[[str], Path], base: Path, words: Mapping[str, str]
-) -> list[Scenario]:
-    """The scenarios that one entry of a campaign stands for; ``base`` is the campaign's folder.
+) -> Iterator[tuple[Scenario, Path | None, dict[Location, int]]]:
+    """The scenarios that one entry of a campaign stands for, each with its file and the lines of its entries there.
+
+    ``base`` is the campaign's folder; a scenario that stands in the campaign, or goes by name, has no file here.
 
     Raises
     ------
@@ -104,17 +106,16 @@ def scenarios_of(
     """
     if isinstance(source, Scenario):
         source._folder = base
-        return [source]
-    if isinstance(source, str) and source in builtin_scenarios():
-        return [load_scenario(source)]
-    path = resolve(source if isinstance(source, str) else source.scenario)
-    data, lines = load_yaml(path)
-    out = []
-    for at in [{}] if isinstance(source, str) else _words(source, resolve(source.radcalnet), data, path):
-        made = validate(Scenario, with_words(with_words(data, words), at), lines, str(path))
-        made._folder = path.resolve().parent
-        out.append(made)
-    return out
+        yield source, None, {}
+    elif isinstance(source, str) and source in builtin_scenarios():
+        yield load_scenario(source), None, {}
+    else:
+        path = resolve(source if isinstance(source, str) else source.scenario)
+        data, lines = load_yaml(path)
+        for at in [{}] if isinstance(source, str) else _words(source, resolve(source.radcalnet), data, path):
+            made = validate(Scenario, with_words(with_words(data, words), at), lines, str(path))
+            made._folder = path.resolve().parent
+            yield made, path, lines
 
 
 def _words(source: DayScenarios, file: Path, scenario: Mapping[str, Any], where: Path) -> Iterator[dict[str, Any]]:
