@@ -27,7 +27,7 @@ from hyperval.imagery import needs_header
 from hyperval.metrics import foreign
 from hyperval.model import Sources
 from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe, open_place, target_groups
-from hyperval.paths import Resolve, matching
+from hyperval.paths import Resolve
 from hyperval.products import SPECTRA
 from hyperval.results import Outcome, Result, row_name
 from hyperval.run import is_run, read_rows
@@ -52,7 +52,7 @@ class Item:
     kind : "file", "value", "comparison" or "name"
     state : "found", "missing", "to fill in", "planned", "wrong" or "can never be met"
     what : the reference, the key, product and subjects, or file, line and key of a name that does not fit
-    detail : size of a file, how to get it, what a value is, the limit of a comparison, what is wrong, what would
+    detail : how to get a file, what a value is, the limit of a comparison, what is wrong, what would
         have to be known better
     words : those of the campaign's run
     decides : whether a comparison is an acceptance criterion
@@ -179,9 +179,7 @@ def _file(reference: Reference, job: Job) -> list[Item]:
         check_copy(reference.text, path)
     except InputError as error:
         return [Item("", FILE, MISSING, reference.text, f"{error.what}: {error.mend}")]
-    matches = matching(path)
-    size = f"{sum(p.stat().st_size for p in matches)} bytes"
-    rows = [Item("", FILE, PRESENT, reference.text, size if len(matches) == 1 else f"{len(matches)} files, {size}")]
+    rows = [Item("", FILE, PRESENT, reference.text)]
     is_image = reference.key == "collection.cube.path" and needs_header(path) and path.suffix.lower() != ".hdr"
     if is_image and job.content["collection"]["cube"].get("header") is None and header_beside(path) is None:
         rows.append(Item("", FILE, MISSING, f"{reference.text}.hdr", "the ENVI header beside the cube"))

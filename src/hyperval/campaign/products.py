@@ -60,7 +60,12 @@ def as_collected(scenario: Scenario, place: observe.Place | None, detection: Det
         counts = {c.name: int(place.pixels_of(_region_of(c, place)).sum()) for c in scenario.scene.classes}
         refuse(not any(counts.values()), "fractions.none", name=scenario.name)
         told = {f"scene.classes.[{name}].fraction": n / sum(counts.values()) for name, n in counts.items()}
-    asked = {path: name for path, name, fill in _fills(scenario) if fill is not None and fill.truth is not None}
+    asked = {
+        f"scene.targets.[{t.name}]{f'.subjects.[{p.name}]' * bool(t.subjects)}.fill": p.name
+        for t in scenario.scene.targets
+        for p in t.populations
+        if p.fill.truth is not None
+    }
     known = observe.fills_of(_members(place, detection)) if asked else {}
     for path, name in asked.items():
         there = one_of(known, "targets from a finer image or from abundances")
@@ -74,14 +79,6 @@ def _region_of(surface: BackgroundClass, place: observe.Place) -> str:
     names = (name for name in (surface.name, surface.spectrum.measured, spread) if name in place.regions)
     regions = one_of(place.regions, "a region of its name")
     return str(needed(next(names, None), "fractions.region", name=surface.name, regions=regions))
-
-
-def _fills(scenario: Scenario) -> Iterator[tuple[str, str, Fill | None]]:
-    """Path, subject and fill of each population of targets."""
-    for item in scenario.scene.targets:
-        path = f"scene.targets.[{item.name}]"
-        yield f"{path}.fill", item.name, item.fill
-        yield from ((f"{path}.subjects.[{own.name}].fill", own.name, own.fill) for own in item.subjects)
 
 
 def _members(place: observe.Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
@@ -151,19 +148,15 @@ def _differences(
     is_touched = geometry.pixels == "touched"
     stated = float(np.mean(touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
     counted = float(np.mean([np.count_nonzero(observe.scored_part(o, place).part) for o in members]))
-    if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
-        yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"
-    if place.pixel_area_m2 is not None:
-        pixel = math.sqrt(place.pixel_area_m2)
-        if _apart(pixel, geometry.gsd_m):
-            yield f"its pixels are {geometry.gsd_m:g} m wide (gsd_m), those of the image {pixel:.3g} m"
-    sides = [o.side_m for o in members if math.isfinite(o.side_m)]
-    if sides and geometry.side_m is not None and _apart(float(np.mean(sides)), geometry.side_m):
-        yield f"its sides are {geometry.side_m:g} m (side_m), those of the truth {np.mean(sides):.3g} m"
-
-
-def _apart(a: float, b: float) -> bool:
-    return max(a / b, b / a) > MAX_LENGTH_RATIO
+    pixel_m, sides_m = math.sqrt(place.pixel_area_m2 or 0.0), [o.side_m for o in members if math.isfinite(o.side_m)]
+    side_m = float(np.mean(sides_m)) if sides_m else None
+    for words, own, other, most in (
+        ("the prediction counts {:.3g} pixels for each object, the truth {:.3g}", stated, counted, MAX_PIXEL_RATIO),
+        ("its pixels are {:g} m wide (gsd_m), those of the image {:.3g} m", geometry.gsd_m, pixel_m, MAX_LENGTH_RATIO),
+        ("its sides are {:g} m (side_m), those of the truth {:.3g} m", geometry.side_m, side_m, MAX_LENGTH_RATIO),
+    ):
+        if own and other and max(own / other, other / own) > most:
+            yield words.format(own, other)
 
 
 @dataclass(frozen=True)

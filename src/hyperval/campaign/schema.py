@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +24,7 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve, set_on_request
-from hyperval.errors import HypervalError, UsageError, reader, refuse, told_of
+from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, read_radcalnet
 
@@ -317,10 +318,9 @@ class Job:
 
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
-        for one in self.files:
-            if one.text.startswith(PREFIX) and isinstance(error := one.found, UsageError):
-                where = f"{self.path}: {one.key}: {error.where or one.text}"
-                raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend)
+        for one in (file for file in self.files if file.text.startswith(PREFIX)):
+            with suppress(InputError), told_of(f"{self.path}: {one.key}", one.text):
+                resolve(one.text)
         lacking = [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
         refuse(compares and lacking, "campaign.lacking", self.path, keys=" and no ".join(lacking))
         if self.to_fill_in and self.waits is None:

@@ -32,7 +32,7 @@ from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.spectra import in_window, read_records
+from hyperval.spectra import FieldSpectrum, in_window, read_records
 from hyperval.storage import write_text
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
@@ -81,12 +81,18 @@ class RecordedSpectrum(NamedTuple):
     ----------
     name : its own, or that of its file
     source : as a scenario names it: where it stands, and what its reader is to be told
-    flat : as flat as that of a calibration panel, of hardly any slope or feature
+    record : as it was read
     """
 
     name: str
     source: Entry
-    flat: bool
+    record: FieldSpectrum
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is as flat as that of a calibration panel, of hardly any slope or feature."""
+        values = self.record.values[in_window(self.record.wavelength_nm)]
+        return bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
 
 
 class _Written(yaml.SafeDumper):  # type: ignore[misc]
@@ -495,22 +501,13 @@ def _words(name: str) -> frozenset[str]:
 
 def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
     for unit in _UNITS:
-        try:
+        with suppress(UsageError, InputError):
             records = read_records(path, reflectance_unit=unit)
-        except (UsageError, InputError):
-            continue
-        highest = max((float(np.nanpercentile(r.values, 95)) for r in records), default=0.0)
-        if unit is not None and highest > 1.5:
-            continue
-        out = []
-        for one in records:
-            values = one.values[in_window(one.wavelength_nm)]
-            flat = bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
-            own = one.name if len(records) > 1 else None
-            more = {"record": own, "reflectance_unit": unit}
-            source = {"file": reference} | {key: value for key, value in more.items() if value is not None}
-            out.append(RecordedSpectrum(own or path.stem, source, flat))
-        return out
+            if unit is None or max(np.nanpercentile(one.values, 95) for one in records) <= 1.5:
+                told = {"reflectance_unit": unit} if unit else {}
+                if len(records) == 1:
+                    return [RecordedSpectrum(path.stem, {"file": reference, **told}, records[0])]
+                return [RecordedSpectrum(r.name, {"file": reference, "record": r.name, **told}, r) for r in records]
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
 
