@@ -104,9 +104,8 @@ def overview(items: Sequence[Item]) -> list[Item]:
     """
     groups: dict[tuple[str, str, str, str], list[Item]] = {}
     for item in items:
-        shown = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
-        what, detail = map(item.general, shown)
-        groups.setdefault((item.kind, item.state, what, detail), []).append(item)
+        what, detail = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
+        groups.setdefault((item.kind, item.state, item.general(what), item.general(detail)), []).append(item)
     rows = []
     for (kind, state, what, detail), members in groups.items():
         names = list(dict.fromkeys(i.campaign for i in members))
@@ -116,10 +115,9 @@ def overview(items: Sequence[Item]) -> list[Item]:
             count, deciding = (n // len(names) for n in (len(members), sum(i.decides for i in members)))
             what = f"{count} comparisons, {deciding} acceptance criteria"
             detail = ", ".join(dict.fromkeys(i.what.split()[0] for i in members))
-        elif state == PRESENT:
-            paths = {i.what for i in members}
-            what = f"{len(paths)} files" if len(paths) > 1 else members[0].what
-        elif len(names) == 1:
+        elif state == PRESENT and len(paths := {i.what for i in members}) > 1:
+            what = f"{len(paths)} files"
+        elif state == PRESENT or len(names) == 1:
             what, detail = members[0].what, members[0].detail
         who = names[0] if len(names) == 1 else f"{len(names)} campaigns{one_file}"
         rows.append(Item(who, kind, state, what, detail))
@@ -170,11 +168,11 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
 
 
 def _file(reference: Reference, job: Job) -> list[Item]:
-    path = reference.path
+    path, problem = reference.found
     if path is None:
         holder = set_on_request(reference.text)
         place = f"expected below HYPERVAL_DATA (--data-dir); {holder.name} is not public" if holder else ""
-        return [Item("", FILE, MISSING, reference.text, place or reference.problem)]
+        return [Item("", FILE, MISSING, reference.text, place or problem)]
     try:
         check_copy(reference.text, path)
     except InputError as error:

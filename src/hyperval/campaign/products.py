@@ -32,12 +32,11 @@ from hyperval.data import NUMERICAL_DETECTORS, Mask
 from hyperval.datasets import InputLog
 from hyperval.errors import needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
-from hyperval.model.fill import touched_counts
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
 from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
 from hyperval.progress import bars
 from hyperval.results import Outcome, Result
-from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
+from hyperval.scenario import BackgroundClass, Fill, Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
 
@@ -122,11 +121,8 @@ def doubts(place: observe.Place | None, detection: Detection | None, scenarios: 
             lies = f"at latitude {where[0]:.3f}, longitude {where[1]:.3f}, {km:.0f} km from the place of {named}"
             yield from [f"warning: the cube lies {lies} ({latitude:g}, {longitude:g})"] if km > MAX_KM else []
         for population in (p for item in scenario.scene.targets for p in item.populations):
-            own = members.get(population.name)
-            if population.fill.geometry is not None and own:
-                differences = ", ".join(_differences(place, population.fill, population.fill.geometry, own))
-                if differences:
-                    yield f"warning: {population.name!r} of {named}: {differences}"
+            if differences := ", ".join(_differences(place, population.fill, members.get(population.name, ()))):
+                yield f"warning: {population.name!r} of {named}: {differences}"
 
 
 def centre_of(place: observe.Place) -> tuple[float, float] | None:
@@ -141,12 +137,13 @@ def centre_of(place: observe.Place) -> tuple[float, float] | None:
     return (latitude, longitude) if math.isfinite(latitude) and math.isfinite(longitude) else None
 
 
-def _differences(
-    place: observe.Place, fill: Fill, geometry: Geometry, members: Sequence[TargetObject]
-) -> Iterator[str]:
+def _differences(place: observe.Place, fill: Fill, members: Sequence[TargetObject]) -> Iterator[str]:
     """How a scenario's objects differ from those of the truth, in pixels on average over their places on the grid."""
+    geometry = fill.geometry
+    if geometry is None or not members:
+        return
     is_touched = geometry.pixels == "touched"
-    stated = float(np.mean(touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
+    stated = float(np.mean(model.touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
     counted = float(np.mean([np.count_nonzero(observe.scored_part(o, place).part) for o in members]))
     pixel_m, sides_m = math.sqrt(place.pixel_area_m2 or 0.0), [o.side_m for o in members if math.isfinite(o.side_m)]
     side_m = float(np.mean(sides_m)) if sides_m else None
@@ -233,9 +230,8 @@ def collected(
         observed = observe.observe(
             campaign.collection, campaign.detection, inputs.resolve, classification=campaign.classification
         )
-        if observed.place is not None:
-            for path in observed.place.source_files:  # such as a cube's header
-                inputs.add(path)
+        for path in observed.place.source_files if observed.place is not None else ():  # such as a cube's header
+            inputs.add(path)
         scenarios = [as_collected(scenario, observed.place, campaign.detection) for scenario in scenarios]
         yield Collected(campaign, inputs, scenarios, observed, seed)
 

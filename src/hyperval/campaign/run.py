@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
@@ -23,7 +22,7 @@ from hyperval.attribute import attribute
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power import accepted_table
 from hyperval.campaign.products import Collected, asked_again, collected, doubts, outcomes, predicted_side, undecided
-from hyperval.campaign.provenance import package_versions, record_of, source_revision
+from hyperval.campaign.provenance import record_of
 from hyperval.campaign.schema import Campaign, Job, Outline, job_of, jobs_of
 from hyperval.compare import product_rows
 from hyperval.datasets import SIMULATED, InputLog
@@ -109,8 +108,8 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         *doubts(observed.place, campaign.detection, scenarios),
         *(prediction.notes if prediction else ()),
     ]
-    sides = [observed.observation, *predicted]
-    provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, sides)
+    configuration, sides = {"campaign": campaign}, [observed.observation, *predicted]
+    provenance = record_of(side.inputs, scenarios, side.seed, configuration, sides)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     return report_of(
@@ -156,15 +155,11 @@ def made_of(job: Job, files: Mapping[str, str]) -> str:
     digests = {log.resolve(name): digest for name, digest in files.items()}
     if job.words:  # one of several runs: what the file says of this one is below
         digests.pop(job.path.resolve(), None)
-    inner: dict[str, Any] = {
-        "campaign": job.campaign.model_dump(mode="json", by_alias=True),
-        "words": dict(job.words),
-        "files": sorted(digests.values()),
+    configuration = {"campaign": job.campaign, "words": dict(job.words), "program": _program()}
+    inner = record_of(log, [], None, configuration, []) | {
+        "command": None,
+        "inputs": sorted(digests.values()),
         "beside": _beside(job, list(digests)),
-        "program": _program(),
-        "revision": source_revision(),
-        "packages": package_versions(),
-        "python": platform.python_version(),
         "power": repr(accepted_table(job.campaign.name, job.folder)),
     }
     return hashlib.sha256(json.dumps(inner, sort_keys=True, default=str).encode()).hexdigest()

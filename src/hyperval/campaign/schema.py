@@ -227,7 +227,7 @@ class Campaign(Outline):
 
 FILE_KEYS = frozenset({
     "path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "image", "replicates",
-    "radcalnet", "solar_spectrum",
+    "files", "radcalnet", "solar_spectrum",
 })  # fmt: skip
 
 
@@ -240,24 +240,19 @@ class Reference:
     base: Path
 
     @property
-    def found(self) -> Path | HypervalError:
-        """Where the file is, or why it is not at hand."""
+    def found(self) -> tuple[Path | None, str]:
+        """Where the file is; None, and what to do about it, where it is not at hand."""
         try:
-            return resolve(self.text, self.base)
+            return resolve(self.text, self.base), ""
+        except UsageError as error:
+            return None, "; ".join(filter(None, (error.what, error.expected)))
         except HypervalError as error:
-            return error
+            return None, error.mend or error.what
 
     @property
     def path(self) -> Path | None:
         """Where the file is, None when it is not at hand."""
-        return found if isinstance(found := self.found, Path) else None
-
-    @property
-    def problem(self) -> str:
-        """What to do about a file that is not at hand."""
-        if isinstance(found := self.found, UsageError):
-            return "; ".join(x for x in (found.what, found.expected) if x)
-        return (found.mend or found.what) if isinstance(found, HypervalError) else ""
+        return self.found[0]
 
 
 @dataclass(frozen=True)
@@ -308,7 +303,7 @@ class Job:
             return None
         first, owner = next(iter(owners.items()))
         more = f"{len(self.to_fill_in)} values are to be filled in then (hyperval validate --dry-run lists them)"
-        return f"{owner.name} is not on this machine: {first.problem}; {more}", first.problem
+        return f"{owner.name} is not on this machine: {first.found[1]}; {more}", first.found[1]
 
     @property
     def missing_sets(self) -> list[str]:
@@ -354,8 +349,7 @@ def _files(content: Any, base: Path) -> Iterator[Reference]:
         name = (reference_of(text) or "") if key == "solar_spectrum" else text
         is_file = (
             key in FILE_KEYS
-            or "materials" in at
-            or (key == "files" and "replicates" in at)
+            or "rasters" in at
             or (key == "sensor" and name.endswith((".yaml", ".yml")))
             or name.startswith(PREFIX)
         )

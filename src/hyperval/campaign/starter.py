@@ -290,7 +290,8 @@ class Draft:
             truth = {"guard_pixels": 2} | ({"pixel_size_m": size} if size is not None else {})
             file = self.reference(self.sources.targets)
             own: Entry = {"csv": file}
-            if not _is_list(self.sources.targets):
+            head = head_of(self.sources.targets, 4096).partition(b"\n")[0].lower()
+            if self.sources.targets.suffix.lower() != ".csv" or b"material" not in head:  # no list of target centres
                 every = {"material": "every region", "file": file}
                 whole = parts | {"targets": {"regions": [every], **truth}}
                 self._coordinates(every, **whole)
@@ -559,8 +560,3 @@ def told_quantity(raster: Raster) -> str | None:
         if not named and raster.description.unit_in_entries()[1] is not None:
             return "radiance"
     return None
-
-
-def _is_list(path: Path) -> bool:
-    """Whether a file is a list of target centres: a table with a column of materials."""
-    return path.suffix.lower() == ".csv" and b"material" in head_of(path, 4096).partition(b"\n")[0].lower()
