@@ -40,9 +40,7 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
-UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
 Done = tuple[Run, int | None]
-Form = Literal["envi", "cog"]
 
 
 def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Observed], None] | None = None) -> Run:
@@ -267,7 +265,7 @@ def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callabl
     """Run what has changed; the result does not depend on how many run at once, or where."""
     done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
     for run, _ in done.values():
-        tell(UNCHANGED.format(run.campaign))
+        tell(f"{run.campaign}: unchanged since the earlier run, whose results are kept (--again repeats it)")
     left = [i for i in range(len(pieces)) if i not in done]
     with workers(worker_count(len(left)), scheduler if left else None) as where:
         here = where.executor is None  # one after the other, each with its own bars
@@ -328,7 +326,7 @@ def validate(
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
 
 
-def observe(path: Path, output: Path, *, write_reflectance: Form | None = None) -> int:
+def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog"] | None = None) -> int:
     """Run the empirical pipeline alone and write what the collection says.
 
     Parameters

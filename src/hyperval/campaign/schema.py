@@ -290,9 +290,8 @@ class Job:
         """What it says of itself, which needs no value to be filled in; UsageError for mistakes in that."""
         if not self.to_fill_in:
             return self.campaign
-        others = Campaign.model_fields.keys() - Outline.model_fields.keys()
-        # Unknown keys are left in, so that they are named.
-        content = {key: value for key, value in self.content.items() if key not in others}
+        own, whole = Outline.model_fields, Campaign.model_fields  # unknown keys are left in, so that they are named
+        content = {key: value for key, value in self.content.items() if key in own or key not in whole}
         return validate(Outline, content, self.lines, str(self.path))
 
     @cached_property

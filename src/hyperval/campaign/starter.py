@@ -308,11 +308,9 @@ class Draft:
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
             for file in filter(Path.is_file, sorted(path.iterdir())) if path.is_dir() else [path]:
-                try:
+                of_folder = () if file == path else (HypervalError,)  # of which only files that hold spectra count
+                with suppress(*of_folder):
                     out += _records(file, self.reference(file))
-                except HypervalError:
-                    if file == path:  # of a folder only the files that hold spectra count
-                        raise
         return out
 
     def matching(self, name: str) -> RecordedSpectrum | None:
@@ -349,9 +347,7 @@ class Draft:
         flight = self._flight(place) if self.quantity == "radiance" else {}
         processing: Entry = {"detectors": ["cem"], "bands": {"drop_bad": True}}
         processing |= {} if self.quantity == "radiance" and measured else {"elm": "none"}
-        out = {"schema": 1, "name": self.name, **flight, "scene": scene, "processing": processing}
-        self._known_to(out, [*(region for region in classes if region in matched), *known])
-        return out
+        return {"schema": 1, "name": self.name, **flight, "scene": scene, "processing": processing}
 
     def _flight(self, place: Place) -> Entry:
         """Atmosphere, sun, sensor, and what is known of them."""
@@ -399,34 +395,30 @@ class Draft:
         classes = [c["name"] for c in scenario["scene"]["classes"]]
         entries = scenario["scene"]["targets"] = []
         for material, own in members.items():
-            fills: Entry = {"fill": _fill(place, own)}
-            if all(sizes.values()):
-                each = sizes[material].items()
-                fills = {"subjects": [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]}
+            each = sizes[material].items() if all(sizes.values()) else ()
+            subjects = [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]
+            fills = {"subjects": subjects} if subjects else {"fill": _fill(place, own)}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
             target = {"name": material, "spectrum": known[material].source, "covariance": spread}
             entries.append({**target, "host": _host(place, own, classes), **fills})
         self.guess("targets")
-        self._known_to(scenario, list(known))
-
-    def _known_to(self, scenario: Entry, subjects: Sequence[str]) -> None:
-        """State how well field spectra of subjects are known."""
-        if subjects:
-            entries = [{"subject": subject, "relative": 0.05, "correlation_nm": 200} for subject in subjects]
-            scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
-            self.guess("field spectra")
 
     def _compare(self, scenario: Entry) -> None:
-        """Add a scenario, and the usual comparisons of the subjects that it and the collection have."""
-        scene, lit = scenario["scene"], "atmosphere" in scenario
-        panels = [panel["name"] for panel in scene.get("panels", [])] if lit else []
-        known = [c["name"] for c in scene["classes"] if "measured" not in c["spectrum"]]
+        """Add a scenario, how well its field spectra are known, and the usual comparisons of what both sides have."""
+        scene, lit, targets = scenario["scene"], "atmosphere" in scenario, scenario["scene"].get("targets", [])
+        classes, panels, sought = (
+            [surface["name"] for surface in scene.get(kind, []) if "measured" not in surface["spectrum"]]
+            for kind in ("classes", "panels", "targets")
+        )
+        if known := [*classes, *panels, *sought]:
+            stated = [{"subject": name, "relative": 0.05, "correlation_nm": 200} for name in known]
+            scenario.setdefault("uncertainty", {})["field_spectra"] = stated
+            self.guess("field spectra")
         reflects = "empirical_line" in self.collection or self.quantity == "reflectance"
-        targets = scene.get("targets", [])
         subjects = {
-            "RADIANCE": [*known, *panels] if lit else [],
-            "PANELS": panels if panels == self.collection.get("snr_regions") else [],
-            "REFLECTANCE": known if reflects else [],
+            "RADIANCE": [*classes, *panels] if lit else [],
+            "PANELS": panels if lit and panels == self.collection.get("snr_regions") else [],
+            "REFLECTANCE": classes if reflects else [],
             "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
             "BACKGROUNDS": [background_of(target["name"]) for target in targets],
         }
