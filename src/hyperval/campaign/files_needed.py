@@ -5,13 +5,12 @@ Every name that a campaign uses, looked up without a pixel's being computed: hea
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -37,6 +36,7 @@ from hyperval.simulate import load_scene
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import ClassStatistics
 
+T = TypeVar("T")
 FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
 PRESENT, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
 NEVER_MET, INCONCLUSIVE = "can never be met", "inconclusive"
@@ -228,14 +228,14 @@ class Lookup:
         key = ".".join(str(part) for part in whole)
         self.mistakes.append(Item("", NAME, WRONG, f"{self.file}:{line}: {key}", what))
 
-    @contextmanager
-    def within(self, *location: str | int) -> Iterator[None]:
-        """Errors of what is done inside stand at an entry."""
+    def tried(self, location: Location, read: Callable[..., T], *what: Any, **more: Any) -> T | None:
+        """What a function of the run gives; None where it refuses, which is a mistake at an entry."""
         try:
-            yield
+            return read(*what, **more)
         except HypervalError as error:
             expected = f"; expected: {error.expected}" if error.expected else ""
             self.add(location, ": ".join(filter(None, (error.where, error.what + expected))))
+            return None
 
     def one(self, location: Location, name: str, known: Sequence[str], lacks: str) -> None:
         """A mistake where a name is none of ``known``."""
@@ -257,8 +257,7 @@ class Lookup:
             source: Any = getattr(entry, key, None)
             stated = {} if source is None else source.model_dump(exclude_none=True)
             if stated and "relative_sd" not in stated and not str(stated.get("file")).startswith(SIMULATED):
-                with self.within(*at, key):
-                    sources.spectrum(source, name)
+                self.tried((*at, key), sources.spectrum, source, name)
 
 
 def _scenarios(job: Job, lookup: Lookup) -> list[tuple[Scenario, Lookup]]:
@@ -306,12 +305,11 @@ def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scen
 
 def _predicted(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, regions: Sequence[str]) -> list[str]:
     """The subjects of a scenario, once its sensor and its spectra were looked up."""
-    scene = scenario.scene
-    if scenario.sensor is not None:
-        with lookup.within("sensor"):
-            name = scenario.sensor
-            sensor = load_sensor(lookup.find(name) if name.endswith((".yaml", ".yml")) else name)
-            axis = axis or sensor.axis
+    scene, name = scenario.scene, scenario.sensor
+    if name is not None:
+        of_file = name.endswith((".yaml", ".yml"))
+        sensor = lookup.tried(("sensor",), lambda: load_sensor(lookup.find(name) if of_file else name))
+        axis = sensor.axis if axis is None and sensor is not None else axis
     for kind in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scene, kind)):
             lookup.spectra(("scene", kind, i), surface, surface.name, axis, regions)
@@ -323,22 +321,23 @@ def _predicted(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, re
 def _offered(campaign: Campaign, lookup: Lookup) -> Offered:
     """What the collection offers, once its files and the spectra that are looked for in it were looked up."""
     collection, detection, cube = campaign.collection, campaign.detection, campaign.collection.cube
-    axis: SpectralAxis | None = None
-    known: dict[str, Sequence[str]] = {}
-    if cube is None:
-        with lookup.within("collection"):
-            seen = observe(collection, None, lookup.find).observation
-            axis, known["region"] = seen.axis, list(seen.toa_reflectance or seen.radiance)
-        return axis, known
-    axis, known = (_simulated if collection.simulate else _opened)(campaign, lookup)
+    kind = next(key for key in ("simulate", "cube", "spectra", "radcalnet") if getattr(collection, key))
+    read = {"simulate": _simulated, "cube": _opened}.get(kind, _observed)
+    axis, known = lookup.tried(("collection", kind), read, campaign, lookup) or (None, {})
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
         lookup.spectra(("collection", "empirical_line", "panels", i), panel, panel.region, axis)
-    if detection is not None:
+    if detection is not None and cube is not None:
         known["detection target"] = [target.name for target in detection.targets]
         known["detector of this campaign"] = detection.detectors
         for i, target in enumerate(detection.targets if not cube.by_number else ()):  # which are read by bands
             lookup.spectra(("detection", "targets", i), target, target.name, axis)
     return axis, known
+
+
+def _observed(campaign: Campaign, lookup: Lookup) -> Offered:
+    """A collection without a cube, which takes no time to look at."""
+    seen = observe(campaign.collection, None, lookup.find).observation
+    return seen.axis, {"region": list(seen.toa_reflectance or seen.radiance)}
 
 
 def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
@@ -349,34 +348,26 @@ def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
     def opened(**parts: Any) -> Place:
         return open_place(plain.model_copy(update=parts), lookup.find)
 
-    place: Place | None = None
-    with lookup.within("collection", "cube"):
-        place = opened()
-    if place is None:
-        return None, {}
-    rules = [str(r.name) for r in collection.regions if r.normalized_difference is not None]
-    names: list[str] = []
+    place, names = opened(), list[str]()
     for i, source in enumerate(collection.regions):
         at = "collection", "regions", i
         if part := source.half or source.ring:
-            lookup.one((*at, "half" if source.half else "ring", "of"), part.of, [*names, *rules], "no region")
+            lookup.one((*at, "half" if source.half else "ring", "of"), part.of, names, "no region")
+        if part or source.normalized_difference is not None:
             names.append(str(source.name))
-        elif source.normalized_difference is None:
-            with lookup.within(*at):
-                names += opened(regions=[source]).regions
+        elif drawn := lookup.tried(at, opened, regions=[source]):
+            names += drawn.regions
     for name in twice(names):
         lookup.add(("collection", "regions"), f"two regions are named {name!r}")
     if collection.targets is not None:
-        with lookup.within("collection", "targets"):
-            place = opened(targets=collection.targets)
-    known: dict[str, Sequence[str]] = {"region": [*names, *rules]}
+        place = lookup.tried(("collection", "targets"), opened, targets=collection.targets) or place
+    known: dict[str, Sequence[str]] = {"region": names}
     if detection is not None and detection.targets:
-        with lookup.within("detection"):
-            check_line_for_detection(place, collection)
+        lookup.tried(("detection",), check_line_for_detection, place, collection)
         for i, target in enumerate(detection.targets):
-            with lookup.within("detection", "targets", i, "material"):
-                groups = target_groups(place.targets, target, detection.group)
-                known["subject"] = [*known.get("subject", ()), *groups]
+            at = "detection", "targets", i
+            groups = lookup.tried((*at, "material"), target_groups, place.targets, target, detection.group)
+            known["subject"] = [*known.get("subject", ()), *(groups or ())]
     if detection and (detection.areas or detection.unmixing) and place.pixel_area_m2 is None:
         lacks = "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states"
         lookup.add(("detection", "areas" if detection.areas else "unmixing"), lacks)
@@ -386,20 +377,18 @@ def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
 def _simulated(campaign: Campaign, lookup: Lookup) -> Offered:
     """The collection as its scene file says that it will be."""
     collection, detection = campaign.collection, campaign.detection
-    with lookup.within("collection", "simulate"):
-        file = lookup.find(str(collection.simulate))
-        scene = load_scene(file)
-        own = file.parent / scene.sensor
-        axis = load_sensor(str(own) if own.is_file() else scene.sensor).axis
-        written = [p.name for p in scene.panels]
-        drawn = (*(r.name for r in scene.regions), *(str(r.name) for r in collection.regions if not r.file))
-        for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
-            if panel.spectrum.file == f"{SIMULATED}panel_spectra.csv":
-                at = "collection", "empirical_line", "panels", i, "spectrum"
-                lookup.one(at, str(panel.spectrum.record), written, "the simulation writes no spectrum")
-        known: dict[str, Sequence[str]] = {"region": [*written, *drawn]}
-        known["target of material"] = list(dict.fromkeys(g.material for g in scene.targets))
-        if detection is not None and detection.group == "{group}":  # else by columns of what is only to be written
-            known["subject"] = [g.name for g in scene.targets]
-        return axis, known
-    return None, {}
+    file = lookup.find(str(collection.simulate))
+    scene = load_scene(file)
+    own = file.parent / scene.sensor
+    axis = load_sensor(str(own) if own.is_file() else scene.sensor).axis
+    written = [p.name for p in scene.panels]
+    drawn = (*(r.name for r in scene.regions), *(str(r.name) for r in collection.regions if not r.file))
+    for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
+        if panel.spectrum.file == f"{SIMULATED}panel_spectra.csv":
+            at = "collection", "empirical_line", "panels", i, "spectrum"
+            lookup.one(at, str(panel.spectrum.record), written, "the simulation writes no spectrum")
+    known: dict[str, Sequence[str]] = {"region": [*written, *drawn]}
+    known["target of material"] = list(dict.fromkeys(g.material for g in scene.targets))
+    if detection is not None and detection.group == "{group}":  # else by columns of what is only to be written
+        known["subject"] = [g.name for g in scene.targets]
+    return axis, known
