@@ -128,9 +128,8 @@ def doubts(place: observe.Place | None, detection: Detection | None, scenarios: 
 def centre_of(place: observe.Place) -> tuple[float, float] | None:
     """Latitude and longitude of the middle of the cube [degrees], by its map or its table; None without."""
     raster, table = place.cube.raster, place.table
-    crs = table.crs if table is not None else raster.crs
     of_map = raster.transform and raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
-    middle = table.middle if table is not None else of_map
+    crs, middle = (table.crs, table.middle) if table is not None else (raster.crs, of_map)
     if crs is None or middle is None:
         return None
     longitude, latitude = (x[0] for x in reproject(crs, CRS.from_epsg(4326), *([x] for x in middle))[:2])

@@ -26,7 +26,7 @@ from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml, validate
 from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
-from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, objects, open_cube, open_raster, read_regions
+from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, objects, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
@@ -443,9 +443,8 @@ class Draft:
         marked |= {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
         rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
         write_text(self.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
-        named: Entry = {"variable": self.sources.key, "header": self.sources.header, "quantity": self.quantity}
-        cube = open_cube(self.sources.cube, axis="numbers", **named)
-        mean = "\n".join(map(repr, np.nan_to_num(cube.spectra(known).mean(axis=0)).tolist()))
+        spectra = self.opened().cube.spectra(known)
+        mean = "\n".join(map(repr, np.nan_to_num(spectra.mean(axis=0)).tolist()))
         write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
         usual, pixels = _templates()["objects"], int(np.sum(known))
         left_out = [name for name in usual["collection"]["leave_out"] if marked[name].any()]
