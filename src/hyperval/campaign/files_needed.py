@@ -147,7 +147,7 @@ def _items(job: Job, finished: Path | None) -> list[Item]:
     items += [Item("", VALUE, TO_FILL_IN, p.key, f"{p.what} ({p.where})") for p in job.to_fill_in]
     items += [_comparison(gate) for gate in job.outline.comparisons]
     lookup = Lookup(job.path, job.lines, (), partial(resolve, base=job.folder))
-    scenarios = [] if job.to_fill_in else _scenarios(job, lookup)
+    scenarios = [] if job.to_fill_in else [*_scenarios(job, lookup)]
     if not any(item.lacking for item in items):
         items += _mistakes(job.campaign, lookup, scenarios)
     return items if any(item.lacking for item in items) else [*items, *_undecided(job, finished)]
@@ -260,20 +260,18 @@ class Lookup:
                 self.tried((*at, key), sources.spectrum, source, name)
 
 
-def _scenarios(job: Job, lookup: Lookup) -> list[tuple[Scenario, Lookup]]:
+def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
     """The scenarios, whose files are at hand, each with the file it stands in, its lines, and where in it.
 
     Raises
     ------
     UsageError : mistakes in the campaign or in the scenario files.
     """
-    out = []
     for i, source in enumerate(job.campaign.scenarios):
         for one, file, lines in scenarios_of(source, lookup.find, job.folder, job.words):
             find = partial(resolve, base=one.folder or job.folder)
             own = {"file": file, "lines": lines} if file else {"at": ("scenarios", i)}
-            out.append((one, replace(lookup, find=find, **own)))
-    return out
+            yield one, replace(lookup, find=find, **own)
 
 
 def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[Item]:
@@ -285,9 +283,8 @@ def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scen
             lookup.one(at, name, (*more, *known[noun]), f"no {noun}")
     measured = cube is not None and (cube.quantity != "radiance" or campaign.collection.empirical_line is not None)
     regions, subjects = known.get("region", ()), known.get("subject", ())
-    predicted: list[str] = []  # the subjects of all scenarios
-    for scenario, own in scenarios:
-        predicted += _predicted(scenario, own, axis, regions if measured else ())
+    given = axis, regions if measured else ()
+    predicted = [name for scenario, own in scenarios for name in _predicted(scenario, own, *given)]
     # Metrics that a product does not have, and subjects of spectra and curves that neither side has.
     pools = [pool.name for pool in detection.pools] if detection else []
     both = {**{name: [*regions, *subjects] for name in SPECTRA}, "roc": [*subjects, *pools]}

@@ -213,9 +213,8 @@ def collected(
     """
     campaign, inputs = job.campaign, InputLog.of_file(job.path)
     with ExitStack() as stack:
-        scenarios = [
-            one for s in campaign.scenarios for one, *_ in scenarios_of(s, inputs.resolve, inputs.base, job.words)
-        ]
+        read = partial(scenarios_of, resolve=inputs.resolve, base=inputs.base, words=job.words)
+        scenarios = [one for source in campaign.scenarios for one, *_ in read(source)]
         seed = None
         if campaign.collection.simulate:
             from hyperval.simulate import load_inputs, load_scene, simulate
@@ -318,9 +317,8 @@ def without_circles(
     )
     fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
     tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}
-    notes = prediction.notes
-    if taken:
-        notes += (f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}",)
+    why = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
+    notes = (*prediction.notes, *[why] * bool(taken))
     return replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails, notes=notes)
 
 

@@ -181,11 +181,9 @@ class Outline(Model):
 
     def every_choice(self) -> list[tuple[str, str]]:
         """What was set after the campaign's own data were seen, each with what it was before."""
-        stated = [(choice.what, choice.before) for choice in self.chosen_after]
         after = [g for g in self.comparisons if g.chosen_after]
-        return stated + [
-            (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before) for g in after
-        ]
+        gates = [(f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before) for g in after]
+        return [*((choice.what, choice.before) for choice in self.chosen_after), *gates]
 
 
 class Campaign(Outline):
@@ -211,13 +209,12 @@ class Campaign(Outline):
             raise ValueError("simulated: dirsig reads DIRSIG's files: give collection.cube, and no simulate")
         if self.collection.simulate and not self.simulated:
             raise ValueError("a campaign with a simulated collection says 'simulated: true'")
-        if self.detection and not self.collection.cube:
-            raise ValueError("detection needs a cube")
+        for key in ("detection", "classification"):
+            if getattr(self, key) and not self.collection.cube:
+                raise ValueError(f"{key} needs a cube")
         by_number = self.collection.cube is not None and self.collection.cube.by_number
         if by_number and (self.classification or (self.detection and self.detection.bands == "windows")):
             raise ValueError("by_number: atmospheric windows need wavelengths; set detection.bands to good or all")
-        if self.classification and not self.collection.cube:
-            raise ValueError("classification needs a cube")
         named = [(g.product, g.metric, g.method, g.bands_nm, s) for g in self.comparisons for s in g.subjects]
         if twice := [name for name in named if named.count(name) > 1]:
             product, metric, *_, subject = twice[0]

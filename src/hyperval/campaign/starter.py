@@ -315,12 +315,9 @@ class Draft:
 
     def matching(self, name: str) -> RecordedSpectrum | None:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has."""
-        words = _words(name)
-        for test in (frozenset.__eq__, frozenset.__ge__, frozenset.__le__):
-            fits = [s for s in self.spectra if _words(s.name) and test(_words(s.name), words)]
-            if len(fits) == 1:
-                return fits[0]
-        return None
+        words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
+        fits = ([s for s in self.spectra if _words(s.name) and test(_words(s.name), words)] for test in tests)
+        return next((own[0] for own in fits if len(own) == 1), None)
 
     # The model --------------------------------------------------------------------------------------------------------
 
@@ -341,9 +338,8 @@ class Draft:
                 surfaces[-1] |= {"spectrum": matched[region].source, "covariance": spread}
         scene: Entry = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
         self.guess("classes")
-        known = [panel for panel in panels if panel in matched]
-        if known:
-            scene["panels"] = [{"name": panel, "spectrum": matched[panel].source} for panel in known]
+        if known := [{"name": panel, "spectrum": matched[panel].source} for panel in panels if panel in matched]:
+            scene["panels"] = known
         flight = self._flight(place) if self.quantity == "radiance" else {}
         processing: Entry = {"detectors": ["cem"], "bands": {"drop_bad": True}}
         processing |= {} if self.quantity == "radiance" and measured else {"elm": "none"}
@@ -355,8 +351,7 @@ class Draft:
         state, self.collection["calibration"] = {**usual["atmosphere"]}, usual["calibration"]
         for name in ("atmosphere", "state", "calibration"):
             self.guess(name)
-        centre = centre_of(place)
-        if centre is not None:
+        if (centre := centre_of(place)) is not None:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         state |= {key: value for key, value in stated.items() if value}
@@ -451,9 +446,8 @@ class Draft:
         collection["regions"] += [{"name": name, "file": "objects.csv"} for name in left_out]
         collection |= {**usual["collection"], "leave_out": left_out}
         detection |= usual["detection"]
-        scene = usual["scene"]
-        if pixels < _FEW:
-            scene = {**scene, "targets": [{**scene["targets"][0], "covariance": {"relative_sd": 0.05}}]}
+        few = {"covariance": {"relative_sd": 0.05}} if pixels < _FEW else {}
+        scene = {**usual["scene"], "targets": [{**target, **few} for target in usual["scene"]["targets"]]}
         model = {"schema": 1, "name": self.name, "scene": scene, "processing": usual["processing"]}
         self.guess("objects", why=why, scored=len(scored), pixels=pixels)
         self.guess("objects filled")
