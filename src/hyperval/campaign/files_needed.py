@@ -269,9 +269,8 @@ def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
     """
     for i, source in enumerate(job.campaign.scenarios):
         for one, file, lines in scenarios_of(source, lookup.find, job.folder, job.words):
-            find = partial(resolve, base=one.folder or job.folder)
             own = {"file": file, "lines": lines} if file else {"at": ("scenarios", i)}
-            yield one, replace(lookup, find=find, **own)
+            yield one, replace(lookup, find=partial(resolve, base=one.folder or job.folder), **own)
 
 
 def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[Item]:
@@ -377,7 +376,6 @@ def _simulated(campaign: Campaign, lookup: Lookup) -> Offered:
     file = lookup.find(str(collection.simulate))
     scene = load_scene(file)
     own = file.parent / scene.sensor
-    axis = load_sensor(str(own) if own.is_file() else scene.sensor).axis
     written = [p.name for p in scene.panels]
     drawn = (*(r.name for r in scene.regions), *(str(r.name) for r in collection.regions if not r.file))
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
@@ -388,4 +386,4 @@ def _simulated(campaign: Campaign, lookup: Lookup) -> Offered:
     known["target of material"] = list(dict.fromkeys(g.material for g in scene.targets))
     if detection is not None and detection.group == "{group}":  # else by columns of what is only to be written
         known["subject"] = [g.name for g in scene.targets]
-    return axis, known
+    return load_sensor(str(own) if own.is_file() else scene.sensor).axis, known

@@ -168,9 +168,8 @@ class Collected:
 
     def origins(self, scenario: Scenario) -> model.Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
-        observed = self.observed
         return model.Origins(
-            observed.observation.axis, self._laws.statistics(scenario),
+            self.observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
             left_out=lambda: self._laws.left_out(scenario), read=self.read,
         )  # fmt: skip
@@ -293,9 +292,8 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
         parts[name] = {key: item for p in predictions for key, item in getattr(p, name).items()}
         double = twice(str(key) for p in predictions for key in getattr(p, name))
         refuse(double and name != "provenance", "scenarios.twice", name=name, keys=double)
-    notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
     parts["provenance"] = {"scenarios": [dict(p.provenance) for p in predictions]}
-    return replace(first, **parts, notes=notes)
+    return replace(first, **parts, notes=tuple(dict.fromkeys(n for p in predictions for n in p.notes)))
 
 
 def without_circles(

@@ -43,7 +43,7 @@ STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by i
 Done = tuple[Run, int | None]
 
 
-def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Observed], None] | None = None) -> Run:
+def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Observed], None] = lambda _: None) -> Run:
     """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
 
     ``with_observed`` is called while the files of the collection, simulated ones too, are still there.
@@ -59,8 +59,7 @@ def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Ob
         with ExitStack() as stack:
             with step_of(name, "observe", predicts):
                 side = stack.enter_context(collected(job))
-                if with_observed is not None:
-                    with_observed(side.observed)
+                with_observed(side.observed)
             sides = []
             if predicts:
                 with step_of(name, "predict"):
@@ -72,8 +71,7 @@ def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Ob
             raise
         sets = job.missing_sets  # all that the campaign lacks, and not the first that was asked for
         remedy = f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
-        reason = f"{error.where}: {error.what}\n  to fix it: {remedy}"
-        return unfinished(job, Outcome.SKIPPED, reason, remedy)
+        return unfinished(job, Outcome.SKIPPED, f"{error.where}: {error.what}\n  to fix it: {remedy}", remedy)
 
 
 def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
