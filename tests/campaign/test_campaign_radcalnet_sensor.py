@@ -76,7 +76,7 @@ def overpasses(tmp_path, monkeypatch):
         day_file(data / "radcalnet-portal", run, day)
         source = DayScenarios(scenario="scenario.yaml", radcalnet=f"data:radcalnet-portal/{run}.input")
         words = {"overpass": f"{run}T18:40:00Z"}
-        (scenario,) = scenarios_of(source, partial(resolve, base=campaign.parent), campaign.parent, words)
+        ((scenario, *_),) = scenarios_of(source, partial(resolve, base=campaign.parent), campaign.parent, words)
         truth = predict(scenario, Origins(axis=load_sensor(SENSOR).axis)).radiance["site"].mean
         pixels = np.nan_to_num(truth) * (1.0 + 0.02 * 0.5 * number + 0.002 * rng.standard_normal((24, 24, 1)))
         path, place = data / "radcalnet-sensor" / f"{run}.img", {"transform": TRANSFORM, "crs": CRS.from_epsg(32612)}

@@ -20,9 +20,8 @@ from hyperval.results import Result
 from hyperval.run import ExpectedScores, Quicklook, ScoreMap
 
 Expected = Mapping[tuple[str, str, str], float]
-# A region's name, or for each target that is looked for the subject that an object is in.
+# A region's name under "", or for each target that is looked for the subject that an object is in.
 Content = dict[str, str]
-ANY = ""
 
 
 def expected_maps(place: Place, detection: Detection, expected: Expected) -> dict[str, ExpectedScores]:
@@ -56,7 +55,7 @@ def scene_content(
     sizes = {name: np.count_nonzero(place.region(name)) for name in place.regions if name in subjects}
     for name in sorted(sizes, key=lambda name: -sizes[name]):
         numbers[place.pixels_of(name)] = len(contents)
-        contents.append({ANY: name})
+        contents.append({"": name})
     kinds: dict[str, Content] = {}
     for target in detection.targets:
         for subject, members in target_groups(place.targets, target, detection.group).items():

@@ -6,11 +6,10 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import yaml
@@ -56,9 +55,8 @@ class Injected(Model):
     @property
     def sight(self) -> Sight:
         """How far it is seen."""
-        if self.not_applicable is not None:
-            return Sight.NOT_APPLICABLE
-        return Sight.GATES if self.gates else Sight.INFORMING if self.informing else Sight.UNSEEN
+        seen = Sight.GATES if self.gates else Sight.INFORMING if self.informing else Sight.UNSEEN
+        return Sight.NOT_APPLICABLE if self.not_applicable else seen
 
     @property
     def words(self) -> str:
@@ -75,15 +73,12 @@ class Injected(Model):
         >>> Injected(gates=("radiance | lawn | sixs | p_value_shape",)).which
         'shape of the radiance, lawn'
         """
-        if self.not_applicable is not None:
-            return self.not_applicable
-        if not self.gates:
-            return ", ".join(f"{product} {n}" for product, n in self.informing.items())
         more = len(self.gates) - _MOST_NAMED
         words = list(self.gates[:_MOST_NAMED])
         with suppress(UsageError):  # a metric of another version
             words = [f"{plain_words(m, product)}, {of}" for product, of, *_, m in (w.split(" | ") for w in words)]
-        return "; ".join(words) + (f"; and {more} more" if more > 0 else "")
+        criteria = "; ".join(words) + f"; and {more} more" * (more > 0)
+        return self.not_applicable or criteria or ", ".join(f"{product} {n}" for product, n in self.informing.items())
 
 
 class Reasons(Model):
@@ -138,13 +133,11 @@ class PowerTable(Model):
 
     def moved_gates(self, rows: Iterable[Result]) -> list[str]:
         """Gates of the model that have another value in a run than they had when the table was computed."""
-        now, out = gate_values(rows), []
-        for name in dict.fromkeys((*self.stated, *now)):
-            before, value = self.stated.get(name, math.nan), now.get(name, math.nan)
-            # A number that one of both lacks is none within the tolerance.
-            if not abs(value - before) <= default_tolerance(name.split(" | ")[3]).width(before):
-                out.append(name)
-        return out
+        now = gate_values(rows)
+        values = {n: [of.get(n, math.nan) for of in (self.stated, now)] for n in dict.fromkeys((*self.stated, *now))}
+        # A number that one of both lacks is none within the tolerance.
+        within = {n: default_tolerance(n.split(" | ")[3]).width(before) for n, (before, _) in values.items()}
+        return [n for n, (before, value) in values.items() if not abs(value - before) <= within[n]]
 
     def stale(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> str:
         """Why the table is not of a run of these inputs and rows; empty where it is."""
@@ -209,31 +202,20 @@ def write_power_table(path: Path, table: PowerTable) -> None:
     write_text(path, head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=140))
 
 
-@dataclass(frozen=True)
-class Power:
+class Power(NamedTuple):
     """What came of one campaign.
 
     Attributes
     ----------
     table : None where nothing was run
     skipped : why nothing was run
-    accepted : the table that was accepted before, if any
+    changes : errors that are seen by gates, by other rows or not at all where the accepted table says otherwise
     """
 
     campaign: str
     table: PowerTable | None = None
     skipped: str = ""
-    accepted: PowerTable | None = None
-
-    @property
-    def changes(self) -> list[str]:
-        """Errors that are seen by gates, by other rows or not at all where the accepted table says otherwise."""
-        if self.table is None or self.accepted is None:
-            return []
-        now, before = ({n: str(one.sight) for n, one in t.errors.items()} for t in (self.table, self.accepted))
-        names = [name for name in dict.fromkeys((*now, *before)) if now.get(name) != before.get(name)]
-        lacks = "not in the table"
-        return [f"{name}: {now.get(name, lacks)}, accepted: {before.get(name, lacks)}" for name in names]
+    changes: Sequence[str] = ()
 
 
 def campaign_power(
@@ -269,9 +251,12 @@ def _power(job: Job, own: Path | None) -> Power:
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        return Power(name, power_table(job, errors), accepted=accepted_table(name, job.folder))
+        table, accepted = power_table(job, errors), accepted_table(name, job.folder)
     except MissingDataError as error:
         return Power(name, skipped=str(error))
+    now, before = ({n: one.sight for n, one in t.errors.items()} for t in (table, accepted or table))
+    pairs = {n: [of.get(n, "not in the table") for of in (now, before)] for n in dict.fromkeys((*now, *before))}
+    return Power(name, table, changes=[f"{n}: {a}, accepted: {b}" for n, (a, b) in pairs.items() if a != b])
 
 
 def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:

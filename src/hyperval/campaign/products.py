@@ -32,12 +32,11 @@ from hyperval.data import NUMERICAL_DETECTORS, Mask
 from hyperval.datasets import InputLog
 from hyperval.errors import needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
-from hyperval.model.fill import touched_counts
 from hyperval.pixels import average_roc, compact_parts, snr_from_moments, with_shared_pixels
 from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
 from hyperval.progress import bars
 from hyperval.results import Outcome, Result
-from hyperval.scenario import BackgroundClass, Fill, Geometry, Scenario
+from hyperval.scenario import BackgroundClass, Fill, Scenario
 from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
 
@@ -60,7 +59,12 @@ def as_collected(scenario: Scenario, place: observe.Place | None, detection: Det
         counts = {c.name: int(place.pixels_of(_region_of(c, place)).sum()) for c in scenario.scene.classes}
         refuse(not any(counts.values()), "fractions.none", name=scenario.name)
         told = {f"scene.classes.[{name}].fraction": n / sum(counts.values()) for name, n in counts.items()}
-    asked = {path: name for path, name, fill in _fills(scenario) if fill is not None and fill.truth is not None}
+    asked = {
+        f"scene.targets.[{t.name}]{f'.subjects.[{p.name}]' * bool(t.subjects)}.fill": p.name
+        for t in scenario.scene.targets
+        for p in t.populations
+        if p.fill.truth is not None
+    }
     known = observe.fills_of(_members(place, detection)) if asked else {}
     for path, name in asked.items():
         there = one_of(known, "targets from a finer image or from abundances")
@@ -74,14 +78,6 @@ def _region_of(surface: BackgroundClass, place: observe.Place) -> str:
     names = (name for name in (surface.name, surface.spectrum.measured, spread) if name in place.regions)
     regions = one_of(place.regions, "a region of its name")
     return str(needed(next(names, None), "fractions.region", name=surface.name, regions=regions))
-
-
-def _fills(scenario: Scenario) -> Iterator[tuple[str, str, Fill | None]]:
-    """Path, subject and fill of each population of targets."""
-    for item in scenario.scene.targets:
-        path = f"scene.targets.[{item.name}]"
-        yield f"{path}.fill", item.name, item.fill
-        yield from ((f"{path}.subjects.[{own.name}].fill", own.name, own.fill) for own in item.subjects)
 
 
 def _members(place: observe.Place | None, detection: Detection | None) -> dict[str, list[TargetObject]]:
@@ -128,11 +124,8 @@ def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
             lies = f"at latitude {where[0]:.3f}, longitude {where[1]:.3f}, {km:.0f} km from the place of {named}"
             yield from [f"warning: the cube lies {lies} ({latitude:g}, {longitude:g})"] if km > MAX_KM else []
         for population in (p for item in scenario.scene.targets for p in item.populations):
-            own = members.get(population.name)
-            if population.fill.geometry is not None and own:
-                differences = ", ".join(_differences(place, population.fill, population.fill.geometry, own))
-                if differences:
-                    yield f"warning: {population.name!r} of {named}: {differences}"
+            if differences := ", ".join(_differences(place, population.fill, members.get(population.name, ()))):
+                yield f"warning: {population.name!r} of {named}: {differences}"
 
 
 LEAST_APART = 0.01  # of the greatest reflectance: spectra that lie nearer are of one surface
@@ -172,35 +165,31 @@ def _of_filters(side: Collected, scenario: Scenario) -> Iterator[str]:
 def centre_of(place: observe.Place) -> tuple[float, float] | None:
     """Latitude and longitude of the middle of the cube [degrees], by its map or its table; None without."""
     raster, table = place.cube.raster, place.table
-    crs = table.crs if table is not None else raster.crs
     of_map = raster.transform and raster.transform @ (raster.samples / 2.0, raster.lines / 2.0)
-    middle = table.middle if table is not None else of_map
+    crs, middle = (table.crs, table.middle) if table is not None else (raster.crs, of_map)
     if crs is None or middle is None:
         return None
     longitude, latitude = (x[0] for x in reproject(crs, CRS.from_epsg(4326), *([x] for x in middle))[:2])
     return (latitude, longitude) if math.isfinite(latitude) and math.isfinite(longitude) else None
 
 
-def _differences(
-    place: observe.Place, fill: Fill, geometry: Geometry, members: Sequence[TargetObject]
-) -> Iterator[str]:
+def _differences(place: observe.Place, fill: Fill, members: Sequence[TargetObject]) -> Iterator[str]:
     """How a scenario's objects differ from those of the truth, in pixels on average over their places on the grid."""
+    geometry = fill.geometry
+    if geometry is None or not members:
+        return
     is_touched = geometry.pixels == "touched"
-    stated = float(np.mean(touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
+    stated = float(np.mean(model.touched_counts(geometry)) if is_touched else model.pixels_of_object(fill))
     counted = float(np.mean([np.count_nonzero(observe.scored_part(o, place).part) for o in members]))
-    if max(counted / stated, stated / counted) > MAX_PIXEL_RATIO:
-        yield f"the prediction counts {stated:.3g} pixels for each object, the truth {counted:.3g}"
-    if place.pixel_area_m2 is not None:
-        pixel = math.sqrt(place.pixel_area_m2)
-        if _apart(pixel, geometry.gsd_m):
-            yield f"its pixels are {geometry.gsd_m:g} m wide (gsd_m), those of the image {pixel:.3g} m"
-    sides = [o.side_m for o in members if math.isfinite(o.side_m)]
-    if sides and geometry.side_m is not None and _apart(float(np.mean(sides)), geometry.side_m):
-        yield f"its sides are {geometry.side_m:g} m (side_m), those of the truth {np.mean(sides):.3g} m"
-
-
-def _apart(a: float, b: float) -> bool:
-    return max(a / b, b / a) > MAX_LENGTH_RATIO
+    pixel_m, sides_m = math.sqrt(place.pixel_area_m2 or 0.0), [o.side_m for o in members if math.isfinite(o.side_m)]
+    side_m = float(np.mean(sides_m)) if sides_m else None
+    for words, own, other, most in (
+        ("the prediction counts {:.3g} pixels for each object, the truth {:.3g}", stated, counted, MAX_PIXEL_RATIO),
+        ("its pixels are {:g} m wide (gsd_m), those of the image {:.3g} m", geometry.gsd_m, pixel_m, MAX_LENGTH_RATIO),
+        ("its sides are {:g} m (side_m), those of the truth {:.3g} m", geometry.side_m, side_m, MAX_LENGTH_RATIO),
+    ):
+        if own and other and max(own / other, other / own) > most:
+            yield words.format(own, other)
 
 
 @dataclass(frozen=True)
@@ -216,9 +205,8 @@ class Collected:
 
     def origins(self, scenario: Scenario) -> model.Origins:
         """What the prediction of a scenario takes from the collection: bands, measured statistics, files."""
-        observed = self.observed
         return model.Origins(
-            observed.observation.axis, self._laws.statistics(scenario),
+            self.observed.observation.axis, self._laws.statistics(scenario),
             partial(self.inputs.resolve, base=scenario.folder),  # references of a scenario are relative to its own file
             left_out=lambda: self._laws.left_out(scenario), read=self.read,
         )  # fmt: skip
@@ -261,7 +249,8 @@ def collected(
     """
     campaign, inputs = job.campaign, InputLog.of_file(job.path)
     with ExitStack() as stack:
-        scenarios = [one for s in campaign.scenarios for one in scenarios_of(s, inputs.resolve, inputs.base, job.words)]
+        read = partial(scenarios_of, resolve=inputs.resolve, base=inputs.base, words=job.words)
+        scenarios = [one for source in campaign.scenarios for one, *_ in read(source)]
         seed = None
         if campaign.collection.simulate:
             from hyperval.simulate import load_inputs, load_scene, simulate
@@ -275,9 +264,8 @@ def collected(
         observed = observe.observe(
             campaign.collection, campaign.detection, inputs.resolve, classification=campaign.classification
         )
-        if observed.place is not None:
-            for path in observed.place.source_files:  # such as a cube's header
-                inputs.add(path)
+        for path in observed.place.source_files if observed.place is not None else ():  # such as a cube's header
+            inputs.add(path)
         scenarios = [as_collected(scenario, observed.place, campaign.detection) for scenario in scenarios]
         yield Collected(campaign, inputs, scenarios, observed, seed)
 
@@ -346,9 +334,8 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
         parts[name] = {key: item for p in predictions for key, item in getattr(p, name).items()}
         double = twice(str(key) for p in predictions for key in getattr(p, name))
         refuse(double and name != "provenance", "scenarios.twice", name=name, keys=double)
-    notes = tuple(dict.fromkeys(n for p in predictions for n in p.notes))
     parts["provenance"] = {"scenarios": [dict(p.provenance) for p in predictions]}
-    return replace(first, **parts, notes=notes)
+    return replace(first, **parts, notes=tuple(dict.fromkeys(n for p in predictions for n in p.notes)))
 
 
 def without_circles(
@@ -370,9 +357,8 @@ def without_circles(
     )
     fitted = {c.name for x in scenarios for c in x.scene.classes if c.tail_dof == "measured"}
     tails = {k: v for k, v in prediction.distribution.items() if k not in fitted}
-    notes = prediction.notes
-    if taken:
-        notes += (f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}",)
+    why = f"not compared, as their statistics come from the collection itself: {', '.join(sorted(taken))}"
+    notes = (*prediction.notes, *[why] * bool(taken))
     return replace(prediction, radiance=radiance, reflectance=reflectance, distribution=tails, notes=notes)
 
 

@@ -75,13 +75,10 @@ def package_versions() -> Mapping[str, str]:
 
     Read once, and the two lines alone: several hundred files, parsed whole, take half a second.
     """
-    packages = {}
-    for distribution in importlib.metadata.distributions():
-        about = distribution.read_text("METADATA") or distribution.read_text("PKG-INFO") or ""
-        head = dict(re.findall(r"^(Name|Version): *(.*?)\s*$", about.partition("\n\n")[0], re.MULTILINE))
-        if "Name" in head:
-            packages[head["Name"].lower()] = head.get("Version", "")
-    return dict(sorted(packages.items()))
+    texts = (d.read_text("METADATA") or d.read_text("PKG-INFO") or "" for d in importlib.metadata.distributions())
+    line = re.compile(r"^(Name|Version): *(.*?)\s*$", re.MULTILINE)
+    heads = [dict(line.findall(text.partition("\n\n")[0])) for text in texts]
+    return dict(sorted({head["Name"].lower(): head.get("Version", "") for head in heads if "Name" in head}.items()))
 
 
 def source_revision() -> dict[str, Any] | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import platform
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
@@ -23,7 +22,7 @@ from hyperval.attribute import attribute
 from hyperval.campaign.pictures import quicklook, score_maps
 from hyperval.campaign.power import accepted_table
 from hyperval.campaign.products import Collected, asked_again, collected, doubts, outcomes, predicted_side, undecided
-from hyperval.campaign.provenance import package_versions, record_of, source_revision
+from hyperval.campaign.provenance import record_of
 from hyperval.campaign.schema import Campaign, Job, Outline, job_of, jobs_of
 from hyperval.compare import product_rows
 from hyperval.datasets import SIMULATED, InputLog
@@ -41,12 +40,10 @@ from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, wh
 
 # Engine of states that serve attribution alone.
 STEPS_OF_REASONS = "6S at the stated state; steps that no budget is made of by its emulator, where it covers both"
-UNCHANGED = "{}: unchanged since the earlier run, whose results are kept (--again repeats it)"
 Done = tuple[Run, int | None]
-Form = Literal["envi", "cog"]
 
 
-def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Observed], None] | None = None) -> Run:
+def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Observed], None] = lambda _: None) -> Run:
     """Run one campaign; files it cannot find in a registered data set make it SKIPPED.
 
     ``with_observed`` is called while the files of the collection, simulated ones too, are still there.
@@ -62,8 +59,7 @@ def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Ob
         with ExitStack() as stack:
             with step_of(name, "observe", predicts):
                 side = stack.enter_context(collected(job))
-                if with_observed is not None:
-                    with_observed(side.observed)
+                with_observed(side.observed)
             sides = []
             if predicts:
                 with step_of(name, "predict"):
@@ -75,8 +71,7 @@ def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Ob
             raise
         sets = job.missing_sets  # all that the campaign lacks, and not the first that was asked for
         remedy = f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
-        reason = f"{error.where}: {error.what}\n  to fix it: {remedy}"
-        return unfinished(job, Outcome.SKIPPED, reason, remedy)
+        return unfinished(job, Outcome.SKIPPED, f"{error.where}: {error.what}\n  to fix it: {remedy}", remedy)
 
 
 def step_of(campaign: str, what: str, predicts: bool = True) -> AbstractContextManager[None]:
@@ -109,8 +104,8 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         *doubts(side, prediction),
         *(prediction.notes if prediction else ()),
     ]
-    sides = [observed.observation, *predicted]
-    provenance = record_of(side.inputs, scenarios, side.seed, {"campaign": campaign}, sides)
+    configuration, sides = {"campaign": campaign}, [observed.observation, *predicted]
+    provenance = record_of(side.inputs, scenarios, side.seed, configuration, sides)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     return report_of(
@@ -156,15 +151,11 @@ def made_of(job: Job, files: Mapping[str, str]) -> str:
     digests = {log.resolve(name): digest for name, digest in files.items()}
     if job.words:  # one of several runs: what the file says of this one is below
         digests.pop(job.path.resolve(), None)
-    inner: dict[str, Any] = {
-        "campaign": job.campaign.model_dump(mode="json", by_alias=True),
-        "words": dict(job.words),
-        "files": sorted(digests.values()),
+    configuration = {"campaign": job.campaign, "words": dict(job.words), "program": _program()}
+    inner = record_of(log, [], None, configuration, []) | {
+        "command": None,
+        "inputs": sorted(digests.values()),
         "beside": _beside(job, list(digests)),
-        "program": _program(),
-        "revision": source_revision(),
-        "packages": package_versions(),
-        "python": platform.python_version(),
         "power": repr(accepted_table(job.campaign.name, job.folder)),
     }
     return hashlib.sha256(json.dumps(inner, sort_keys=True, default=str).encode()).hexdigest()
@@ -272,7 +263,7 @@ def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callabl
     """Run what has changed; the result does not depend on how many run at once, or where."""
     done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
     for run, _ in done.values():
-        tell(UNCHANGED.format(run.campaign))
+        tell(f"{run.campaign}: unchanged since the earlier run, whose results are kept (--again repeats it)")
     left = [i for i in range(len(pieces)) if i not in done]
     with workers(worker_count(len(left)), scheduler if left else None) as where:
         here = where.executor is None  # one after the other, each with its own bars
@@ -333,7 +324,7 @@ def validate(
     return first_error or ResultTable(row for run, _ in done for row in run.table).exit_code(strict=strict)
 
 
-def observe(path: Path, output: Path, *, write_reflectance: Form | None = None) -> int:
+def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog"] | None = None) -> int:
     """Run the empirical pipeline alone and write what the collection says.
 
     Parameters

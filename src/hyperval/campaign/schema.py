@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +24,7 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
-from hyperval.errors import HypervalError, UsageError, reader, refuse, told_of
+from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, read_radcalnet
 
@@ -95,8 +96,10 @@ ScenarioSource = Annotated[
 
 def scenarios_of(
     source: DayScenarios | Scenario | str, resolve: Callable[[str], Path], base: Path, words: Mapping[str, str]
-) -> list[Scenario]:
-    """The scenarios that one entry of a campaign stands for; ``base`` is the campaign's folder.
+) -> Iterator[tuple[Scenario, Path | None, dict[Location, int]]]:
+    """The scenarios that one entry of a campaign stands for, each with its file and the lines of its entries there.
+
+    ``base`` is the campaign's folder; a scenario that stands in the campaign, or goes by name, has no file here.
 
     Raises
     ------
@@ -104,17 +107,16 @@ def scenarios_of(
     """
     if isinstance(source, Scenario):
         source._folder = base
-        return [source]
-    if isinstance(source, str) and source in builtin_scenarios():
-        return [load_scenario(source)]
-    path = resolve(source if isinstance(source, str) else source.scenario)
-    data, lines = load_yaml(path)
-    out = []
-    for at in [{}] if isinstance(source, str) else _words(source, resolve(source.radcalnet), data, path):
-        made = validate(Scenario, with_words(with_words(data, words), at), lines, str(path))
-        made._folder = path.resolve().parent
-        out.append(made)
-    return out
+        yield source, None, {}
+    elif isinstance(source, str) and source in builtin_scenarios():
+        yield load_scenario(source), None, {}
+    else:
+        path = resolve(source if isinstance(source, str) else source.scenario)
+        data, lines = load_yaml(path)
+        for at in [{}] if isinstance(source, str) else _words(source, resolve(source.radcalnet), data, path):
+            made = validate(Scenario, with_words(with_words(data, words), at), lines, str(path))
+            made._folder = path.resolve().parent
+            yield made, path, lines
 
 
 def _words(source: DayScenarios, file: Path, scenario: Mapping[str, Any], where: Path) -> Iterator[dict[str, Any]]:
@@ -179,11 +181,9 @@ class Outline(Model):
 
     def every_choice(self) -> list[tuple[str, str]]:
         """What was set after the campaign's own data were seen, each with what it was before."""
-        stated = [(choice.what, choice.before) for choice in self.chosen_after]
         after = [g for g in self.comparisons if g.chosen_after]
-        return stated + [
-            (f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before) for g in after
-        ]
+        gates = [(f"{g.product} {g.metric} of {', '.join(g.subjects)}: {g.limit_text}", g.before) for g in after]
+        return [*((choice.what, choice.before) for choice in self.chosen_after), *gates]
 
 
 class Campaign(Outline):
@@ -209,13 +209,12 @@ class Campaign(Outline):
             raise ValueError("simulated: dirsig reads DIRSIG's files: give collection.cube, and no simulate")
         if self.collection.simulate and not self.simulated:
             raise ValueError("a campaign with a simulated collection says 'simulated: true'")
-        if self.detection and not self.collection.cube:
-            raise ValueError("detection needs a cube")
+        for key in ("detection", "classification"):
+            if getattr(self, key) and not self.collection.cube:
+                raise ValueError(f"{key} needs a cube")
         by_number = self.collection.cube is not None and self.collection.cube.by_number
         if by_number and (self.classification or (self.detection and self.detection.bands == "windows")):
             raise ValueError("by_number: atmospheric windows need wavelengths; set detection.bands to good or all")
-        if self.classification and not self.collection.cube:
-            raise ValueError("classification needs a cube")
         named = [(g.product, g.metric, g.method, g.bands_nm, s) for g in self.comparisons for s in g.subjects]
         if twice := [name for name in named if named.count(name) > 1]:
             product, metric, *_, subject = twice[0]
@@ -225,7 +224,7 @@ class Campaign(Outline):
 
 FILE_KEYS = frozenset({
     "path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "image", "replicates",
-    "radcalnet", "solar_spectrum",
+    "files", "radcalnet", "solar_spectrum",
 })  # fmt: skip
 
 
@@ -238,24 +237,19 @@ class Reference:
     base: Path
 
     @property
-    def found(self) -> Path | HypervalError:
-        """Where the file is, or why it is not at hand."""
+    def found(self) -> tuple[Path | None, str]:
+        """Where the file is; None, and what to do about it, where it is not at hand."""
         try:
-            return resolve(self.text, self.base)
+            return resolve(self.text, self.base), ""
+        except UsageError as error:
+            return None, "; ".join(filter(None, (error.what, error.expected)))
         except HypervalError as error:
-            return error
+            return None, error.mend or error.what
 
     @property
     def path(self) -> Path | None:
         """Where the file is, None when it is not at hand."""
-        return found if isinstance(found := self.found, Path) else None
-
-    @property
-    def problem(self) -> str:
-        """What to do about a file that is not at hand."""
-        if isinstance(found := self.found, UsageError):
-            return "; ".join(x for x in (found.what, found.expected) if x)
-        return (found.mend or found.what) if isinstance(found, HypervalError) else ""
+        return self.found[0]
 
 
 @dataclass(frozen=True)
@@ -293,9 +287,8 @@ class Job:
         """What it says of itself, which needs no value to be filled in; UsageError for mistakes in that."""
         if not self.to_fill_in:
             return self.campaign
-        others = Campaign.model_fields.keys() - Outline.model_fields.keys()
-        # Unknown keys are left in, so that they are named.
-        content = {key: value for key, value in self.content.items() if key not in others}
+        own, whole = Outline.model_fields, Campaign.model_fields  # unknown keys are left in, so that they are named
+        content = {key: value for key, value in self.content.items() if key in own or key not in whole}
         return validate(Outline, content, self.lines, str(self.path))
 
     @cached_property
@@ -306,7 +299,7 @@ class Job:
             return None
         first, owner = next(iter(owners.items()))
         more = f"{len(self.to_fill_in)} values are to be filled in then (hyperval validate --dry-run lists them)"
-        return f"{owner.name} is not on this machine: {first.problem}; {more}", first.problem
+        return f"{owner.name} is not on this machine: {first.found[1]}; {more}", first.found[1]
 
     @property
     def missing_sets(self) -> list[str]:
@@ -316,10 +309,9 @@ class Job:
 
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
-        for one in self.files:
-            if one.text.startswith(PREFIX) and isinstance(error := one.found, UsageError):
-                where = f"{self.path}: {one.key}: {error.where or one.text}"
-                raise UsageError(error.what, where=where, expected=error.expected, mend=error.mend)
+        for one in (file for file in self.files if file.text.startswith(PREFIX)):
+            with suppress(InputError), told_of(f"{self.path}: {one.key}", one.text):
+                resolve(one.text)
         lacking = [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
         refuse(compares and lacking, "campaign.lacking", self.path, keys=" and no ".join(lacking))
         if self.to_fill_in and self.waits is None:
@@ -353,8 +345,7 @@ def _files(content: Any, base: Path) -> Iterator[Reference]:
         name = (reference_of(text) or "") if key == "solar_spectrum" else text
         is_file = (
             key in FILE_KEYS
-            or "materials" in at
-            or (key == "files" and "replicates" in at)
+            or "rasters" in at
             or (key == "sensor" and name.endswith((".yaml", ".yml")))
             or name.startswith(PREFIX)
         )

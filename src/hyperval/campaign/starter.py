@@ -26,13 +26,13 @@ from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml, validate
 from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
-from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, objects, open_cube, open_raster, read_regions
+from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, objects, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.spectra import in_window, read_records
+from hyperval.spectra import FieldSpectrum, in_window, read_records
 from hyperval.storage import write_text
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
@@ -81,12 +81,18 @@ class RecordedSpectrum(NamedTuple):
     ----------
     name : its own, or that of its file
     source : as a scenario names it: where it stands, and what its reader is to be told
-    flat : as flat as that of a calibration panel, of hardly any slope or feature
+    record : as it was read
     """
 
     name: str
     source: Entry
-    flat: bool
+    record: FieldSpectrum
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is as flat as that of a calibration panel, of hardly any slope or feature."""
+        values = self.record.values[in_window(self.record.wavelength_nm)]
+        return bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
 
 
 class _Written(yaml.SafeDumper):  # type: ignore[misc]
@@ -284,7 +290,8 @@ class Draft:
             truth = {"guard_pixels": 2} | ({"pixel_size_m": size} if size is not None else {})
             file = self.reference(self.sources.targets)
             own: Entry = {"csv": file}
-            if not _is_list(self.sources.targets):
+            head = head_of(self.sources.targets, 4096).partition(b"\n")[0].lower()
+            if self.sources.targets.suffix.lower() != ".csv" or b"material" not in head:  # no list of target centres
                 every = {"material": "every region", "file": file}
                 whole = parts | {"targets": {"regions": [every], **truth}}
                 self._coordinates(every, **whole)
@@ -301,21 +308,16 @@ class Draft:
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
             for file in filter(Path.is_file, sorted(path.iterdir())) if path.is_dir() else [path]:
-                try:
+                of_folder = () if file == path else (HypervalError,)  # of which only files that hold spectra count
+                with suppress(*of_folder):
                     out += _records(file, self.reference(file))
-                except HypervalError:
-                    if file == path:  # of a folder only the files that hold spectra count
-                        raise
         return out
 
     def matching(self, name: str) -> RecordedSpectrum | None:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has."""
-        words = _words(name)
-        for test in (frozenset.__eq__, frozenset.__ge__, frozenset.__le__):
-            fits = [s for s in self.spectra if _words(s.name) and test(_words(s.name), words)]
-            if len(fits) == 1:
-                return fits[0]
-        return None
+        words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
+        fits = ([s for s in self.spectra if _words(s.name) and test(_words(s.name), words)] for test in tests)
+        return next((own[0] for own in fits if len(own) == 1), None)
 
     # The model --------------------------------------------------------------------------------------------------------
 
@@ -336,15 +338,12 @@ class Draft:
                 surfaces[-1] |= {"spectrum": matched[region].source, "covariance": spread}
         scene: Entry = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
         self.guess("classes")
-        known = [panel for panel in panels if panel in matched]
-        if known:
-            scene["panels"] = [{"name": panel, "spectrum": matched[panel].source} for panel in known]
+        if known := [{"name": panel, "spectrum": matched[panel].source} for panel in panels if panel in matched]:
+            scene["panels"] = known
         flight = self._flight(place) if self.quantity == "radiance" else {}
         processing: Entry = {"detectors": ["cem"], "bands": {"drop_bad": True}}
         processing |= {} if self.quantity == "radiance" and measured else {"elm": "none"}
-        out = {"schema": 1, "name": self.name, **flight, "scene": scene, "processing": processing}
-        self._known_to(out, [*(region for region in classes if region in matched), *known])
-        return out
+        return {"schema": 1, "name": self.name, **flight, "scene": scene, "processing": processing}
 
     def _flight(self, place: Place) -> Entry:
         """Atmosphere, sun, sensor, and what is known of them."""
@@ -352,8 +351,7 @@ class Draft:
         state, self.collection["calibration"] = {**usual["atmosphere"]}, usual["calibration"]
         for name in ("atmosphere", "state", "calibration"):
             self.guess(name)
-        centre = centre_of(place)
-        if centre is not None:
+        if (centre := centre_of(place)) is not None:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         state |= {key: value for key, value in stated.items() if value}
@@ -392,34 +390,30 @@ class Draft:
         classes = [c["name"] for c in scenario["scene"]["classes"]]
         entries = scenario["scene"]["targets"] = []
         for material, own in members.items():
-            fills: Entry = {"fill": _fill(place, own)}
-            if all(sizes.values()):
-                each = sizes[material].items()
-                fills = {"subjects": [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]}
+            each = sizes[material].items() if all(sizes.values()) else ()
+            subjects = [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]
+            fills = {"subjects": subjects} if subjects else {"fill": _fill(place, own)}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
             target = {"name": material, "spectrum": known[material].source, "covariance": spread}
             entries.append({**target, "host": _host(place, own, classes), **fills})
         self.guess("targets")
-        self._known_to(scenario, list(known))
-
-    def _known_to(self, scenario: Entry, subjects: Sequence[str]) -> None:
-        """State how well field spectra of subjects are known."""
-        if subjects:
-            entries = [{"subject": subject, "relative": 0.05, "correlation_nm": 200} for subject in subjects]
-            scenario.setdefault("uncertainty", {}).setdefault("field_spectra", []).extend(entries)
-            self.guess("field spectra")
 
     def _compare(self, scenario: Entry) -> None:
-        """Add a scenario, and the usual comparisons of the subjects that it and the collection have."""
-        scene, lit = scenario["scene"], "atmosphere" in scenario
-        panels = [panel["name"] for panel in scene.get("panels", [])] if lit else []
-        known = [c["name"] for c in scene["classes"] if "measured" not in c["spectrum"]]
+        """Add a scenario, how well its field spectra are known, and the usual comparisons of what both sides have."""
+        scene, lit, targets = scenario["scene"], "atmosphere" in scenario, scenario["scene"].get("targets", [])
+        classes, panels, sought = (
+            [surface["name"] for surface in scene.get(kind, []) if "measured" not in surface["spectrum"]]
+            for kind in ("classes", "panels", "targets")
+        )
+        if known := [*classes, *panels, *sought]:
+            stated = [{"subject": name, "relative": 0.05, "correlation_nm": 200} for name in known]
+            scenario.setdefault("uncertainty", {})["field_spectra"] = stated
+            self.guess("field spectra")
         reflects = "empirical_line" in self.collection or self.quantity == "reflectance"
-        targets = scene.get("targets", [])
         subjects = {
-            "RADIANCE": [*known, *panels] if lit else [],
-            "PANELS": panels if panels == self.collection.get("snr_regions") else [],
-            "REFLECTANCE": known if reflects else [],
+            "RADIANCE": [*classes, *panels] if lit else [],
+            "PANELS": panels if lit and panels == self.collection.get("snr_regions") else [],
+            "REFLECTANCE": classes if reflects else [],
             "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
             "BACKGROUNDS": [background_of(target["name"]) for target in targets],
         }
@@ -444,18 +438,16 @@ class Draft:
         marked |= {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
         rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
         write_text(self.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
-        named: Entry = {"variable": self.sources.key, "header": self.sources.header, "quantity": self.quantity}
-        cube = open_cube(self.sources.cube, axis="numbers", **named)
-        mean = "\n".join(map(repr, np.nan_to_num(cube.spectra(known).mean(axis=0)).tolist()))
+        spectra = self.opened().cube.spectra(known)
+        mean = "\n".join(map(repr, np.nan_to_num(spectra.mean(axis=0)).tolist()))
         write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
         usual, pixels = _templates()["objects"], int(np.sum(known))
         left_out = [name for name in usual["collection"]["leave_out"] if marked[name].any()]
         collection["regions"] += [{"name": name, "file": "objects.csv"} for name in left_out]
         collection |= {**usual["collection"], "leave_out": left_out}
         detection |= usual["detection"]
-        scene = usual["scene"]
-        if pixels < _FEW:
-            scene = {**scene, "targets": [{**scene["targets"][0], "covariance": {"relative_sd": 0.05}}]}
+        few = {"covariance": {"relative_sd": 0.05}} if pixels < _FEW else {}
+        scene = {**usual["scene"], "targets": [{**target, **few} for target in usual["scene"]["targets"]]}
         model = {"schema": 1, "name": self.name, "scene": scene, "processing": usual["processing"]}
         self.guess("objects", why=why, scored=len(scored), pixels=pixels)
         self.guess("objects filled")
@@ -495,22 +487,13 @@ def _words(name: str) -> frozenset[str]:
 
 def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
     for unit in _UNITS:
-        try:
+        with suppress(UsageError, InputError):
             records = read_records(path, reflectance_unit=unit)
-        except (UsageError, InputError):
-            continue
-        highest = max((float(np.nanpercentile(r.values, 95)) for r in records), default=0.0)
-        if unit is not None and highest > 1.5:
-            continue
-        out = []
-        for one in records:
-            values = one.values[in_window(one.wavelength_nm)]
-            flat = bool(values.size and np.all(np.isfinite(values)) and np.std(values) < _FLAT * np.mean(values))
-            own = one.name if len(records) > 1 else None
-            more = {"record": own, "reflectance_unit": unit}
-            source = {"file": reference} | {key: value for key, value in more.items() if value is not None}
-            out.append(RecordedSpectrum(own or path.stem, source, flat))
-        return out
+            if unit is None or max(np.nanpercentile(one.values, 95) for one in records) <= 1.5:
+                told = {"reflectance_unit": unit} if unit else {}
+                if len(records) == 1:
+                    return [RecordedSpectrum(path.stem, {"file": reference, **told}, records[0])]
+                return [RecordedSpectrum(r.name, {"file": reference, "record": r.name, **told}, r) for r in records]
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
 
@@ -562,8 +545,3 @@ def told_quantity(raster: Raster) -> str | None:
         if not named and raster.description.unit_in_entries()[1] is not None:
             return "radiance"
     return None
-
-
-def _is_list(path: Path) -> bool:
-    """Whether a file is a list of target centres: a table with a column of materials."""
-    return path.suffix.lower() == ".csv" and b"material" in head_of(path, 4096).partition(b"\n")[0].lower()
