@@ -338,6 +338,7 @@ def _of_whole(detector: PixelDetector, values: Array, scene: Any) -> Array:
         y = values[:, known]
         score = np.asarray(detector.of(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
     refuse(score.shape != (int(known.sum()),), "detector.scores", shape=score.shape, number=int(known.sum()))
+    refuse(known.any() and not np.isfinite(score).any(), "detector.scoreless")
     out[known] = _finite(score)
     return out
 
