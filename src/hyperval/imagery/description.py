@@ -25,7 +25,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import HypervalError, needed, package_table, reader, refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, wavelengths_in_nm
+from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
 from hyperval.storage import number_of
@@ -223,8 +223,8 @@ class Description:
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
         if width is None:
-            width = _spacing_by_detector(centre)
-            notes.append("the file lists no fwhm: band widths are taken as the band spacing")
+            width, apart = _spacing_by_detector(centre)
+            notes.append(spacing_note("the file lists no fwhm", np.sort(centre[apart])))
         return BandTable(SpectralAxis(centre[order], width[order], good[order]), has[order], tuple(notes))
 
     def scaling(self, quantity: str, unit: str | None, scale: float | None, bands: int, where: str) -> Scale:
@@ -306,16 +306,18 @@ def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str)
     return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
 
 
-def _spacing_by_detector(centre: Array) -> Array:
-    """Spacing (B,) of bands [nm] in the order of the file: a detector ends where the wavelength jumps back.
+def _spacing_by_detector(centre: Array) -> tuple[Array, Mask]:
+    """Spacing (B,) of bands [nm] in the order of the file, and which stand beside gaps.
 
-    Once sorted, the bands of two detectors that overlap lie closer to each other than either's own.
+    A detector ends where the wavelength jumps back.  Once sorted, the bands of two detectors that overlap lie closer to
+    each other than either's own.
     """
     detectors = np.split(centre, np.flatnonzero(np.diff(centre) <= 0) + 1)
-    if min(d.size for d in detectors) >= 2:
-        return np.concatenate([fwhm_from_spacing(d) for d in detectors])
-    order = np.argsort(centre, kind="stable")
-    return fwhm_from_spacing(centre[order])[np.argsort(order)]
+    rank = np.arange(centre.size)
+    if min(d.size for d in detectors) < 2:
+        rank, detectors = np.argsort(np.argsort(centre, kind="stable")), [np.sort(centre)]
+    width, apart = (np.concatenate(each)[rank] for each in zip(*map(fwhm_from_spacing, detectors), strict=True))
+    return width, apart
 
 
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:

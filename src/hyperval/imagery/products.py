@@ -223,9 +223,11 @@ def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore:
 def _columns(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, bands: int) -> Array:
     """(5, bands) wavelength, width (NaN without), flag (1 without), gain and offset of an array."""
     columns = [tree.numbers(array.wavelength, bands, "wavelengths")]
-    for reference, what, lacking in ((array.fwhm, "widths", np.nan), (array.good, "flags", 1.0)):
+    low, width = np.array(array.widths or [(-np.inf, np.nan)], float).T
+    published = width[np.searchsorted(low, columns[0], side="right") - 1]
+    for reference, what, lacking in ((array.fwhm, "widths", published), (array.good, "flags", 1.0)):
         stated = tree.raw(reference) is not None
-        columns.append(tree.numbers(reference, bands, what) if stated else np.full(bands, lacking))
+        columns.append(tree.numbers(reference, bands, what) if stated else np.broadcast_to(lacking, bands))
     return np.stack([*columns, *(np.full(bands, number) for number in _scale(tree, array, image))])
 
 

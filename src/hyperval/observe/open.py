@@ -53,7 +53,7 @@ from hyperval.paths import Resolve, checked_file
 from hyperval.pixels import SCENE as SCENE
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
-from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table
+from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table, spacing_note
 from hyperval.units import RADIANCE_UNIT, to_internal
 
 IMAGE = "image"
@@ -235,7 +235,8 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
     centre = centre + of.get("scale", 0.0) * (centre - centre.mean())
     cube = replace(cube, axis=replace(cube.axis, centre_nm=centre))
     table, found = _lookup_table(cube, image, resolve)
-    notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)]
+    notes = [*cube.notes, *band_table_notes(collection.bands, cube.axis), *found]
+    notes += imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)
     if table is not None:
         size = f", pixels of {table.pixel_area_m2:.3g} m2" if table.pixel_area_m2 else ""
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
@@ -309,10 +310,18 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     factor = to_internal(table.wavelength_unit, "wavelength")
     centre = rows[:, table.centre_column] * factor
     try:
-        fwhm = fwhm_from_spacing(centre) if table.fwhm_column is None else rows[:, table.fwhm_column] * factor
+        fwhm = fwhm_from_spacing(centre)[0] if table.fwhm_column is None else rows[:, table.fwhm_column] * factor
         return SpectralAxis(centre, fwhm)
     except UsageError as error:
         raise InputError(f"not a table of bands: {error.what}", where=str(path), expected=error.expected) from error
+
+
+def band_table_notes(table: BandTableFile | None, axis: SpectralAxis) -> list[str]:
+    """What is to be said of the widths of an axis that a table of bands states."""
+    if table is None or table.fwhm_column is not None:
+        return []
+    apart = axis.centre_nm[fwhm_from_spacing(axis.centre_nm)[1]]
+    return [spacing_note("the band table's widths are not named (fwhm_column)", apart)]
 
 
 def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
