@@ -229,7 +229,10 @@ class FinerTruth(OneOf):
 
 
 class AbundanceTruth(Model):
-    """Targets by the bands of a truth image that hold the part of each pixel that a material fills (DIRSIG)."""
+    """Targets by the bands of a truth image that hold the part of each pixel that a material fills (DIRSIG).
+
+    Pixels that are filled less than 0.02 are none of a target, and count for its area where they touch it.
+    """
 
     image: str = Field(description="ENVI or GeoTIFF of the cube's size")
     materials: dict[str, int | str] = Field(
