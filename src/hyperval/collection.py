@@ -419,10 +419,12 @@ class AreaCheck(Model):
 
 
 class ClassFeatures(Model):
-    """What a classifier sees of a spectrum: a few bands, principal components, or every usable band."""
+    """What a classifier sees: a few bands, principal components, or every usable band in the atmospheric windows."""
 
     name: str = Field(min_length=1, description="stands in the table as the method")
-    bands_nm: list[float] = Field([], max_length=400, description="the bands nearest to these wavelengths; empty: all")
+    bands_nm: list[float] = Field(
+        [], max_length=400, description="the usable bands nearest to these; empty: all of them"
+    )
     pca: int | None = Field(
         None, ge=1, le=400, description="principal components of the classes taken together; None: bands"
     )
