@@ -599,9 +599,10 @@ def open_matrix(
     UsageError : several that could be meant, or ``variable`` is none of them.
     """
     shapes = _shapes(path, kind)
-    fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
     called = {n: n.replace("/", ".") for n in shapes}
-    fits = [n for n in fits if variable in (None, n, called[n])]
+    named = {n: s for n, s in shapes.items() if variable in (None, n, called[n])}
+    fits = [n for n, s in named.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
+    fits = fits or [n for n, s in named.items() if plane and s in ((*plane, 1), (1, *plane))]  # a map all the same
     fits = [n for n in fits if _TRUTH.search(n)] if plane and sum(bool(_TRUTH.search(n)) for n in fits) == 1 else fits
     if not fits:
         listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
@@ -616,7 +617,8 @@ def open_matrix(
     tree, turn = kind not in ("MATLAB 5", "NumPy"), -1 if kind == "MATLAB 7.3" else 1
     vectors = {n: max(s) for n, s in shapes.items() if s and max(s) == int(np.prod(s)) > 1 and not _GOOD.search(n)}
     waves = {size for n, size in vectors.items() if _WAVE.search(n)}
-    axes = "ls" if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
+    axes = "ls" if shapes[name] == plane else "ls-" if shapes[name][:2] == plane else "-ls"
+    axes = axes if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
     axes, shape = axes[::turn], shapes[name][::turn]
 
     def stored(name: str) -> Store:
