@@ -422,9 +422,7 @@ class ClassFeatures(Model):
     """What a classifier sees: a few bands, principal components, or every usable band in the atmospheric windows."""
 
     name: str = Field(min_length=1, description="stands in the table as the method")
-    bands_nm: list[float] = Field(
-        [], max_length=400, description="the usable bands nearest to these; empty: all of them"
-    )
+    bands_nm: list[float] = Field([], max_length=400, description="the usable bands nearest to these; empty: all")
     pca: int | None = Field(
         None, ge=1, le=400, description="principal components of the classes taken together; None: bands"
     )

@@ -474,6 +474,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
     good, width = (_beside(beside, wave, name) for name in (_GOOD, _WIDTH))
+    fills = [np.ravel(v) for n in ("_FillValue", "missing_value") if (v := array.encoding.get(n)) is not None]
     centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
     about = Description(
         product=f"array {str(array.name)!r}",
@@ -484,6 +485,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
         sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
         entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
         notes=notes,
+        ignored=float(fills[0][0]) if fills else None,
     )
     return array_raster(store, (piece,), about, _labelled_position(data, array, axes))
 

@@ -175,6 +175,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
             quantity=layout.quantity,
             unit=unit,
             ignore_value=None if any(len(p.terms) > 1 for p in pieces) else ignore,  # of a sum no stored value means it
+            ignored=ignore,
             sensor=sensor,
             sorts=bool(layout.sorts),
             entries=entries | ({"sensor": sensor} if sensor else {}),
