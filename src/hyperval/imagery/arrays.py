@@ -44,6 +44,7 @@ MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
+_FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
@@ -362,6 +363,12 @@ def array_raster(
     return ArrayRaster(store.path, *size, dtype, description, *position, store=store, pieces=pieces)
 
 
+def stated(attributes: Mapping[str, Any], *names: str) -> float | None:
+    """The number in the first of some attributes that holds a single one, a no-data value by default; None without."""
+    found = (attributes.get(name) for name in names or _FILLS)
+    return next((float(np.asarray(v).ravel()[0]) for v in found if v is not None and np.size(v) == 1), None)
+
+
 # Arrays with labels: xarray -----------------------------------------------------------------------------------------
 
 
@@ -474,7 +481,6 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
     good, width = (_beside(beside, wave, name) for name in (_GOOD, _WIDTH))
-    fills = [np.ravel(v) for n in ("_FillValue", "missing_value") if (v := array.encoding.get(n)) is not None]
     centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
     about = Description(
         product=f"array {str(array.name)!r}",
@@ -485,7 +491,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
         sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
         entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
         notes=notes,
-        ignored=float(fills[0][0]) if fills else None,
+        ignored=stated(array.encoding),
     )
     return array_raster(store, (piece,), about, _labelled_position(data, array, axes))
 

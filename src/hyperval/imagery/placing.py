@@ -34,6 +34,7 @@ from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, SUN_ZENITH, median_angle, sun_of_observation, table_in
 from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
+from hyperval.units import is_radiance
 
 # Cells around a place whose raw pixels are fitted: 7 x 7 average out the rounding to whole pixels.
 RADIUS = 3
@@ -405,8 +406,9 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")
     if about.quantity != "reflectance":
         key, written = about.unit_in_entries()
-        by_init = by if about.unit else f"{origin(key)}: init takes it; a campaign states unit:"
-        row("unit of radiance", about.unit or written, by_init, "state unit: (init: --unit)")
+        own = about.unit if is_radiance(about.unit) else None
+        by_init = by if own else f"{origin(key)}: init takes it; a campaign states unit:"
+        row("unit of radiance", own or written, by_init, "state unit: (init: --unit)")
     for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
         try:
             each = [
@@ -431,9 +433,9 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         places, said = None, (f"warning: what should place its pixels cannot be used: {error.what}",)
     notes += said
     if places is not None:
-        what, own = "coordinates" if isinstance(places, LocationTable) else "lookup table", places.raster.path
-        row("position", f"of every pixel, by its {what}", by if own == raster.path else own.name)
-        row("coordinate system", str(places.crs or "not known"), by if own == raster.path else own.name)
+        what, at = "coordinates" if isinstance(places, LocationTable) else "lookup table", places.raster.path
+        row("position", f"of every pixel, by its {what}", by if at == raster.path else at.name)
+        row("coordinate system", str(places.crs or "not known"), by if at == raster.path else at.name)
     elif a is None:
         row("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them")
     else:
