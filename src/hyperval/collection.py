@@ -229,7 +229,10 @@ class FinerTruth(OneOf):
 
 
 class AbundanceTruth(Model):
-    """Targets by the bands of a truth image that hold the part of each pixel that a material fills (DIRSIG)."""
+    """Targets by the bands of a truth image that hold the part of each pixel that a material fills (DIRSIG).
+
+    Pixels that are filled less than 0.02 are none of a target, and count for its area where they touch it.
+    """
 
     image: str = Field(description="ENVI or GeoTIFF of the cube's size")
     materials: dict[str, int | str] = Field(
@@ -416,10 +419,10 @@ class AreaCheck(Model):
 
 
 class ClassFeatures(Model):
-    """What a classifier sees of a spectrum: a few bands, principal components, or every usable band."""
+    """What a classifier sees: a few bands, principal components, or every usable band in the atmospheric windows."""
 
     name: str = Field(min_length=1, description="stands in the table as the method")
-    bands_nm: list[float] = Field([], max_length=400, description="the bands nearest to these wavelengths; empty: all")
+    bands_nm: list[float] = Field([], max_length=400, description="the usable bands nearest to these; empty: all")
     pca: int | None = Field(
         None, ge=1, le=400, description="principal components of the classes taken together; None: bands"
     )

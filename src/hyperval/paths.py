@@ -20,12 +20,13 @@ from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
-from hyperval.errors import InputError, reader, refuse
+from hyperval.errors import InputError, package_table, reader, refuse
 from hyperval.storage import decoded
 
 Resolve = Callable[[str], Path]  # the path that a reference of a file leads to
 MAX_MATCHES = 1000
 MAX_TEXT_BYTES = 32 << 20
+_HEAD_BYTES = 1 << 16
 _DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
 
 
@@ -82,6 +83,25 @@ def checked_file(
         raise InputError(f"is {kind}, not a {what}", where=text, expected="a folder" if folder else "a regular file")
     refuse(most is not None and real.stat().st_size > most, "path.large", text, most=most, what=what)
     return Path(text)
+
+
+def refuse_own(path: Path) -> None:
+    """Raise InputError for a file of this program's own, with what it is and what reads it.
+
+    >>> from tempfile import NamedTemporaryFile
+    >>> with NamedTemporaryFile(suffix=".yaml") as file:
+    ...     _ = Path(file.name).write_text("name: mine\\ninputs:\\n  fill: {grid: [0.1, 0.2]}\\n")
+    ...     refuse_own(Path(file.name))
+    Traceback (most recent call last):
+    hyperval.errors.InputError: ...: a study of hyperval, neither an image nor spectra
+      to fix it: it is read by hyperval study ...
+    """
+    with open(path, "rb") as stream:
+        head = stream.read(_HEAD_BYTES)
+    known = package_table("own_files.yaml")["yaml" if path.suffix.lower() in (".yaml", ".yml") else "others"]
+    for mark, (kind, by) in known.items():
+        found = re.search(mark.encode(), head, re.MULTILINE)
+        refuse(found, "file.own", path, kind=kind, by=by.format(file=path))
 
 
 def checked_folder(path: Path | str) -> Path:

@@ -209,7 +209,7 @@ def dirsig_images(folder: Path, rays: int = 20) -> np.ndarray:
     material = np.where(np.arange(30)[:, None] < 15, 3.0, 12.0) * np.ones((30, 20))
     abundance = np.zeros((30, 20))
     abundance[5:7, 8:10], abundance[22, 4] = [[0.2, 1.0], [0.5, 0.75]], 0.6
-    abundance = np.round(abundance * rays) / rays
+    abundance = np.round(abundance * rays) / rays + 0.01 * (np.arange(600) == 22 * 20 + 5).reshape(30, 20)  # an edge
     reflectance = np.where(material[..., None] == 3.0, 0.3, 0.1) * (1 + 0.05 * rng.standard_normal((30, 20, 5)))
     reflectance += abundance[..., None] * (0.6 - reflectance)
     envi(folder / "scene.img", reflectance * 8e-3, WAVES)

@@ -110,7 +110,7 @@ def test_a_scenario_takes_the_fills_of_the_truth(finer):
 def test_a_pair_of_dirsig_is_imagery_and_truth(dirsig):
     place, folder, abundance = dirsig.place(), dirsig.folder, dirsig.values
     assert place.regions["grass"].sum() == 300
-    assert [t.area_m2 for t in place.targets] == pytest.approx([4 * 2.45, 4 * 0.6])
+    assert [t.area_m2 for t in place.targets] == pytest.approx([4 * 2.45, 4 * 0.61])
     np.testing.assert_allclose(place.targets[0].fills[0], abundance[5:7, 8:10])
     assert place.cube.read(0, 1).values.mean() == pytest.approx(0.3 * 8e-3 * 1e3, rel=0.02)  # uW cm-2 sr-1 nm-1
     warning = "partly filled: was each pixel sampled by one ray"

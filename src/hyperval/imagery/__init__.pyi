@@ -9,7 +9,7 @@ from .cube import (
     open_cube,
     open_raster,
 )
-from .description import Description, Raster, acquisition_notes, record, time_notes
+from .description import Description, Raster, acquisition_notes, time_notes
 from .envi import EnviRaster, crs_of, envi_writer, pixel_area_m2, pixel_sides_m, transform_of, write_cube
 from .placing import (
     LocationTable,
@@ -18,6 +18,7 @@ from .placing import (
     location_table,
     metres_per_degree,
     open_lookup_table,
+    record,
     sun_zenith_deg,
     table_of,
 )

@@ -44,6 +44,7 @@ MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
+_FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNORECASE)
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
@@ -362,6 +363,12 @@ def array_raster(
     return ArrayRaster(store.path, *size, dtype, description, *position, store=store, pieces=pieces)
 
 
+def stated(attributes: Mapping[str, Any], *names: str) -> float | None:
+    """The number in the first of some attributes that holds a single one, a no-data value by default; None without."""
+    found = (attributes.get(name) for name in names or _FILLS)
+    return next((float(np.asarray(v).ravel()[0]) for v in found if v is not None and np.size(v) == 1), None)
+
+
 # Arrays with labels: xarray -----------------------------------------------------------------------------------------
 
 
@@ -484,6 +491,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
         sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
         entries={str(k): str(v) for k, v in data.attrs.items() if isinstance(v, str | int | float)},
         notes=notes,
+        ignored=stated(array.encoding),
     )
     return array_raster(store, (piece,), about, _labelled_position(data, array, axes))
 
@@ -599,9 +607,10 @@ def open_matrix(
     UsageError : several that could be meant, or ``variable`` is none of them.
     """
     shapes = _shapes(path, kind)
-    fits = [n for n, s in shapes.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
     called = {n: n.replace("/", ".") for n in shapes}
-    fits = [n for n in fits if variable in (None, n, called[n])]
+    named = {n: s for n, s in shapes.items() if variable in (None, n, called[n])}
+    fits = [n for n, s in named.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
+    fits = fits or [n for n, s in named.items() if plane and s in ((*plane, 1), (1, *plane))]  # a map all the same
     fits = [n for n in fits if _TRUTH.search(n)] if plane and sum(bool(_TRUTH.search(n)) for n in fits) == 1 else fits
     if not fits:
         listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
@@ -616,7 +625,8 @@ def open_matrix(
     tree, turn = kind not in ("MATLAB 5", "NumPy"), -1 if kind == "MATLAB 7.3" else 1
     vectors = {n: max(s) for n, s in shapes.items() if s and max(s) == int(np.prod(s)) > 1 and not _GOOD.search(n)}
     waves = {size for n, size in vectors.items() if _WAVE.search(n)}
-    axes = "ls" if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
+    axes = "ls" if shapes[name] == plane else "ls-" if shapes[name][:2] == plane else "-ls"
+    axes = axes if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
     axes, shape = axes[::turn], shapes[name][::turn]
 
     def stored(name: str) -> Store:

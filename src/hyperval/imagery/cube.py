@@ -36,7 +36,7 @@ from hyperval.imagery.description import (
 from hyperval.imagery.envi import EnviRaster, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, open_tiff
-from hyperval.paths import checked_file, checked_folder
+from hyperval.paths import checked_file, checked_folder, refuse_own
 from hyperval.spectra.axis import SpectralAxis
 
 if TYPE_CHECKING:
@@ -393,6 +393,7 @@ def open_raster(
     if header is None and kind == _NETCDF3:
         return arrays.open_labelled(data, variable, "scipy")
     if header is None and kind == HDF5:
+        refuse_own(data)
         arrays.check_own_values(data)
         try:
             product = open_product(data) if variable is None else None

@@ -23,9 +23,9 @@ from rasterio.errors import CRSError
 
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
-from hyperval.errors import HypervalError, needed, package_table, reader, refusal, refuse
+from hyperval.errors import needed, package_table, reader, refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, wavelengths_in_nm
+from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
 from hyperval.storage import number_of
@@ -109,6 +109,7 @@ class Description:
     packing : scale and offset of the file by which its reader has unpacked the values that count as stored here
     header : of ENVI; its lists and scale factors are read when asked for, as a campaign may state them itself
     gains : file of what whole numbers of radiance are divided by
+    ignored : number in the file that means no data, where its reader hands out NaN in its place
     """
 
     product: str = ""
@@ -125,6 +126,7 @@ class Description:
     packing: tuple[float, float] = (1.0, 0.0)
     header: EnviHeader | None = None
     gains: Path | None = None
+    ignored: float | None = None
 
     @property
     def band_names(self) -> tuple[str, ...]:
@@ -223,8 +225,8 @@ class Description:
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
         if width is None:
-            width = _spacing_by_detector(centre)
-            notes.append("the file lists no fwhm: band widths are taken as the band spacing")
+            width, apart = _spacing_by_detector(centre)
+            notes.append(spacing_note("the file lists no fwhm", np.sort(centre[apart])))
         return BandTable(SpectralAxis(centre[order], width[order], good[order]), has[order], tuple(notes))
 
     def scaling(self, quantity: str, unit: str | None, scale: float | None, bands: int, where: str) -> Scale:
@@ -306,16 +308,18 @@ def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str)
     return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
 
 
-def _spacing_by_detector(centre: Array) -> Array:
-    """Spacing (B,) of bands [nm] in the order of the file: a detector ends where the wavelength jumps back.
+def _spacing_by_detector(centre: Array) -> tuple[Array, Mask]:
+    """Spacing (B,) of bands [nm] in the order of the file, and which stand beside gaps.
 
-    Once sorted, the bands of two detectors that overlap lie closer to each other than either's own.
+    A detector ends where the wavelength jumps back.  Once sorted, the bands of two detectors that overlap lie closer to
+    each other than either's own.
     """
     detectors = np.split(centre, np.flatnonzero(np.diff(centre) <= 0) + 1)
-    if min(d.size for d in detectors) >= 2:
-        return np.concatenate([fwhm_from_spacing(d) for d in detectors])
-    order = np.argsort(centre, kind="stable")
-    return fwhm_from_spacing(centre[order])[np.argsort(order)]
+    rank = np.arange(centre.size)
+    if min(d.size for d in detectors) < 2:
+        rank, detectors = np.argsort(np.argsort(centre, kind="stable")), [np.sort(centre)]
+    width, apart = (np.concatenate(each)[rank] for each in zip(*map(fwhm_from_spacing, detectors), strict=True))
+    return width, apart
 
 
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
@@ -476,66 +480,6 @@ def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
     if float(ignore) == float(limits.max):  # as a float, the largest 64-bit number is the next power of two
         return dtype.type(limits.max)
     return dtype.type(int(ignore)) if limits.min <= int(ignore) <= limits.max else None
-
-
-def record(raster: Raster) -> list[tuple[str, str, str]]:
-    """What is known of an image: thing, value, and where the value comes from, or what would mend its lack.
-
-    It is what the reader itself goes by: a file and line of a header, an entry of a product, a convention, a guess.
-    """
-    about, where, files = raster.description, str(raster.path), ", ".join(p.name for p in raster.other_files)
-    by, header = about.product or raster.kind, about.header
-    rows: list[tuple[str, str, str]] = []
-    notes = list(about.notes)
-
-    def origin(*keys: str) -> str:
-        stated = [key for key in keys if header is not None and key in header.entries]
-        return f"{header.where(stated[0])} '{stated[0]}'" if header is not None and stated else by
-
-    def row(what: str, value: str | None, stated: str = by, lacking: str = "") -> None:
-        rows.append((what, value, stated) if value is not None else (what, "not known", lacking))
-
-    lines, samples, bands = raster.size
-    row("is", by, "its first bytes" + (f", and {files} beside it" if files else ""))
-    row("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples"))
-    try:
-        table, listed = about.band_table(None, where, sort_bands=True), about.listed()
-        assert listed is not None  # noqa: S101 - a table is made of them
-        centre, width = table.axis.centre_nm, table.axis.fwhm_nm
-        stated = listed.where.get("wavelength", by)
-        row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
-        known = listed.wavelength[np.isfinite(listed.wavelength)]
-        _, unit, guessed = wavelengths_in_nm(known, listed.unit, None, where)
-        row("wavelength unit", unit, "guess: by the values" if guessed else stated)
-        by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
-        row("widths", f"{width.min():g} to {width.max():g} nm", by_width)
-        notes += table.notes
-    except HypervalError as error:
-        row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
-    row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")
-    if about.quantity != "reflectance":
-        key, written = about.unit_in_entries()
-        by_init = by if about.unit else f"{origin(key)}: init takes it; a campaign states unit:"
-        row("unit of radiance", about.unit or written, by_init, "state unit: (init: --unit)")
-    for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
-        try:
-            each = [
-                (f"x {np.min(g):g} to {np.max(g):g}, + {np.min(o):g} to {np.max(o):g}", source)
-                for g, o, source, _ in about.scales(quantity)
-            ] or [("x 1", "nothing states another; state scale: where the numbers are scaled")]
-            row(f"scale of {quantity}", *("; ".join(told) for told in zip(*each, strict=True)))
-        except HypervalError as error:
-            row(f"scale of {quantity}", f"not known: {error.what}", error.mend or "")
-    ignore, a = about.no_data(), raster.transform
-    row("no data", "none" if ignore is None else f"{ignore:g}",
-        "nothing states one" if ignore is None else origin("data ignore value"))  # fmt: skip
-    if a is None:
-        row("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them")
-    else:
-        place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {a.a:g}, {a.e:g}"
-        row("position", place, origin("map info"))
-        row("coordinate system", str(raster.crs or "not known"), origin("coordinate system string", "map info"))
-    return rows + [("assumed", note, "reader") for note in notes]
 
 
 _WORDS = "imagery/acquisition.yaml"

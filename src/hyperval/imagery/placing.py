@@ -4,6 +4,8 @@ From map coordinates to the pixels of an image in scanner geometry.  A GLT is an
 name, from 1, the sample and the line of the raw image that belongs there.  Both are negative where the grid's cell
 was filled with its nearest neighbour, and 0 outside the line.  In ENVI IGM and location files, and in swath products,
 two bands or arrays hold the map coordinates (or longitude and latitude) of the centre of every pixel.
+
+What is known of an image, its place among it: :func:`record`.
 """
 
 from __future__ import annotations
@@ -30,6 +32,9 @@ from hyperval.imagery.cube import open_raster
 from hyperval.imagery.description import Raster, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, SUN_ZENITH, median_angle, sun_of_observation, table_in
+from hyperval.spectra.axis import wavelengths_in_nm
+from hyperval.spectra.record import reflectance_factor
+from hyperval.units import is_radiance
 
 # Cells around a place whose raw pixels are fitted: 7 x 7 average out the rounding to whole pixels.
 RADIUS = 3
@@ -353,6 +358,91 @@ def table_of(raster: Raster) -> tuple[LookupTable | None, tuple[str, ...]]:
             return None, (f"warning: {path.name} lies beside the cube and is ignored: {error.what}",)
         return table, (f"{path.name} lies beside the cube and places its pixels",)
     return None, ()
+
+
+def record(raster: Raster) -> list[tuple[str, str, str]]:
+    """What is known of an image: thing, value, and where the value comes from, or what would mend its lack.
+
+    It is what the reader itself goes by: a file and line of a header, an entry of a product, a convention, a guess.
+
+    >>> import xarray as xr
+    >>> from hyperval.imagery.arrays import labelled_array
+    >>> packed = {"units": "percent", "scale_factor": 0.1, "_FillValue": -9}
+    >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
+    >>> array = xr.DataArray(np.ones((1, 1, 2), "i2"), nm, ("y", "x", "b"), "reflectance", packed)
+    >>> told = {what: (value, origin) for what, value, origin in record(labelled_array(array))}
+    >>> told["scale of reflectance"], told["no data"][0]
+    (('x 0.1, + 0; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
+    """
+    about, where, files = raster.description, str(raster.path), ", ".join(p.name for p in raster.other_files)
+    by, header = about.product or raster.kind, about.header
+    rows: list[tuple[str, str, str]] = []
+    notes = list(about.notes)
+
+    def origin(*keys: str) -> str:
+        stated = [key for key in keys if header is not None and key in header.entries]
+        return f"{header.where(stated[0])} '{stated[0]}'" if header is not None and stated else by
+
+    def row(what: str, value: str | None, stated: str = by, lacking: str = "") -> None:
+        rows.append((what, value, stated) if value is not None else (what, "not known", lacking))
+
+    lines, samples, bands = raster.size
+    row("is", by, "its first bytes" + (f", and {files} beside it" if files else ""))
+    row("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples"))
+    try:
+        table, listed = about.band_table(None, where, sort_bands=True), about.listed()
+        assert listed is not None  # noqa: S101 - a table is made of them
+        centre, width = table.axis.centre_nm, table.axis.fwhm_nm
+        stated = listed.where.get("wavelength", by)
+        row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
+        known = listed.wavelength[np.isfinite(listed.wavelength)]
+        _, unit, guessed = wavelengths_in_nm(known, listed.unit, None, where)
+        row("wavelength unit", unit, "guess: by the values" if guessed else stated)
+        by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
+        row("widths", f"{width.min():g} to {width.max():g} nm", by_width)
+        notes += table.notes
+    except HypervalError as error:
+        row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
+    row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")
+    if about.quantity != "reflectance":
+        key, written = about.unit_in_entries()
+        own = about.unit if is_radiance(about.unit) else None
+        by_init = by if own else f"{origin(key)}: init takes it; a campaign states unit:"
+        row("unit of radiance", own or written, by_init, "state unit: (init: --unit)")
+    for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
+        try:
+            each = [
+                (f"x {np.min(g):g} to {np.max(g):g}, + {np.min(o):g} to {np.max(o):g}", source)
+                for g, o, source, _ in about.scales(quantity)
+            ]
+            if about.packing != (1.0, 0.0):
+                each.append(("x {:g}, + {:g}".format(*about.packing), f"{by}: as it is packed"))
+            if quantity == "reflectance" and (factor := reflectance_factor(about.unit or "fraction")) != 1.0:
+                each.append((f"x {factor:g}", f"{by}: unit {about.unit}"))
+            each = each or [("x 1", "nothing states another; state scale: where the numbers are scaled")]
+            row(f"scale of {quantity}", *("; ".join(told) for told in zip(*each, strict=True)))
+        except HypervalError as error:
+            row(f"scale of {quantity}", f"not known: {error.what}", error.mend or "")
+    ignore, a = about.no_data(), raster.transform
+    ignore = about.ignored if ignore is None else ignore
+    row("no data", "none" if ignore is None else f"{ignore:g}",
+        "nothing states one" if ignore is None else origin("data ignore value"))  # fmt: skip
+    try:
+        places, said = table_of(raster)
+    except HypervalError as error:
+        places, said = None, (f"warning: what should place its pixels cannot be used: {error.what}",)
+    notes += said
+    if places is not None:
+        what, at = "coordinates" if isinstance(places, LocationTable) else "lookup table", places.raster.path
+        row("position", f"of every pixel, by its {what}", by if at == raster.path else at.name)
+        row("coordinate system", str(places.crs or "not known"), by if at == raster.path else at.name)
+    elif a is None:
+        row("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them")
+    else:
+        place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {a.a:g}, {a.e:g}"
+        row("position", place, origin("map info"))
+        row("coordinate system", str(raster.crs or "not known"), origin("coordinate system string", "map info"))
+    return rows + [("assumed", note, "reader") for note in notes]
 
 
 def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:

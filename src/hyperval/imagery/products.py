@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
@@ -34,7 +34,6 @@ from hyperval.units import is_radiance, to_internal
 MAX_BANDS = 20_000
 SAMPLED_LINES = 16
 SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)
-_FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
 Position = tuple[Affine | None, CRS | None, tuple[str, ...]]
 
@@ -135,12 +134,6 @@ def _tree(file: h5py.File, path: Path) -> ProductTree | None:
     return None
 
 
-def _stated(attributes: Mapping[str, Any], *names: str) -> float | None:
-    """The number in the first of some attributes that holds a single one; None without any."""
-    found = (attributes.get(name) for name in names)
-    return next((float(np.asarray(v).ravel()[0]) for v in found if v is not None and np.size(v) == 1), None)
-
-
 @reader
 def open_product(path: Path) -> arrays.ArrayRaster | None:
     """The image of a product whose layout is known; None when the file has none of the layouts.
@@ -175,6 +168,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
             quantity=layout.quantity,
             unit=unit,
             ignore_value=None if any(len(p.terms) > 1 for p in pieces) else ignore,  # of a sum no stored value means it
+            ignored=ignore,
             sensor=sensor,
             sorts=bool(layout.sorts),
             entries=entries | ({"sensor": sensor} if sensor else {}),
@@ -204,7 +198,7 @@ def table_in(raster: Raster) -> arrays.ArrayRaster | None:
             dtype = np.dtype(np.int32 if on_map else np.float64)
             pieces = tuple(arrays.Piece((arrays.Term(c.name.strip("/")),), "ls", c.shape, dtype) for c in columns)
             position = _position(tree, pieces[0])[:2] if on_map else (None, None)
-            about = Description(ignore_value=_stated(columns[0].attrs, *_FILLS) if on_map else None)
+            about = Description(ignore_value=arrays.stated(columns[0].attrs) if on_map else None)
             return arrays.array_raster(arrays.Store(raster.path, arrays.hdf5), pieces, about, position)
     return None
 
@@ -216,16 +210,18 @@ def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore:
     second = tree.image(array.plus[0])
     refuse(second.shape != image.shape, "product.shape", tree.path, name=second.name, other=image.name)
     weight = 1.0 / tree.number(array.plus[1])
-    terms = first._replace(ignore=ignore), arrays.Term(second.name.strip("/"), weight, _stated(second.attrs, *_FILLS))
+    terms = first._replace(ignore=ignore), arrays.Term(second.name.strip("/"), weight, arrays.stated(second.attrs))
     return arrays.Piece(terms, array.dimensions, image.shape, np.dtype(np.float32))
 
 
 def _columns(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, bands: int) -> Array:
     """(5, bands) wavelength, width (NaN without), flag (1 without), gain and offset of an array."""
     columns = [tree.numbers(array.wavelength, bands, "wavelengths")]
-    for reference, what, lacking in ((array.fwhm, "widths", np.nan), (array.good, "flags", 1.0)):
+    low, width = np.array(array.widths or [(-np.inf, np.nan)], float).T
+    published = width[np.searchsorted(low, columns[0], side="right") - 1]
+    for reference, what, lacking in ((array.fwhm, "widths", published), (array.good, "flags", 1.0)):
         stated = tree.raw(reference) is not None
-        columns.append(tree.numbers(reference, bands, what) if stated else np.full(bands, lacking))
+        columns.append(tree.numbers(reference, bands, what) if stated else np.broadcast_to(lacking, bands))
     return np.stack([*columns, *(np.full(bands, number) for number in _scale(tree, array, image))])
 
 
@@ -238,7 +234,7 @@ def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tupl
         divisor = tree.number(array.divisor)
         refuse(divisor == 0, "product.divisor", tree.path, name=array.divisor)
         return 1.0 / divisor, -tree.number(array.subtract) if array.subtract is not None else 0.0
-    gain, offset = (_stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
+    gain, offset = (arrays.stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
     return 1.0 if gain is None else gain, offset or 0.0
 
 
@@ -254,7 +250,7 @@ def _unit(tree: ProductTree) -> tuple[str, tuple[str, ...]]:
 
 
 def _ignore(tree: ProductTree, image: h5py.Dataset) -> float | None:
-    own, ignore = _stated(image.attrs, *_FILLS), tree.layout.ignore
+    own, ignore = arrays.stated(image.attrs), tree.layout.ignore
     if isinstance(ignore, str):
         return next(iter(tree.floats(ignore).tolist()), own)
     return ignore if own is None else own

@@ -137,12 +137,15 @@ def observe(
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
     snr = {name: px.snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
+    seen = (
+        f"classifiers choose among {place.clear_bands.sum()} of {cube.bands} bands: usable, in the atmospheric windows"
+    )
     observation = ObservedProducts(
         axis=cube.axis,
         snr=snr,
         distribution=distribution,
         classification=classification_errors(place, classification) if classification else {},
-        notes=_notes(place, detection, detected, masks),
+        notes=_notes(place, detection, detected, masks) + ((seen,) if classification else ()),
         provenance={"quantity": cube.quantity, "description": cube.description},
         **products,
     )

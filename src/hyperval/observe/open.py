@@ -26,6 +26,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 from affine import Affine
+from scipy import ndimage
 from scipy.special import ndtri
 
 from hyperval import imagery
@@ -53,7 +54,7 @@ from hyperval.paths import Resolve, checked_file
 from hyperval.pixels import SCENE as SCENE
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
-from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table
+from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table, spacing_note
 from hyperval.units import RADIANCE_UNIT, to_internal
 
 IMAGE = "image"
@@ -235,7 +236,8 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
     centre = centre + of.get("scale", 0.0) * (centre - centre.mean())
     cube = replace(cube, axis=replace(cube.axis, centre_nm=centre))
     table, found = _lookup_table(cube, image, resolve)
-    notes = [*cube.notes, *found, *imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)]
+    notes = [*cube.notes, *band_table_notes(collection.bands, cube.axis), *found]
+    notes += imagery.acquisition_notes(cube.raster.description.entries, cube.axis, cube.quantity)
     if cube.quantity == "counts" and collection.empirical_line is None:
         notes.append("warning: counts of unstated unit: values called reflectance are in counts")
     if table is not None:
@@ -311,10 +313,18 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
     factor = to_internal(table.wavelength_unit, "wavelength")
     centre = rows[:, table.centre_column] * factor
     try:
-        fwhm = fwhm_from_spacing(centre) if table.fwhm_column is None else rows[:, table.fwhm_column] * factor
+        fwhm = fwhm_from_spacing(centre)[0] if table.fwhm_column is None else rows[:, table.fwhm_column] * factor
         return SpectralAxis(centre, fwhm)
     except UsageError as error:
         raise InputError(f"not a table of bands: {error.what}", where=str(path), expected=error.expected) from error
+
+
+def band_table_notes(table: BandTableFile | None, axis: SpectralAxis) -> list[str]:
+    """What is to be said of the widths of an axis that a table of bands states."""
+    if table is None or table.fwhm_column is not None:
+        return []
+    apart = axis.centre_nm[fwhm_from_spacing(axis.centre_nm)[1]]
+    return [spacing_note("the band table's widths are not named (fwhm_column)", apart)]
 
 
 def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
@@ -546,7 +556,7 @@ def image_targets(
     UsageError : an image without a place on the cube.
     """
     path, pixel_area = resolve(truth.image), math.nan if pixel_area_m2 is None else pixel_area_m2
-    images: Iterator[tuple[str, Array | Mask]]
+    images: Iterator[tuple[str, Array | Mask, Array | Mask]]
     if isinstance(truth, FinerTruth):
         raster, error = imagery.open_raster(path), truth.registration_pixels or 0.0
         if truth.registration_m is not None:
@@ -555,19 +565,19 @@ def image_targets(
         blur = truth.psf_fwhm_pixels
         both = blur if isinstance(blur, tuple) else (blur, blur)
         grid = replace(_grid(truth, raster, cube, str(path)), blur=both, shifts=registration_shifts(error))
-        images = _cells(raster, path, truth.classes)
+        images = ((name, mask, mask) for name, mask in _cells(raster, path, truth.classes))
     else:
         grid, error = FinerGrid(0.0, 0.0, 1.0, 1.0), 0.0
         images = _abundances(truth, imagery.raster_of_size(path, cube), path)
     out: list[TargetObject] = []
-    for material, cells in images:
+    for material, cells, covered in images:
         listed = list(islice(patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
         refuse(len(listed) > MAX_OBJECTS, "finer.patches", str(path), most=MAX_OBJECTS, material=material)
         for name, window, inside in listed:
             part, (down, right) = np.where(inside, cells[window], 0), (side.start for side in window)
             there = replace(grid, line=grid.line + grid.line_step * down, sample=grid.sample + grid.sample_step * right)
             corner, fills = _seen(name, part, there, cube.shape, str(path))
-            area = float(part.sum()) * grid.line_step * grid.sample_step * pixel_area
+            area = float(covered[window][inside].sum()) * grid.line_step * grid.sample_step * pixel_area
             out.append(object_of_fills(name, material, fills, corner, cube.shape, area, str(path)))
     known = [(o.fills, o.part) for o in out if o.fills is not None]
     mean, spread = (np.concatenate([of(fills, axis=0)[part] for fills, part in known]) for of in (np.mean, np.std))
@@ -577,7 +587,8 @@ def image_targets(
         if error:
             note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
         return out, [note]
-    remarks = [f"{len(out)} targets of {mean.size} pixels by the abundances in {path.name}"]
+    least = f"those filled less than {LEAST_FILL:g} are none of a target, and count for its area where they touch it"
+    remarks = [f"{len(out)} targets of {mean.size} pixels by the abundances in {path.name}; {least}"]
     if np.all(mean == 1.0):
         remarks.append(
             f"warning: no pixel in {path.name} is partly filled: was each pixel sampled by one ray? Fill "
@@ -625,16 +636,31 @@ def _cells(
         yield name, mask
 
 
-def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Array]]:
-    """Material -> (lines, samples) part of each pixel that it fills, 0 below the least."""
+def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[tuple[str, Array, Array]]:
+    """Material -> (lines, samples) part of each pixel that it fills, 0 below the least; and with that of its edges."""
     for material, wanted in truth.materials.items():
         band = _band(raster, wanted, path)
         fill = _values(raster, band)
         if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
             raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
-        fill = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
-        refuse(not fill.any(), "truth.empty", str(path), material=material, least=LEAST_FILL)
-        yield material, fill
+        kept = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
+        refuse(not kept.any(), "truth.empty", str(path), material=material, least=LEAST_FILL)
+        yield material, kept, with_edges(np.clip(fill, 0.0, 1.0))
+
+
+def with_edges(fill: Array) -> Array:
+    """Fills (lines, samples) of pixels of a target, to which those below the least that touch them are added.
+
+    Such pixels are none of the target, and yet hold a part of its area.
+
+    >>> with_edges(np.array([[0.01, 0.3, 0.5, 0.0, 0.01]])).tolist()
+    [[0.0, 0.31, 0.5, 0.0, 0.0]]
+    """
+    own = fill >= LEAST_FILL
+    away, nearest = ndimage.distance_transform_edt(~own, return_indices=True)
+    edge, out = ~own & (away < 2.0), np.where(own, fill, 0.0)
+    np.add.at(out, tuple(nearest[:, edge]), fill[edge])
+    return out
 
 
 def _seen(

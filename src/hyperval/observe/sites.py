@@ -26,7 +26,7 @@ from hyperval.collection import (
 from hyperval.data import Array
 from hyperval.errors import InputError, UsageError, needed, one_of, refusal, refuse
 from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
-from hyperval.observe.open import Place, read_band_table
+from hyperval.observe.open import Place, band_table_notes, read_band_table
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels, MeasuredPanel, fit_elm
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
@@ -285,9 +285,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     detector = None
     if (name := collection.detector) is not None:
         detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
-    notes = []
-    if bands.fwhm_column is None:
-        notes.append("the band table's widths are not named (fwhm_column): band widths are taken as the band spacing")
+    notes = band_table_notes(bands, axis)
     radiance: dict[str, SpectralEstimate] = {}
     for site in collection.spectra:
         read = read_spectrum(

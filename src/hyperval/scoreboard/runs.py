@@ -63,6 +63,7 @@ class BlockCounts:
     item : (P,) number of the object on the ground that is looked at
     group : name -> looks of a subject or of a pool
     density_km2 : background pixels on a square kilometre; NaN when the ground area is not known
+    lost : of each detector that has no score for something that others have, what it is: in words
     """
 
     detectors: tuple[str, ...]
@@ -72,6 +73,7 @@ class BlockCounts:
     item: Index
     group: Mapping[str, Sequence[int]]
     density_km2: float = float("nan")
+    lost: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -393,14 +395,17 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     """
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
-    counted = place.pixels_of(*detection.false_alarms)
-    for scores in (one for own in used.values() for one in own):
-        counted = counted & np.isfinite(scores)
+    every = counted = place.pixels_of(*detection.false_alarms)
+    missing = np.zeros((2, len(names)), int)  # scores of objects, and of pixels of the background
+    for own in used.values():
+        missing[1] += [np.count_nonzero(every & ~np.isfinite(one)) for one in own]
+        counted = np.logical_and.reduce([counted, *map(np.isfinite, own)])
     looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
         objects = {o.name: o for own in subjects.values() for o in own}
         greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
         valid = np.isfinite(greatest).all(axis=0)
+        missing[0] += (~np.isfinite(greatest)).sum(axis=1)
         at = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
         pairs = [counts_by_block(own[valid], each) for own, each in zip(greatest, blocks, strict=True)]
@@ -411,15 +416,21 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
     over, tie = np.concatenate(looks, axis=1)
-    return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density)
+    missing -= missing.min(axis=1, keepdims=True)  # where no detector has a score the image holds no data
+    lost = tuple(
+        f"{name} has no score for {m} objects and {n} pixels of the background: none is ranked by them"
+        for name, m, n in zip(names, *missing.tolist(), strict=True)
+        if m or n
+    )
+    return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density, lost)
 
 
-def detector_rows(observed: Observed, question: Question, *, seed: int) -> list[Result]:
-    """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run."""
+def detector_rows(observed: Observed, question: Question, *, seed: int) -> tuple[list[Result], tuple[str, ...]]:
+    """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run; and notes."""
     detection, place = question.campaign.detection, observed.place
     if detection is None or place is None or observed.detected is None:
         why = "the campaign looks for no targets"
-        return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors"))
+        return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors")), ()
     maps = observed.detected.score_maps
     rows = [*side_rows(observed.observation, "measured"), *threshold_rows(place, maps, detection)]
     counts = block_counts(place, maps, detection)
@@ -432,7 +443,7 @@ def detector_rows(observed: Observed, question: Question, *, seed: int) -> list[
                 rows += rank_rows(name, counts, measure, ranks)
     for name, reason in question.left_out.items():
         rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
-    return rows
+    return rows, tuple(f"warning: {what}" for what in counts.lost)
 
 
 def side_rows(side: Products, said: Literal["measured", "predicted"]) -> Iterator[Result]:
@@ -483,6 +494,7 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
     """``METRIC`` (of all objects together), ``rank_METRIC`` and ``first_METRIC`` of each detector on one group."""
     m, rows, name = ranks.objects, list[Result](), measure.name
     words = f"paired: {DRAWS} draws of {m} objects and of blocks of the background, the same for all detectors"
+    words = "; ".join([words, *counts.lost])
     if not ranks.orders:
         words += f"; {m} objects cannot order {ranks.distinct} detectors, {fewest_objects(ranks.distinct)} could"
     first = "share of the draws in which it is the best, equals counted alike"
@@ -697,7 +709,8 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
 
     with step(name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
         observed, detection = collection.observed, chosen.campaign.detection
-        rows, notes = [*detector_rows(observed, chosen, seed=seed), *peer_rows(observed, detection)], [*chosen.notes]
+        rows, lost = detector_rows(observed, chosen, seed=seed)
+        rows, notes = [*rows, *peer_rows(observed, detection)], [*chosen.notes, *lost]
         for scenario in collection.scenarios if detection is not None else ():
             rows += side_rows(predict(scenario, collection.origins(scenario)), "predicted")
         about = {"campaign": chosen.campaign}

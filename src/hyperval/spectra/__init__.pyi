@@ -10,6 +10,7 @@ from .axis import (
     band_weights,
     fwhm_from_spacing,
     in_window,
+    spacing_note,
 )
 from .networks import SURFACE, TOP, RadCalNetDay, read_radcalnet
 from .read import library_to_spy, library_to_xarray, read_records, read_spectrum
@@ -20,5 +21,5 @@ __all__ = [
     "ABSORPTION_BANDS_NM", "CUT_SIGMA", "SIGMA_PER_FWHM", "SPECTRAL_REGIONS_NM", "SURFACE", "TOP", "FieldSpectrum",
     "RadCalNetDay", "SpectralAxis", "band_average", "band_weights", "fwhm_from_spacing", "in_window",
     "library_to_spy", "library_to_xarray", "number_table", "read_radcalnet", "read_records",
-    "read_spectrum",
+    "read_spectrum", "spacing_note",
 ]  # fmt: skip

@@ -141,11 +141,34 @@ def wavelengths_in_nm(
     return nm, unit, () if text or given else (note,)
 
 
-def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> Array:
-    """Band widths assumed equal to the local band spacing [nm]: for files that list no FWHM."""
+_GAP = 5.0  # times the median step between bands: what stands beside one does not touch the next
+
+
+def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> tuple[Array, Mask]:
+    """Widths (B,) of bands of which nobody states any: their spacing [nm]; and (B,) which of them stand beside a gap.
+
+    Beside a gap a band is as wide as the step on its other side or, where it stands alone, as the median step.
+
+    >>> widths, apart = fwhm_from_spacing([400.0, 405.0, 411.0, 415.0, 940.0, 1040.0])
+    >>> widths.tolist(), apart.tolist()
+    ([5.0, 5.5, 5.0, 4.0, 6.0, 6.0], [False, False, False, True, True, True])
+    """
     centre = np.asarray(centre_nm, dtype=float)
     refuse(centre.size < 2, "axis.single")
-    return np.asarray(np.gradient(centre))
+    step, width = np.diff(centre), np.gradient(centre)
+    sides, most = np.stack([step[[0, *range(step.size)]], step[[*range(step.size), -1]]]), _GAP * np.median(step)
+    nearer, apart = sides.min(axis=0), sides.max(axis=0) > most
+    return np.where(apart, np.where(nearer > most, most / _GAP, nearer), width), np.asarray(apart)
+
+
+def spacing_note(lacking: str, apart: Array) -> str:
+    """What is to be said of :func:`fwhm_from_spacing`, by what is lacking; ``apart``: centres beside gaps [nm]."""
+    note, first = f"{lacking}: band widths are taken as the band spacing", ", ".join(f"{nm:.4g}" for nm in apart[:5])
+    guess = (
+        f"warning: {note}; those of {apart.size} bands beside gaps (the first: {first} nm) are guesses by nearer bands"
+    )
+    mend = "list all in the header (fwhm) or in a table of the bands (collection.bands: fwhm_column)"
+    return f"{guess}: {mend}" if apart.size else note
 
 
 # A Gaussian of FWHM w has sigma = w / (2 sqrt(2 ln 2)).

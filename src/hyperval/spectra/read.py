@@ -16,7 +16,7 @@ import numpy as np
 
 from hyperval.envi_header import header_beside, read_header
 from hyperval.errors import reader, refusal, refuse
-from hyperval.paths import checked_file
+from hyperval.paths import checked_file, refuse_own
 from hyperval.spectra import binary, networks, text
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, finished, mean_of
 from hyperval.storage import decoded
@@ -250,6 +250,7 @@ def _records(
     path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str
 ) -> list[FieldSpectrum]:
     file = _File(path, columns, root, quantity)
+    refuse_own(path)
     records = next(form for form in FORMATS if form.knows(file)).records(file)
     if text.quantity_in(path.stem) != "radiance":
         return records
