@@ -114,7 +114,7 @@ class Offer(Model):
 
     def ends(self, low: float | None, high: float | None) -> tuple[float, float]:
         """Ends of an axis where they are stated, else about the value in the scenario."""
-        near = self.spacing == "log" and self.now > 0.0
+        near = self.spacing == "log" and 0.0 < self.now < math.inf
         first, last = (max(self.low, self.now / 10), min(self.high, self.now * 10)) if near else (self.low, self.high)
         return first if low is None else low, last if high is None else high
 
@@ -272,6 +272,13 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     ----------
     scenario : its name, or the file that lies beside the study
     exact : under the engine that the scenario names in place of the emulator
+
+    Examples
+    --------
+    >>> p = prepared("yellow-planks-asphalt", Trade())
+    >>> every = [study_of(p, completed(Trade(x=key), p), "yellow-planks-asphalt") for key in p.inputs]
+    >>> [i.grid.stop for study in every for i in study.inputs if i.name == "tail_dof"]
+    [100.0, 100.0, 100.0]
     """
     axes = [_axis_input(p, trade, field) for field in ("y", "x") if getattr(trade, field)]
     overlays = _overlays(p, trade)

@@ -280,7 +280,7 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
         p = prepared(source, trade)
         # The six digits of a slider that nobody moved are no other value.
         still = {key for key, offer in p.inputs.items()
-                 if abs(trade.moved.get(key, math.inf) - offer.now) <= _UNMOVED * abs(offer.now)}  # fmt: skip
+                 if math.isclose(trade.moved.get(key, math.nan), offer.now, rel_tol=_UNMOVED)}  # fmt: skip
         moved = {key: value for key, value in trade.moved.items() if key not in still}
         return source, completed(trade.model_copy(update={"moved": moved}), p), p
     except ValidationError as error:
