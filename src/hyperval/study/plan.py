@@ -285,16 +285,18 @@ def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, A
     listed = [item for item in items if isinstance(item, Input) and not item.random]
     alone = study.model_copy(update={"inputs": listed})
     few = study.design.kind == "one-at-a-time" or alone.count <= study.atmosphere.above
-    if len(listed) == len(items) and few:
-        columns = moved(items, input_values(alone))
-        each = zip(*(columns[move.path].tolist() for _, move, _ in moving), strict=True)
-        rows = [{key: plain(v) for (*_, key), v in zip(moving, row, strict=True) if v is not None} for row in each]
+    # What is looked for along a sky that is emulated needs no states beforehand.
+    asked = [item for item in items if isinstance(item, Required) and scenario.atmosphere.engine == "emulator"]
+    if len(listed) + len(asked) == len(items) and few:
+        columns, keys = moved(listed, input_values(alone)), {m.path: key for i, m, key in moving if i in listed}
+        each = zip(*(columns[path].tolist() for path in keys), strict=True)
+        rows = [{key: plain(v) for key, v in zip(keys.values(), row, strict=True) if v is not None} for row in each]
         return list({repr(sorted(row.items())): row for row in rows or [{}]}.values()), {}
-    nodes = {}
+    nodes = dict[str, tuple[float, ...]]()
     for item, move, key in moving:
         own = item.listed if isinstance(item, Input) else None
         if own is None or own.dtype != object:  # words are read again for each
-            ends = np.unique([move.of(float(v)) for v in values_to_try(item)])
+            ends = np.unique([*nodes.get(key, ()), *(move.of(float(v)) for v in values_to_try(item))])
             few = own is not None and ends.size <= study.atmosphere.nodes
             between = ends if few else spaced(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
             nodes[key] = tuple(between.tolist())

@@ -276,7 +276,9 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     Examples
     --------
     >>> p = prepared("yellow-planks-asphalt", Trade())
-    >>> every = [study_of(p, completed(Trade(x=key), p), "yellow-planks-asphalt") for key in p.inputs]
+    >>> every = [study_of(p, completed(Trade(x=key, wanted=0.5), p), "yellow-planks-asphalt") for key in p.inputs]
+    >>> all(study.required[0].targets == study.inputs[-1].targets for study in every)
+    True
     >>> [i.grid.stop for study in every for i in study.inputs if i.name == "tail_dof"]
     [100.0, 100.0, 100.0]
     """
@@ -286,7 +288,7 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     settings |= _settings(p, trade)
     of_sky = sum(key.startswith("atmosphere.") for key in (trade.x, trade.y))
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
-    outputs = outputs_of(trade)
+    outputs, asked = outputs_of(trade), _questions(p, trade)
     more: dict[str, Any] = {"kind": "heat", "y": axes[0].name} if trade.y else {"kind": "lines"}
     if not trade.y and overlays:
         more["family"] = overlays[0].name
@@ -296,7 +298,8 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
         "scenario": scenario, "settings": settings, "inputs": inputs, "outputs": outputs,
         "plots": [Plot(x=axes[-1].name, output=o.name, scale=scale, **more) for o in outputs],
     }  # fmt: skip
-    return StudyFile.model_validate({**data, "atmosphere": atmosphere} if of_sky else data)
+    data |= ({"atmosphere": atmosphere} if of_sky else {}) | ({"required": asked} if asked else {})
+    return StudyFile.model_validate(data)
 
 
 def _axis_input(p: Prepared, trade: Trade, field: str) -> Input:
@@ -308,8 +311,7 @@ def _axis_input(p: Prepared, trade: Trade, field: str) -> Input:
     )  # fmt: skip
     moves = moves_of(offer, trade)
     where: dict[str, Any] = {"path": moves[0].path} if len(moves) == 1 else {"moves": moves}
-    column = f"{offer.column}-y" if field == "y" else offer.column
-    return Input(name=column, label=offer.name, unit=offer.unit, grid=grid, **where)
+    return Input(name=offer.column + "-y" * (field == "y"), label=offer.name, unit=offer.unit, grid=grid, **where)
 
 
 def _overlays(p: Prepared, trade: Trade) -> list[Input]:
@@ -400,7 +402,7 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
         some = {path: column[rows] for path, column in moved(study.inputs, input_values(study)).items()}
         values.reshape(-1, subjects)[rows] = output_values(_world(p, trade), some, study.outputs)[0]
     elif what == "required":
-        needed = _required(p, trade)
+        needed = _required(p, trade, study)
     else:
         limits[step] = _limits(p, trade, study.inputs[-1], {path: column[step] for path, column in columns.items()})
     stride = _STRIDES[min(number, len(_STRIDES) - 1)]
@@ -408,26 +410,38 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1)
 
 
-def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
-    """The value of x at which the output of each curve comes to what is wanted, and in words."""
-    trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
-    (columns, labels), offer = _families(p, trade), p.inputs[trade.x]
-    outputs, unit = outputs_of(trade), f" {offer.unit}" if offer.unit != "1" else ""
-    found = []
-    for o in outputs:
-        question = Required(
-            name="required", between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
-            spacing=offer.spacing, equals=float(trade.wanted or 0.0), moves=moves_of(offer, trade),
-        )  # fmt: skip
-        answer, told = answers(partial(output_values, _world(p, trade)), columns, question, outputs), []
-        for i, value in enumerate(answer.solutions.tolist()):
-            why = answer.reasons.get(i, "").replace(o.name, KINDS[trade.output])
-            why = why.replace("no solution", "not reached in this range")
-            words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
-            told.append((value, f"{words} ({why})" if why and math.isfinite(value) else why or words))
-        found.append(told)
-    each = zip(labels, (one for row in zip(*found, strict=True) for one in row), strict=True)
-    return tuple((value, f"{label}: {words}" if len(labels) > 1 else words) for label, (value, words) in each)
+def _questions(p: Prepared, trade: Trade) -> list[Required]:
+    """At which value of x each output comes to what is wanted, where that is asked; y stands where its slider does."""
+    offer, moves = p.inputs[trade.x], moves_of(p.inputs[trade.x], trade)
+    if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
+        moves += [Move(path=move.path, factor=0.0, offset=now) for move in moves_of(p.inputs[trade.y], trade)]
+    return [
+        Required(
+            name=f"required-{o.name}", label=f"{offer.name} for {o.label} = {trade.wanted:g}", unit=offer.unit,
+            between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
+            spacing=offer.spacing, equals=trade.wanted, moves=moves,
+        ) for o in outputs_of(trade) if trade.wanted is not None
+    ]  # fmt: skip
+
+
+def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float, str], ...]:
+    """The value of x at which the output of each curve comes to what is wanted, and in words.
+
+    >>> trade = completed(Trade(wanted=2.0), p := prepared("yellow-planks-asphalt", Trade()))
+    >>> _required(p, trade, study_of(p, trade, ""))[0][1]
+    'not reached in this range: probability of detection P_D stays below 2; the nearest is 1 at 0.2'
+    """
+    columns, labels = _families(p, trade)
+    found = [(q, answers(partial(output_values, _world(p, trade)), columns, q, study.outputs)) for q in study.required]
+    told, offer = list[tuple[float, str]](), p.inputs[trade.x]
+    for label, (i, (q, answer)) in zip(labels, product(range(len(labels) // len(found)), found), strict=True):
+        value, why = float(answer.solutions[i]), answer.reasons.get(i, "").replace(q.output, KINDS[trade.output])
+        why = why.replace("no solution", "not reached in this range")
+        unit = f" {offer.unit}" if offer.unit != "1" else ""
+        words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
+        words = f"{words} ({why})" if why and math.isfinite(value) else why or words
+        told.append((value, f"{label}: {words}" if len(labels) > 1 else words))
+    return tuple(told)
 
 
 def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
@@ -477,10 +491,14 @@ def _axis(along: Input) -> tuple[Axis, Array]:
     return Axis(along.words, along.grid.spacing, ends=ends), np.asarray(along.listed, float)
 
 
+def _now(p: Prepared, trade: Trade, key: str) -> float:
+    """Where an input stands; NaN where the scenario does not state it."""
+    return trade.pfa if key == PFA else trade.moved.get(key, p.inputs[key].now)
+
+
 def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
     """A rule at the present value of an input, where it lies on its axis."""
-    offer = p.inputs[getattr(trade, field)]
-    now = trade.pfa if offer.key == PFA else trade.moved.get(offer.key, offer.now)
+    now = _now(p, trade, getattr(trade, field))
     return ((field, now),) if getattr(trade, f"{field}_from") <= now <= getattr(trade, f"{field}_to") else ()
 
 
