@@ -69,8 +69,12 @@ def without_paths(text: str) -> str:
 
 
 def said(error: HypervalError) -> str:
-    """What an error of the package says to someone who does not share its files."""
-    parts = [error.what, f"expected: {error.expected}" if error.expected else ""]
+    """What an error of the package says to someone who does not share its files, and types no options of a command.
+
+    >>> said(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit"))
+    'collection.cube.unit: of the radiance; expected: a unit'
+    """
+    parts = [re.sub(r" \(--[a-z-]+\)", "", error.what), f"expected: {error.expected}" if error.expected else ""]
     return without_paths("; ".join(part for part in parts if part))
 
 

@@ -14,6 +14,7 @@ from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
+from unicodedata import normalize
 
 from fastapi import Request
 from pydantic import BaseModel, Field, ValidationError
@@ -49,9 +50,9 @@ _NEEDED = {
 }  # fmt: skip
 _PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xml": "XML", b"BZh": "packed by bzip2"}
 _LARGEST_TEXT = 4_000_000
-_INSIDE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}/){0,12}[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
-_NAME_WORDS = "letters, digits, - and _, with one or two endings, at most 80 characters"
+_INSIDE = re.compile(r"(?:\w[\w .@+()-]{0,100}/){0,12}\w[\w .@+()-]{0,100}")
+_NAME = re.compile(r"[^\W_][\w .@+()-]{0,79}")
+_NAME_WORDS = "letters, digits, blanks and . _ - + @ ( ), at most 80 characters, a letter or digit first"
 
 
 class Uploads:
@@ -89,7 +90,7 @@ class Uploads:
 
     def _keep(self, field: str, file: UploadFile) -> Path:
         """Keep a file under its field; a new one takes the place of one of its name, and of any other of a cube."""
-        name, place = file.filename or "", self.folder / field
+        name, place = normalize("NFC", file.filename or ""), self.folder / field
         if not _NAME.fullmatch(name):
             raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {_NAME_WORDS}")])
         place.mkdir(parents=True, exist_ok=True)
