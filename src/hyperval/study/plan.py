@@ -24,7 +24,7 @@ from hyperval.atmosphere.between import spaced
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, refuse
-from hyperval.model import Evaluation, Origins, World, evaluations, read, with_values
+from hyperval.model import Evaluation, Origins, World, evaluations, read, with_truths
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
 from hyperval.model.stated import plain, state_entries
@@ -170,6 +170,14 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
 
     ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points can not be evaluated
     together, those that can not at all are found.
+
+    Examples
+    --------
+    >>> world = read(with_settings(load_scenario("panels"), {"atmosphere.engine": "emulator"}))
+    >>> snr = Output(name="snr", kind="snr", subject="grass", band_nm=550.0)
+    >>> values, _ = output_values(world, {"sensor.noise": column_of([None, 2.0])}, [snr])
+    >>> round(float(values[0, 0] / values[1, 0]), 6)
+    2.0
     """
     n = len(next(iter(columns.values())))
     values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
@@ -178,9 +186,9 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
         rows = pieces.pop()
         moved = {p: c[rows] for p, c in columns.items()}
         pfa = moved.pop(PFA, None)
+        truths = [{p: c[i] for p, c in moved.items() if c[i] is not None} for i in range(rows.size)]
         try:
-            # Without anything that moves there is one truth, read at many P_FA.
-            for index, e in evaluations(with_values(world, moved or {"line.offset": np.zeros(rows.size)})):
+            for index, e in evaluations(with_truths(world, truths)):
                 at, of = rows[index], None if pfa is None else pfa[index]
                 values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
                 problems |= {int(at[u]): " ".join(str(error).split()) for u, error in e.problems.items()}
