@@ -143,6 +143,7 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
     study, asked = plan.study, {o.name: o for o in plan.study.outputs}
     rows, count, inputs = ResultTable(), len(table), [i.name for i in study.inputs]
     numbers = {name: column.unit for name, column in study.columns.items() if name not in inputs}
+    saturated = sum("SATURATION" in text for text in table["reason"])
 
     def add(product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any) -> None:
         rows.append(Result(study.name, product, subject, method, metric, float(value), unit, **more))
@@ -151,7 +152,8 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
         output, (n, values) = asked.get(name), extremes(table[name])
         product = "study" if output is None else output.kind if output.is_spectral else "roc"
         names = product, name if output is None else output.subject, name
-        said, more = f"{count - n} of {count} points have no value; reasons stand in table.csv" if n < count else "", {}
+        told, more = {"no value": count - n, "SATURATION": saturated}, dict[str, Any]()
+        said = "; ".join(f"{k} of {count} points: {what}, see table.csv" for what, k in told.items() if k)
         if not n:
             values, more = {"median": np.nan}, _NO_VALUE
             said = next(filter(None, table["reason"]), "no point has a value")
@@ -166,7 +168,7 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
     for number, point in enumerate(table.to_dict("records") if count <= MOST_LISTED else ()):
         said = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]})
         for name, unit in numbers.items():
-            why = point["reason"] if np.isnan(point[name]) else ""
+            why = point["reason"] if np.isnan(point[name]) or "SATURATION" in point["reason"] else ""
             reason = "; ".join(filter(None, (said, why)))
             add("study", name, f"point {number}", "output", point[name], unit, reason=reason)
     return rows

@@ -23,9 +23,10 @@ from scipy.stats import qmc
 from hyperval.atmosphere.between import spaced
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import UsageError, needed, refuse
 from hyperval.model import Evaluation, Origins, World, evaluations, read, with_truths
-from hyperval.model.radiance import mean_radiance
+from hyperval.model.forward import reflectances
+from hyperval.model.radiance import Light, mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
 from hyperval.model.stated import plain, state_entries
 from hyperval.model.world import column_of, find, in_file
@@ -165,8 +166,24 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     return scores.auc(WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True))
 
 
+def saturation(e: Evaluation) -> dict[int, str]:
+    """Truth -> which subjects pass full scale there, in some band of their mean radiance."""
+
+    def passes(light: Light, rho: Array) -> Array:
+        part = needed(light.noise, "scenario.noise").full_scale_fraction(light.level(rho))
+        return np.asarray(np.any(part > 1.0, axis=(1, 2)))
+
+    noise, brightest = e.light.noise, np.fmax.reduce(e.at.mean, axis=1, keepdims=True)  # of surfaces and mixtures
+    if noise is None or noise.full_scale is None or not passes(e.light, brightest).any():
+        return {}
+    light, each = e.light.rows(e.which), reflectances(e).items()
+    passed = {name: np.broadcast_to(passes(light, rho), (len(e),)) for name, (rho, _) in each}
+    own = {u: [name for name, at in passed.items() if at[u]] for u in range(len(e))}
+    return {u: f"SATURATION: full scale is passed by {', '.join(names)}" for u, names in own.items() if names}
+
+
 def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
-    """Outputs (n, O) of a world at n points, NaN where there is none, and why, by the number of the point.
+    """Outputs (n, O) of a world at n points, NaN where there is none, and why, or what saturates, by number of point.
 
     ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points can not be evaluated
     together, those that can not at all are found.
@@ -178,6 +195,8 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
     >>> values, _ = output_values(world, {"sensor.noise": column_of([None, 2.0])}, [snr])
     >>> round(float(values[0, 0] / values[1, 0]), 6)
     2.0
+    >>> output_values(world, {"sensor_changes.signal_factor": column_of([1.0, 2.0])}, [snr])[1]
+    {1: 'SATURATION: full scale is passed by grass, white panel, grey panel 48'}
     """
     n = len(next(iter(columns.values())))
     values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
@@ -191,7 +210,8 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
             for index, e in evaluations(with_truths(world, truths)):
                 at, of = rows[index], None if pfa is None else pfa[index]
                 values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
-                problems |= {int(at[u]): " ".join(str(error).split()) for u, error in e.problems.items()}
+                said = saturation(e) | {u: " ".join(str(error).split()) for u, error in e.problems.items()}
+                problems |= {int(at[u]): words for u, words in said.items()}
         except UsageError as error:
             if rows.size > 1:
                 pieces += np.array_split(rows, 2)
@@ -375,14 +395,14 @@ def answers(
     ``values_of`` : :func:`output_values` of a world
     """
 
-    def at(x: Array, rows: npt.NDArray[Any], *names: str) -> Array:
-        """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,)."""
+    def at(x: Array, rows: npt.NDArray[Any], *names: str) -> tuple[Array, Mapping[int, str]]:
+        """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,), and what is to be said of them."""
         own = {path: column[rows.astype(int)] for path, column in columns.items()}
         own |= {m.path: m.of(x) for m in question.targets}
-        return values_of(own, [named[name] for name in names])[0]
+        return values_of(own, [named[name] for name in names])
 
     def miss(x: Array, row: Array) -> Array:
-        return at(x.ravel(), row.ravel(), question.output).reshape(x.shape) - question.equals
+        return at(x.ravel(), row.ravel(), question.output)[0].reshape(x.shape) - question.equals
 
     named = {o.name: o for o in outputs}
     n = len(next(iter(columns.values())))
@@ -399,8 +419,11 @@ def answers(
         reasons |= {int(i): "the root was not found" for i in solved[~root.success]}
     reports = np.full((n, len(question.report)), np.nan)
     good = np.flatnonzero(np.isfinite(values))
-    if reports.size and good.size:
-        reports[good] = at(values[good], good, *question.report)
+    if good.size:
+        told, problems = at(values[good], good, question.output, *question.report)
+        reports[good] = told[:, 1:]
+        for k, words in problems.items():
+            reasons[int(good[k])] = "; ".join(filter(None, (reasons.get(int(good[k])), words)))
     return Answers(values, reports, reasons)
 
 

@@ -33,7 +33,7 @@ from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import numbers_of, path_parts, setting, with_settings
 from hyperval.study.page import cell_edges, heat_mark
-from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, of_truths, output_values
+from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, output_values
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
 
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
@@ -375,6 +375,7 @@ class Progress(NamedTuple):
     limits : (F, K, O, 2) 95 % limits where the model gives them
     needed : the value of x that each curve needs for the wanted output, NaN without, and in words; once looked for
     figure : what is to be drawn;  left : pieces that are still to come
+    remarks : what is to be said of points, such as what saturates there, by their number
     """
 
     values: Array
@@ -382,6 +383,14 @@ class Progress(NamedTuple):
     needed: tuple[tuple[float, str], ...]
     figure: str
     left: int
+    remarks: Mapping[int, str] = {}
+
+    @property
+    def said(self) -> list[str]:
+        """What each curve needs, and what is to be said of points: of the one of which there is most to say."""
+        points = f" ({len(self.remarks)} of {self.values[..., 0].size} points, this one the most)"
+        most = max(self.remarks.values(), key=len, default="")
+        return [*(words for _, words in self.needed), *([most + points] if most else [])]
 
 
 def piece(source: str, trade: Trade, number: int, before: Progress | None = None) -> Progress:
@@ -394,20 +403,21 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
     blank = np.full((families, _known(trade, 1).size, subjects), np.nan)
     before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", 0)
-    values, limits, needed = before.values.copy(), before.limits.copy(), before.needed
+    values, limits, needed, remarks = before.values.copy(), before.limits.copy(), before.needed, {**before.remarks}
     what, step = steps[number]
     if what == "points":
         new = _known(trade, step) & ~(_known(trade, steps[number - 1][1]) if number else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
         some = {path: column[rows] for path, column in moved(study.inputs, input_values(study)).items()}
-        values.reshape(-1, subjects)[rows] = output_values(_world(p, trade), some, study.outputs)[0]
+        values.reshape(-1, subjects)[rows], told = output_values(_world(p, trade), some, study.outputs)
+        remarks |= {int(rows[i]): words for i, words in told.items()}
     elif what == "required":
         needed = _required(p, trade, study)
     else:
         limits[step] = _limits(p, trade, study.inputs[-1], {path: column[step] for path, column in columns.items()})
     stride = _STRIDES[min(number, len(_STRIDES) - 1)]
     drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, study, values, limits, labels)
-    return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1)
+    return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1, remarks)
 
 
 def _questions(p: Prepared, trade: Trade) -> list[Required]:
@@ -547,17 +557,16 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
 
     Returns
     -------
-    ``figure`` of them; ``values``, the output of each curve by its name; ``error``: of the atmosphere, in words
+    ``figure`` of them; ``values``, the output of each curve by its name; ``error``: of the atmosphere; what saturates
     """
     p = prepared(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
     columns, labels = _families(p, trade)
     outputs = outputs_of(trade)
-    shape = len(labels) // len(outputs), len(outputs)
-    spectra, numbers = np.empty(shape, dtype=object), np.full(shape, np.nan)
+    numbers, remarks = output_values(_world(p, trade), columns, outputs)
+    spectra = np.empty(numbers.shape, dtype=object)
     for index, e in evaluations(with_values(_world(p, trade), columns)):
         for k, o in enumerate(outputs):
-            numbers[index, k] = of_truths(e, o, None)
             if trade.is_spectral:
                 at, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
             else:
@@ -566,7 +575,7 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
                 spectra[i, k] = at, row
     bands = np.full((len(labels), _ROC.size, 2), np.nan)
     if with_limits and not trade.is_spectral:
-        truths = [{path: column[i] for path, column in columns.items()} for i in range(shape[0])]
+        truths = [{path: column[i] for path, column in columns.items()} for i in range(len(numbers))]
         bands = np.concatenate([_limits_in(p, trade, truth, _ROC) for truth in truths])
     marks = _lines(labels, spectra.ravel().tolist(), bands)
     told = zip(labels, numbers.ravel().tolist(), strict=True)
@@ -576,7 +585,8 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
     figure = Figure("live", "roc", "", "", (Panels(x, (Part(y, marks, rules),)),))
-    return {"figure": statement(figure), "values": known, "error": _error(p, trade)}
+    said = " ".join([_error(p, trade), *(f"{words}." for words in dict.fromkeys(remarks.values()))])
+    return {"figure": statement(figure), "values": known, "error": said}
 
 
 def _error(p: Prepared, trade: Trade) -> str:

@@ -336,7 +336,7 @@ def curve(request: Request) -> Response:
             while before is None or before.left:
                 before = told = Progress(*ask("trade_piece", source=source, trade=trade, number=number, before=before))
                 number += 1
-                shown = {"figure": told.figure, "needed": [words for _, words in told.needed], "left": told.left}
+                shown = {"figure": told.figure, "needed": told.said, "left": told.left}
                 yield json.dumps(shown) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
