@@ -12,7 +12,7 @@ import math
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -77,8 +77,9 @@ def predict(folder: str) -> dict[str, Any]:
     prediction, rows = _predicted(folder), list[dict[str, Any]]()
     for key, pfa in product(prediction.products.roc, _PFA):
         about = dict(zip(("subject", "detector", "unit"), key, strict=True))
-        found = prediction.pd(pfa=pfa, **about)
-        rows.append({**about, "pfa": pfa, **dict(zip(("pd", "lower", "upper"), map(_number, found), strict=True))})
+        with suppress(UsageError):  # where the curves of the scenario begin above it
+            found = zip(("pd", "lower", "upper"), map(_number, prediction.pd(pfa=pfa, **about)), strict=True)
+            rows.append({**about, "pfa": pfa, **dict(found)})
     medians = {name: _number(np.nanmedian(e.mean)) for name, e in prediction.snr.items() if not name.endswith(")")}
     snr = [{"subject": name, "median": median} for name, median in medians.items()]
     nm = prediction.axis.centre_nm
