@@ -247,8 +247,10 @@ def plan_study(study: StudyFile) -> Plan:
     """
     file = study.folder / study.scenario if study.folder and study.scenario not in builtin_scenarios() else None
     scenario = load_scenario(file or study.scenario)
+    if file is None:  # a built-in one has no files of its own: what the settings name lies beside the study
+        scenario._folder = study.folder
     scenario = with_settings(scenario, study.settings) if study.settings else scenario
-    log = InputLog(scenario.folder or study.folder)
+    log = InputLog(scenario.folder)
     if file is not None:
         log.add(file.resolve(), study.scenario)
     states, nodes = states_of(study, scenario)
