@@ -207,6 +207,11 @@ def _offers(world: World) -> Iterator[Offer]:
 def completed(trade: Trade, p: Prepared) -> Trade:
     """What is asked, with all that was left open filled in.
 
+    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_to=85.0), prepared("panels", Trade()))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: x_to: outside the range of the emulator: solar zenith [deg] is 84.9
+      expected: 0 to 75
+
     Raises
     ------
     UsageError : something that the scenario does not have; ``where`` names the field.
@@ -231,7 +236,12 @@ def completed(trade: Trade, p: Prepared) -> Trade:
             low, high = p.inputs[key].ends(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
             refuse(not low < high, "trade.ends", f"{field}_to", high=high, low=low)
             refuse(p.inputs[key].spacing == "log" and low <= 0.0, "trade.log", f"{field}_from")
-            filled |= {f"{field}_from": low, f"{field}_to": high}
+            filled |= (ends := {f"{field}_from": low, f"{field}_to": high})
+            for where, end in ends.items() if key.startswith("atmosphere.") else ():
+                try:
+                    p.world.stated.atmosphere.run({key.partition(".")[2]: end})
+                except UsageError as error:
+                    raise UsageError(error.what, where=where, expected=error.expected) from error
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
     refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, most=_MOST_LINES)
     return trade.model_copy(update=filled)
