@@ -35,6 +35,7 @@ from hyperval.run import file_stems, read_pair
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import simulate
+from hyperval.spectra.axis import in_window
 from hyperval.storage import write_text
 from hyperval.study import live, piece, study_to_folder
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
@@ -80,7 +81,8 @@ def predict(folder: str) -> dict[str, Any]:
         with suppress(UsageError):  # where the curves of the scenario begin above it
             found = zip(("pd", "lower", "upper"), map(_number, prediction.pd(pfa=pfa, **about)), strict=True)
             rows.append({**about, "pfa": pfa, **dict(found)})
-    medians = {name: _number(np.nanmedian(e.mean)) for name, e in prediction.snr.items() if not name.endswith(")")}
+    good = prediction.axis.good & in_window(prediction.axis.centre_nm)
+    medians = {n: _number(np.nanmedian(e.mean[good])) for n, e in prediction.snr.items() if not n.endswith(")")}
     snr = [{"subject": name, "median": median} for name, median in medians.items()]
     nm = prediction.axis.centre_nm
     return {
