@@ -13,15 +13,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 from unicodedata import normalize
 
 from fastapi import Request
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
+from hyperval.atmosphere.state import AtmosphericState
 from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
@@ -148,7 +149,7 @@ class StatedCollection(BaseModel):
     quantity: Literal["radiance", "reflectance"] | None = None
     unit: str | None = Field(None, max_length=60)
     sensor: Literal[library_names()] | None = None  # type: ignore[valid-type]
-    time_utc: str | None = Field(None, max_length=60)
+    time_utc: Annotated[str | None, AfterValidator(AtmosphericState._is_a_time)] = Field(None, max_length=60)
     altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
     pixel_size_m: float | None = Field(None, ge=0.001, le=10_000, allow_inf_nan=False)
 
