@@ -116,9 +116,9 @@ def knees_of(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
     return found
 
 
-def words_of(values: Mapping[str, Any]) -> str:
+def words_of(values: Mapping[str, Any], digits: int = 4) -> str:
     """Inputs and their values in a line."""
-    return ", ".join(f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
+    return ", ".join(f"{k} = {v:.{digits}g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
 
 
 def extremes(values: pd.Series) -> tuple[int, dict[str, float]]:
@@ -165,12 +165,12 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
             reason=reason, **(_NO_VALUE if point.reason else {}))  # fmt: skip
     for name, value in plan.sky_error.items():
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
-    for number, point in enumerate(table.to_dict("records") if count <= MOST_LISTED else ()):
-        said = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]})
+    # A point goes by its inputs, as another study of the same may number it otherwise.
+    for point in table.to_dict("records") if count <= MOST_LISTED else ():
+        at = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]}, 12)
         for name, unit in numbers.items():
             why = point["reason"] if np.isnan(point[name]) or "SATURATION" in point["reason"] else ""
-            reason = "; ".join(filter(None, (said, why)))
-            add("study", name, f"point {number}", "output", point[name], unit, reason=reason)
+            add("study", name, at or "as stated", "output", point[name], unit, reason=why)
     return rows
 
 
