@@ -143,7 +143,11 @@ class Uploads:
 
 
 class StatedCollection(BaseModel):
-    """What a person says of a collection; blank entries are left out."""
+    """What a person says of a collection; blank entries are left out.
+
+    >>> with suppress(ValidationError):
+    ...     StatedCollection(time_utc="4.6.2018 10:00").time_utc
+    """
 
     name: str = Field("mine", max_length=60, pattern="^[a-z0-9][a-z0-9-]*$")
     quantity: Literal["radiance", "reflectance"] | None = None
