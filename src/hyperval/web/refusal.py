@@ -18,6 +18,7 @@ _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
 _MOST = 40  # mistakes of one request
 _WORDS = {
     "finite_number": "is not a finite number",
+    "float_parsing": "is not a number, such as 0.5",
     "missing": "is missing",
     "extra_forbidden": "is not a known field",
 }
