@@ -399,7 +399,7 @@ class Scene(Model):
     )
 
     refused: ClassVar = {
-        "the fractions of the classes sum to {:g}, not 1": lambda s: (
+        "classes: their fractions sum to {:g}, not 1": lambda s: (
             abs((total := sum(c.fraction for c in s.classes)) - 1.0) > 1e-6 and [total]
         ),
         "names of subjects occur twice: {names}": lambda s: twice(

@@ -126,6 +126,11 @@ def _key(at: Any, part: str, path: str) -> Any:
 def item_number(names: Sequence[Any], part: str, path: str) -> int:
     """Number of the item of a list that a part of a path names, by its name or by its number from 0.
 
+    >>> item_number(["sand", "plank 0.5"], *"plank 0,a.plank 0.5".split(","))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: setting 'a.plank 0.5': no item 'plank 0'
+      expected: a number below 2 or one of sand, [plank 0.5] (a name that holds dots stands in brackets)
+
     Raises
     ------
     UsageError : there is none.
@@ -134,6 +139,7 @@ def item_number(names: Sequence[Any], part: str, path: str) -> int:
         return names.index(part)
     if part.isdecimal() and int(part) < len(names):
         return int(part)
-    there = ", ".join(str(n) for n in names if n is not None)
-    known = f" or one of {there}" if there else ""
+    there = ", ".join(f"[{n}]" if "." in str(n) else str(n) for n in names if n is not None)
+    brackets = " (a name that holds dots stands in brackets)" if "[" in there else ""
+    known = f" or one of {there}{brackets}" if there else ""
     raise refusal("setting.item", path=path, part=part, count=len(names), known=known)

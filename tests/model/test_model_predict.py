@@ -129,7 +129,7 @@ def test_saturation_is_said():
     assert not any("SATURATION" in n for n in dim.notes)
     assert max(part.max() for part in dim.full_scale.values()) < 1
     assert bright.full_scale["tenth"].max() > 1
-    assert any(n.startswith("SATURATION: tenth passes full scale in") for n in bright.notes)
+    assert any(n.startswith("warning: SATURATION: tenth passes full scale in") for n in bright.notes)
 
 
 def test_blur_of_the_sensor_serves_where_a_geometry_states_none():

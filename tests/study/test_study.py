@@ -214,12 +214,12 @@ def test_several_entries_move_together(table_of, scenario_file):
 
 
 def test_one_at_a_time_gives_a_tornado(make_study, tmp_path):
-    path = make_study(text_of("tornado"))
-    study_to_folder(path, tmp_path / "out")
+    study_to_folder(make_study(text_of("tornado")), tmp_path / "out")
     table = pd.read_csv(tmp_path / "out" / "table.csv")
     assert (table["fill"].isna().tolist(), table["pd"].notna().all()) == ([True] * 4 + [False] * 2, True)
     assert table["pd"].iloc[0] == pytest.approx(table["pd"].iloc[3], rel=1e-9)  # the same sensor, read anew
     assert "read anew for each value" in (tmp_path / "out" / "report.html").read_text()
+    assert {"as stated", "haze = 0.4"} <= {row.method for row in read_rows(tmp_path / "out")}
 
 
 def test_random_atmosphere_is_interpolated_and_says_so_and_each_draw_has_its_bend(make_study, tmp_path):

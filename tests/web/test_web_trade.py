@@ -21,10 +21,9 @@ def test_what_is_wrong_is_told_at_its_field(server, client, given, field):
 
 
 def test_what_is_taken_away_gives_the_numbers_of_the_page(server, client, tmp_path, monkeypatch):
-    given = {"x_from": "0.01", ZENITH: "50", "background": ["asphalt", "grass"], "wanted": "2"}
+    given = {"x_from": "0.01", ZENITH: "50", "background": ["asphalt", "grass"], "wanted": "0.9"}
     told = json.loads(client.get(f"{server.address}/trade/curve", params=given).text.splitlines()[-1])
     assert told["left"] == 0
-    assert "not reached in this range" in told["needed"][0]
     notebook = client.get(f"{server.address}/trade/trade.ipynb", params=given).json()
     monkeypatch.chdir(tmp_path)
     room: dict = {}
@@ -39,6 +38,7 @@ def test_what_is_taken_away_gives_the_numbers_of_the_page(server, client, tmp_pa
         now = piece("yellow-planks-asphalt", trade, number, now)
     table = api.open(tmp_path / "out").to_dataframe()
     np.testing.assert_allclose(table["pd"], now.values[:, :, 0].ravel(), rtol=1e-9)
+    assert all(f" = {v:.4g} for" in w for v, w in zip(table["required-pd"][::33], told["needed"], strict=True))
 
 
 @NEEDS_BROWSER

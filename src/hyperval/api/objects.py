@@ -27,7 +27,7 @@ from hyperval.figures.catalogue import SPECTRA as PRODUCT_LABELS
 from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, single
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
-from hyperval.model import Z95, detection_at
+from hyperval.model import Z95, detection_at, detection_limits_at
 from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, Products
 from hyperval.progress import bars
 from hyperval.results import ResultTable, of_campaign
@@ -231,7 +231,7 @@ class _Tables(_Shown):
 
 
 class Probability(NamedTuple):
-    """A probability of detection with its 95 % limits."""
+    """A probability of detection with its 95 % limits; these are NaN where no uncertainty is stated."""
 
     value: float
     lower: float
@@ -275,19 +275,25 @@ class _Side(_Tables):
         >>> from hyperval.api import predict
         >>> predict("scenario.yaml").pd("large-planks", pfa=1e-2).value > 0.9
         True
+        >>> predict("scenario.yaml").pd("large-planks", pfa=2)
+        Traceback (most recent call last):
+        hyperval.errors.UsageError: no P_D at a P_FA of 2
+          expected: a number above 0 and below 1 that the curve reaches, which runs from 1e-09 to 0.999
 
         Raises
         ------
-        UsageError : no such curve.
+        UsageError : no such curve, or a probability that it does not reach.
         """
         asked = (subject, detector, unit)
         keys = [key for key in self.products.roc if all(a in (None, k) for a, k in zip(asked, key, strict=True))]
         if not keys:
             have = ", ".join("/".join(key) for key in self.products.roc)
-            raise UsageError(f"no ROC curve of {subject!r}, {detector}, {unit}", expected=f"one of {have}")
+            words = ", ".join(repr(one) for one in asked if one is not None)
+            raise UsageError(f"no ROC curve of {words}", expected=f"one of {have}" if have else None)
         curve = self.products.roc[keys[0]]
-        limits = (curve.pd, curve.pd_lower, curve.pd_upper)
-        return Probability(*(float(detection_at(curve, pfa, values)) for values in limits))
+        reached, ends = detection_at(curve, pfa, curve.pfa), (curve.pfa.min(initial=1.0), curve.pfa.max(initial=0.0))
+        refuse(not 0.0 < pfa < 1.0 or np.isnan(reached), "api.pfa", pfa=pfa, ends=ends)
+        return Probability(float(detection_at(curve, pfa)), *detection_limits_at(curve, pfa).tolist())
 
     @property
     def both(self) -> Mapping[str, Products]:  # type: ignore[override]

@@ -486,7 +486,9 @@ def predict(
     output: Output,
 ) -> int:
     """Run the forward model alone."""
-    return finished(campaign.predict_to_folder(scenario, output), output)
+    code = campaign.predict_to_folder(scenario, output)
+    say_warnings(output)
+    return finished(code, output)
 
 
 @command("observe campaign.yaml -o out --write-reflectance envi")

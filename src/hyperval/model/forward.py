@@ -635,8 +635,8 @@ def _mixed(world: World, light: Light, number: int) -> tuple[Array, float, Mappi
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:
     """One note for each subject whose mean radiance passes full scale."""
     return [
-        f"SATURATION: {subject} passes full scale in {np.sum(part > 1.0)} bands, at most {np.nanmax(part):.2f} of it "
-        f"at {axis.centre_nm[np.nanargmax(part)]:g} nm"
+        f"warning: SATURATION: {subject} passes full scale in {np.sum(part > 1.0)} bands, at most "
+        f"{np.nanmax(part):.2f} of it at {axis.centre_nm[np.nanargmax(part)]:g} nm"
         for subject, part in full_scale.items() if np.any(part > 1.0)
     ]  # fmt: skip
 

@@ -78,25 +78,32 @@ class SensorNumber:
 
 
 def numbers(specification: SensorSpecification) -> list[SensorNumber]:
-    """Every number of the file in the order of the file; those of a part have its source."""
-    return list(_numbers(specification.model_dump(mode="json", exclude_none=True), "", ""))
+    """Every number of the file in the order of the file; those of a part have its source.
+
+    >>> from hyperval.sensor.specification import load_sensor
+    >>> [n.source for n in numbers(load_sensor("enmap").specification) if n.name == "detector_gain"]
+    ['assumed: the file does not state it']
+    """
+    used, stated = (specification.model_dump(mode="json", exclude_none=True, exclude_unset=u) for u in (False, True))
+    return list(_numbers(used, stated, "", ""))
 
 
-def _numbers(data: dict[str, Any], at: str, source: str) -> Iterator[SensorNumber]:
+def _numbers(data: dict[str, Any], stated: dict[str, Any], at: str, source: str) -> Iterator[SensorNumber]:
     source = data.get("source", source)
     for name, value in data.items():
         if name in _NO_NUMBERS or name.endswith("_source"):
             continue
         if isinstance(value, dict):
-            yield from _numbers(value, f"{at}{name}.", source)
+            yield from _numbers(value, stated.get(name, {}), f"{at}{name}.", source)
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for number, item in enumerate(value, 1):
-                yield from _numbers(item, f"{item.get('name', f'{at}{name}.{number}')}.", source)
+            for number, (item, own) in enumerate(zip(value, stated.get(name, value), strict=True), 1):
+                yield from _numbers(item, own, f"{item.get('name', f'{at}{name}.{number}')}.", source)
         elif value not in ([], ""):
-            own = f"{at}{name}".removesuffix(".value").removesuffix(".table")
-            unit = next((unit for end, unit in _UNITS.items() if own.endswith(end)), "")
+            place = f"{at}{name}".removesuffix(".value").removesuffix(".table")
+            unit = next((unit for end, unit in _UNITS.items() if place.endswith(end)), "")
             said = data.get(f"{name}_source", "not stated" if name == "bits" else source)
-            yield SensorNumber(own, _shown(value), unit, said)
+            said = said if name in stated else "assumed: the file does not state it"
+            yield SensorNumber(place, _shown(value), unit, said)
 
 
 def _shown(value: Any) -> str:

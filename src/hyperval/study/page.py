@@ -116,9 +116,9 @@ def knees_of(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
     return found
 
 
-def words_of(values: Mapping[str, Any]) -> str:
+def words_of(values: Mapping[str, Any], digits: int = 4) -> str:
     """Inputs and their values in a line."""
-    return ", ".join(f"{k} = {v:.4g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
+    return ", ".join(f"{k} = {v:.{digits}g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
 
 
 def extremes(values: pd.Series) -> tuple[int, dict[str, float]]:
@@ -143,6 +143,7 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
     study, asked = plan.study, {o.name: o for o in plan.study.outputs}
     rows, count, inputs = ResultTable(), len(table), [i.name for i in study.inputs]
     numbers = {name: column.unit for name, column in study.columns.items() if name not in inputs}
+    saturated = sum("SATURATION" in text for text in table["reason"])
 
     def add(product: str, subject: str, method: str, metric: str, value: float, unit: str = "1", **more: Any) -> None:
         rows.append(Result(study.name, product, subject, method, metric, float(value), unit, **more))
@@ -151,7 +152,8 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
         output, (n, values) = asked.get(name), extremes(table[name])
         product = "study" if output is None else output.kind if output.is_spectral else "roc"
         names = product, name if output is None else output.subject, name
-        said, more = f"{count - n} of {count} points have no value; reasons stand in table.csv" if n < count else "", {}
+        told, more = {"no value": count - n, "SATURATION": saturated}, dict[str, Any]()
+        said = "; ".join(f"{k} of {count} points: {what}, see table.csv" for what, k in told.items() if k)
         if not n:
             values, more = {"median": np.nan}, _NO_VALUE
             said = next(filter(None, table["reason"]), "no point has a value")
@@ -163,12 +165,12 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
             reason=reason, **(_NO_VALUE if point.reason else {}))  # fmt: skip
     for name, value in plan.sky_error.items():
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
-    for number, point in enumerate(table.to_dict("records") if count <= MOST_LISTED else ()):
-        said = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]})
+    # A point goes by its inputs, as another study of the same may number it otherwise.
+    for point in table.to_dict("records") if count <= MOST_LISTED else ():
+        at = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]}, 12)
         for name, unit in numbers.items():
-            why = point["reason"] if np.isnan(point[name]) else ""
-            reason = "; ".join(filter(None, (said, why)))
-            add("study", name, f"point {number}", "output", point[name], unit, reason=reason)
+            why = point["reason"] if np.isnan(point[name]) or "SATURATION" in point["reason"] else ""
+            add("study", name, at or "as stated", "output", point[name], unit, reason=why)
     return rows
 
 

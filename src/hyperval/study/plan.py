@@ -23,9 +23,10 @@ from scipy.stats import qmc
 from hyperval.atmosphere.between import spaced
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
-from hyperval.errors import UsageError, refuse
-from hyperval.model import Evaluation, Origins, World, evaluations, read, with_values
-from hyperval.model.radiance import mean_radiance
+from hyperval.errors import UsageError, needed, refuse
+from hyperval.model import Evaluation, Origins, World, evaluations, read, with_truths
+from hyperval.model.forward import reflectances
+from hyperval.model.radiance import Light, mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
 from hyperval.model.stated import plain, state_entries
 from hyperval.model.world import column_of, find, in_file
@@ -165,11 +166,37 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     return scores.auc(WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True))
 
 
+def saturation(e: Evaluation) -> dict[int, str]:
+    """Truth -> which subjects pass full scale there, in some band of their mean radiance."""
+
+    def passes(light: Light, rho: Array) -> Array:
+        part = needed(light.noise, "scenario.noise").full_scale_fraction(light.level(rho))
+        return np.asarray(np.any(part > 1.0, axis=(1, 2)))
+
+    noise, brightest = e.light.noise, np.fmax.reduce(e.at.mean, axis=1, keepdims=True)  # of surfaces and mixtures
+    if noise is None or noise.full_scale is None or not passes(e.light, brightest).any():
+        return {}
+    light, each = e.light.rows(e.which), reflectances(e).items()
+    passed = {name: np.broadcast_to(passes(light, rho), (len(e),)) for name, (rho, _) in each}
+    own = {u: [name for name, at in passed.items() if at[u]] for u in range(len(e))}
+    return {u: f"SATURATION: full scale is passed by {', '.join(names)}" for u, names in own.items() if names}
+
+
 def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
-    """Outputs (n, O) of a world at n points, NaN where there is none, and why, by the number of the point.
+    """Outputs (n, O) of a world at n points, NaN where there is none, and why, or what saturates, by number of point.
 
     ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points can not be evaluated
     together, those that can not at all are found.
+
+    Examples
+    --------
+    >>> world = read(with_settings(load_scenario("panels"), {"atmosphere.engine": "emulator"}))
+    >>> snr = Output(name="snr", kind="snr", subject="grass", band_nm=550.0)
+    >>> values, _ = output_values(world, {"sensor.noise": column_of([None, 2.0])}, [snr])
+    >>> round(float(values[0, 0] / values[1, 0]), 6)
+    2.0
+    >>> output_values(world, {"sensor_changes.signal_factor": column_of([1.0, 2.0])}, [snr])[1]
+    {1: 'SATURATION: full scale is passed by grass, white panel, grey panel 48'}
     """
     n = len(next(iter(columns.values())))
     values, problems = np.full((n, len(outputs)), np.nan), dict[int, str]()
@@ -178,12 +205,13 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
         rows = pieces.pop()
         moved = {p: c[rows] for p, c in columns.items()}
         pfa = moved.pop(PFA, None)
+        truths = [{p: c[i] for p, c in moved.items() if c[i] is not None} for i in range(rows.size)]
         try:
-            # Without anything that moves there is one truth, read at many P_FA.
-            for index, e in evaluations(with_values(world, moved or {"line.offset": np.zeros(rows.size)})):
+            for index, e in evaluations(with_truths(world, truths)):
                 at, of = rows[index], None if pfa is None else pfa[index]
                 values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
-                problems |= {int(at[u]): " ".join(str(error).split()) for u, error in e.problems.items()}
+                said = saturation(e) | {u: " ".join(str(error).split()) for u, error in e.problems.items()}
+                problems |= {int(at[u]): words for u, words in said.items()}
         except UsageError as error:
             if rows.size > 1:
                 pieces += np.array_split(rows, 2)
@@ -219,8 +247,10 @@ def plan_study(study: StudyFile) -> Plan:
     """
     file = study.folder / study.scenario if study.folder and study.scenario not in builtin_scenarios() else None
     scenario = load_scenario(file or study.scenario)
+    if file is None:  # a built-in one has no files of its own: what the settings name lies beside the study
+        scenario._folder = study.folder
     scenario = with_settings(scenario, study.settings) if study.settings else scenario
-    log = InputLog(scenario.folder or study.folder)
+    log = InputLog(scenario.folder)
     if file is not None:
         log.add(file.resolve(), study.scenario)
     states, nodes = states_of(study, scenario)
@@ -285,16 +315,18 @@ def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, A
     listed = [item for item in items if isinstance(item, Input) and not item.random]
     alone = study.model_copy(update={"inputs": listed})
     few = study.design.kind == "one-at-a-time" or alone.count <= study.atmosphere.above
-    if len(listed) == len(items) and few:
-        columns = moved(items, input_values(alone))
-        each = zip(*(columns[move.path].tolist() for _, move, _ in moving), strict=True)
-        rows = [{key: plain(v) for (*_, key), v in zip(moving, row, strict=True) if v is not None} for row in each]
+    # What is looked for along a sky that is emulated needs no states beforehand.
+    asked = [item for item in items if isinstance(item, Required) and scenario.atmosphere.engine == "emulator"]
+    if len(listed) + len(asked) == len(items) and few:
+        columns, keys = moved(listed, input_values(alone)), {m.path: key for i, m, key in moving if i in listed}
+        each = zip(*(columns[path].tolist() for path in keys), strict=True)
+        rows = [{key: plain(v) for key, v in zip(keys.values(), row, strict=True) if v is not None} for row in each]
         return list({repr(sorted(row.items())): row for row in rows or [{}]}.values()), {}
-    nodes = {}
+    nodes = dict[str, tuple[float, ...]]()
     for item, move, key in moving:
         own = item.listed if isinstance(item, Input) else None
         if own is None or own.dtype != object:  # words are read again for each
-            ends = np.unique([move.of(float(v)) for v in values_to_try(item)])
+            ends = np.unique([*nodes.get(key, ()), *(move.of(float(v)) for v in values_to_try(item))])
             few = own is not None and ends.size <= study.atmosphere.nodes
             between = ends if few else spaced(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
             nodes[key] = tuple(between.tolist())
@@ -365,14 +397,14 @@ def answers(
     ``values_of`` : :func:`output_values` of a world
     """
 
-    def at(x: Array, rows: npt.NDArray[Any], *names: str) -> Array:
-        """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,)."""
+    def at(x: Array, rows: npt.NDArray[Any], *names: str) -> tuple[Array, Mapping[int, str]]:
+        """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,), and what is to be said of them."""
         own = {path: column[rows.astype(int)] for path, column in columns.items()}
         own |= {m.path: m.of(x) for m in question.targets}
-        return values_of(own, [named[name] for name in names])[0]
+        return values_of(own, [named[name] for name in names])
 
     def miss(x: Array, row: Array) -> Array:
-        return at(x.ravel(), row.ravel(), question.output).reshape(x.shape) - question.equals
+        return at(x.ravel(), row.ravel(), question.output)[0].reshape(x.shape) - question.equals
 
     named = {o.name: o for o in outputs}
     n = len(next(iter(columns.values())))
@@ -389,8 +421,11 @@ def answers(
         reasons |= {int(i): "the root was not found" for i in solved[~root.success]}
     reports = np.full((n, len(question.report)), np.nan)
     good = np.flatnonzero(np.isfinite(values))
-    if reports.size and good.size:
-        reports[good] = at(values[good], good, *question.report)
+    if good.size:
+        told, problems = at(values[good], good, question.output, *question.report)
+        reports[good] = told[:, 1:]
+        for k, words in problems.items():
+            reasons[int(good[k])] = "; ".join(filter(None, (reasons.get(int(good[k])), words)))
     return Answers(values, reports, reasons)
 
 

@@ -189,7 +189,10 @@ class Output(Model):
 
 
 class Required(Moving):
-    """An inverse question: the value of an input at which an output takes a value, at every point of the design."""
+    """An inverse question: the value of an input at which an output takes a value, at every point of the design.
+
+    Where an input moves the same entry, the answer is the same at all of its values.
+    """
 
     between: tuple[float, float] = Field(description="range searched")
     spacing: Literal["linear", "log"] = Field("linear", description="spacing of the search between the ends")
@@ -266,9 +269,6 @@ class StudyFile(FileModel):
             (p.kind == "tornado") != (s.design.kind == "one-at-a-time") for p in s.plots
         ),
         "two inputs move {names}": lambda s: twice(s.paths),
-        "required {!r} moves {}, and so does an input": lambda s: [
-            word for q in s.required for move in q.targets if move.path in s.paths for word in (q.name, move.path)
-        ],
         "output {!r}: give pfa, or an input that moves pfa, and not both": lambda s: [
             o.name for o in s.outputs if o.kind == "pd" and (o.pfa is None) != ("pfa" in s.paths)
         ],

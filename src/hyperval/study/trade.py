@@ -26,14 +26,14 @@ from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, M
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
-from hyperval.model.roc import detection_at
+from hyperval.model.roc import detection_limits_at
 from hyperval.model.stated import state_entries
 from hyperval.model.world import column_of, fits
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import numbers_of, path_parts, setting, with_settings
 from hyperval.study.page import cell_edges, heat_mark
-from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, of_truths, output_values
+from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, output_values
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
 
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
@@ -114,7 +114,7 @@ class Offer(Model):
 
     def ends(self, low: float | None, high: float | None) -> tuple[float, float]:
         """Ends of an axis where they are stated, else about the value in the scenario."""
-        near = self.spacing == "log" and self.now > 0.0
+        near = self.spacing == "log" and 0.0 < self.now < math.inf
         first, last = (max(self.low, self.now / 10), min(self.high, self.now * 10)) if near else (self.low, self.high)
         return first if low is None else low, last if high is None else high
 
@@ -207,6 +207,11 @@ def _offers(world: World) -> Iterator[Offer]:
 def completed(trade: Trade, p: Prepared) -> Trade:
     """What is asked, with all that was left open filled in.
 
+    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_to=85.0), prepared("panels", Trade()))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: x_to: outside the range of the emulator: solar zenith [deg] is 84.9
+      expected: 0 to 75
+
     Raises
     ------
     UsageError : something that the scenario does not have; ``where`` names the field.
@@ -231,7 +236,12 @@ def completed(trade: Trade, p: Prepared) -> Trade:
             low, high = p.inputs[key].ends(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
             refuse(not low < high, "trade.ends", f"{field}_to", high=high, low=low)
             refuse(p.inputs[key].spacing == "log" and low <= 0.0, "trade.log", f"{field}_from")
-            filled |= {f"{field}_from": low, f"{field}_to": high}
+            filled |= (ends := {f"{field}_from": low, f"{field}_to": high})
+            for where, end in ends.items() if key.startswith("atmosphere.") else ():
+                try:
+                    p.world.stated.atmosphere.run({key.partition(".")[2]: end})
+                except UsageError as error:
+                    raise UsageError(error.what, where=where, expected=error.expected) from error
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
     refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, most=_MOST_LINES)
     return trade.model_copy(update=filled)
@@ -272,6 +282,15 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     ----------
     scenario : its name, or the file that lies beside the study
     exact : under the engine that the scenario names in place of the emulator
+
+    Examples
+    --------
+    >>> p = prepared("yellow-planks-asphalt", Trade())
+    >>> every = [study_of(p, completed(Trade(x=key, wanted=0.5), p), "yellow-planks-asphalt") for key in p.inputs]
+    >>> all(study.required[0].targets == study.inputs[-1].targets for study in every)
+    True
+    >>> [i.grid.stop for study in every for i in study.inputs if i.name == "tail_dof"]
+    [100.0, 100.0, 100.0]
     """
     axes = [_axis_input(p, trade, field) for field in ("y", "x") if getattr(trade, field)]
     overlays = _overlays(p, trade)
@@ -279,7 +298,7 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     settings |= _settings(p, trade)
     of_sky = sum(key.startswith("atmosphere.") for key in (trade.x, trade.y))
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
-    outputs = outputs_of(trade)
+    outputs, asked = outputs_of(trade), _questions(p, trade)
     more: dict[str, Any] = {"kind": "heat", "y": axes[0].name} if trade.y else {"kind": "lines"}
     if not trade.y and overlays:
         more["family"] = overlays[0].name
@@ -289,7 +308,8 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
         "scenario": scenario, "settings": settings, "inputs": inputs, "outputs": outputs,
         "plots": [Plot(x=axes[-1].name, output=o.name, scale=scale, **more) for o in outputs],
     }  # fmt: skip
-    return StudyFile.model_validate({**data, "atmosphere": atmosphere} if of_sky else data)
+    data |= ({"atmosphere": atmosphere} if of_sky else {}) | ({"required": asked} if asked else {})
+    return StudyFile.model_validate(data)
 
 
 def _axis_input(p: Prepared, trade: Trade, field: str) -> Input:
@@ -301,8 +321,7 @@ def _axis_input(p: Prepared, trade: Trade, field: str) -> Input:
     )  # fmt: skip
     moves = moves_of(offer, trade)
     where: dict[str, Any] = {"path": moves[0].path} if len(moves) == 1 else {"moves": moves}
-    column = f"{offer.column}-y" if field == "y" else offer.column
-    return Input(name=column, label=offer.name, unit=offer.unit, grid=grid, **where)
+    return Input(name=offer.column + "-y" * (field == "y"), label=offer.name, unit=offer.unit, grid=grid, **where)
 
 
 def _overlays(p: Prepared, trade: Trade) -> list[Input]:
@@ -366,6 +385,7 @@ class Progress(NamedTuple):
     limits : (F, K, O, 2) 95 % limits where the model gives them
     needed : the value of x that each curve needs for the wanted output, NaN without, and in words; once looked for
     figure : what is to be drawn;  left : pieces that are still to come
+    remarks : what is to be said of points, such as what saturates there, by their number
     """
 
     values: Array
@@ -373,6 +393,14 @@ class Progress(NamedTuple):
     needed: tuple[tuple[float, str], ...]
     figure: str
     left: int
+    remarks: Mapping[int, str] = {}
+
+    @property
+    def said(self) -> list[str]:
+        """What each curve needs, and what is to be said of points: of the one of which there is most to say."""
+        points = f" ({len(self.remarks)} of {self.values[..., 0].size} points, this one the most)"
+        most = max(self.remarks.values(), key=len, default="")
+        return [*(words for _, words in self.needed), *([most + points] if most else [])]
 
 
 def piece(source: str, trade: Trade, number: int, before: Progress | None = None) -> Progress:
@@ -385,42 +413,55 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
     blank = np.full((families, _known(trade, 1).size, subjects), np.nan)
     before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", 0)
-    values, limits, needed = before.values.copy(), before.limits.copy(), before.needed
+    values, limits, needed, remarks = before.values.copy(), before.limits.copy(), before.needed, {**before.remarks}
     what, step = steps[number]
     if what == "points":
         new = _known(trade, step) & ~(_known(trade, steps[number - 1][1]) if number else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
         some = {path: column[rows] for path, column in moved(study.inputs, input_values(study)).items()}
-        values.reshape(-1, subjects)[rows] = output_values(_world(p, trade), some, study.outputs)[0]
+        values.reshape(-1, subjects)[rows], told = output_values(_world(p, trade), some, study.outputs)
+        remarks |= {int(rows[i]): words for i, words in told.items()}
     elif what == "required":
-        needed = _required(p, trade)
+        needed = _required(p, trade, study)
     else:
         limits[step] = _limits(p, trade, study.inputs[-1], {path: column[step] for path, column in columns.items()})
     stride = _STRIDES[min(number, len(_STRIDES) - 1)]
     drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, study, values, limits, labels)
-    return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1)
+    return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1, remarks)
 
 
-def _required(p: Prepared, trade: Trade) -> tuple[tuple[float, str], ...]:
-    """The value of x at which the output of each curve comes to what is wanted, and in words."""
-    trade = trade.model_copy(update={"y": ""})  # which stands as in the scenario, or where its slider does
-    (columns, labels), offer = _families(p, trade), p.inputs[trade.x]
-    outputs, unit = outputs_of(trade), f" {offer.unit}" if offer.unit != "1" else ""
-    found = []
-    for o in outputs:
-        question = Required(
-            name="required", between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
-            spacing=offer.spacing, equals=float(trade.wanted or 0.0), moves=moves_of(offer, trade),
-        )  # fmt: skip
-        answer, told = answers(partial(output_values, _world(p, trade)), columns, question, outputs), []
-        for i, value in enumerate(answer.solutions.tolist()):
-            why = answer.reasons.get(i, "").replace(o.name, KINDS[trade.output])
-            why = why.replace("no solution", "not reached in this range")
-            words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
-            told.append((value, f"{words} ({why})" if why and math.isfinite(value) else why or words))
-        found.append(told)
-    each = zip(labels, (one for row in zip(*found, strict=True) for one in row), strict=True)
-    return tuple((value, f"{label}: {words}" if len(labels) > 1 else words) for label, (value, words) in each)
+def _questions(p: Prepared, trade: Trade) -> list[Required]:
+    """At which value of x each output comes to what is wanted, where that is asked; y stands where its slider does."""
+    offer, moves = p.inputs[trade.x], moves_of(p.inputs[trade.x], trade)
+    if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
+        moves += [Move(path=move.path, factor=0.0, offset=now) for move in moves_of(p.inputs[trade.y], trade)]
+    return [
+        Required(
+            name=f"required-{o.name}", label=f"{offer.name} for {o.label} = {trade.wanted:g}", unit=offer.unit,
+            between=(trade.x_from or 0.0, trade.x_to or 1.0), scan=_SCAN, output=o.name,
+            spacing=offer.spacing, equals=trade.wanted, moves=moves,
+        ) for o in outputs_of(trade) if trade.wanted is not None
+    ]  # fmt: skip
+
+
+def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float, str], ...]:
+    """The value of x at which the output of each curve comes to what is wanted, and in words.
+
+    >>> trade = completed(Trade(wanted=2.0), p := prepared("yellow-planks-asphalt", Trade()))
+    >>> _required(p, trade, study_of(p, trade, ""))[0][1]
+    'not reached in this range: probability of detection P_D stays below 2; the nearest is 1 at 0.2'
+    """
+    columns, labels = _families(p, trade)
+    found = [(q, answers(partial(output_values, _world(p, trade)), columns, q, study.outputs)) for q in study.required]
+    told, offer = list[tuple[float, str]](), p.inputs[trade.x]
+    for label, (i, (q, answer)) in zip(labels, product(range(len(labels) // len(found)), found), strict=True):
+        value, why = float(answer.solutions[i]), answer.reasons.get(i, "").replace(q.output, KINDS[trade.output])
+        why = why.replace("no solution", "not reached in this range")
+        unit = f" {offer.unit}" if offer.unit != "1" else ""
+        words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
+        words = f"{words} ({why})" if why and math.isfinite(value) else why or words
+        told.append((value, f"{label}: {words}" if len(labels) > 1 else words))
+    return tuple(told)
 
 
 def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
@@ -439,8 +480,7 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
                 out[k] = float(spectrum.mean[bands].mean()) + np.array([-Z95, Z95]) * sd
         else:
             curve = products.roc[o.subject, p.scenario.processing.detectors[0], "pixel"]
-            if np.nanmax(curve.pd_upper - curve.pd_lower) > 1e-12:
-                out[k] = np.stack([detection_at(curve, pfa, y) for y in (curve.pd_lower, curve.pd_upper)], axis=1)
+            out[k] = detection_limits_at(curve, pfa)
     return out
 
 
@@ -470,10 +510,14 @@ def _axis(along: Input) -> tuple[Axis, Array]:
     return Axis(along.words, along.grid.spacing, ends=ends), np.asarray(along.listed, float)
 
 
+def _now(p: Prepared, trade: Trade, key: str) -> float:
+    """Where an input stands; NaN where the scenario does not state it."""
+    return trade.pfa if key == PFA else trade.moved.get(key, p.inputs[key].now)
+
+
 def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
     """A rule at the present value of an input, where it lies on its axis."""
-    offer = p.inputs[getattr(trade, field)]
-    now = trade.pfa if offer.key == PFA else trade.moved.get(offer.key, offer.now)
+    now = _now(p, trade, getattr(trade, field))
     return ((field, now),) if getattr(trade, f"{field}_from") <= now <= getattr(trade, f"{field}_to") else ()
 
 
@@ -522,17 +566,16 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
 
     Returns
     -------
-    ``figure`` of them; ``values``, the output of each curve by its name; ``error``: of the atmosphere, in words
+    ``figure`` of them; ``values``, the output of each curve by its name; ``error``: of the atmosphere; what saturates
     """
     p = prepared(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
     columns, labels = _families(p, trade)
     outputs = outputs_of(trade)
-    shape = len(labels) // len(outputs), len(outputs)
-    spectra, numbers = np.empty(shape, dtype=object), np.full(shape, np.nan)
+    numbers, remarks = output_values(_world(p, trade), columns, outputs)
+    spectra = np.empty(numbers.shape, dtype=object)
     for index, e in evaluations(with_values(_world(p, trade), columns)):
         for k, o in enumerate(outputs):
-            numbers[index, k] = of_truths(e, o, None)
             if trade.is_spectral:
                 at, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
             else:
@@ -541,7 +584,7 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
                 spectra[i, k] = at, row
     bands = np.full((len(labels), _ROC.size, 2), np.nan)
     if with_limits and not trade.is_spectral:
-        truths = [{path: column[i] for path, column in columns.items()} for i in range(shape[0])]
+        truths = [{path: column[i] for path, column in columns.items()} for i in range(len(numbers))]
         bands = np.concatenate([_limits_in(p, trade, truth, _ROC) for truth in truths])
     marks = _lines(labels, spectra.ravel().tolist(), bands)
     told = zip(labels, numbers.ravel().tolist(), strict=True)
@@ -551,7 +594,8 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
     figure = Figure("live", "roc", "", (Panels(x, (Part(y, marks, rules),)),))
-    return {"figure": statement(figure), "values": known, "error": _error(p, trade)}
+    said = " ".join([_error(p, trade), *(f"{words}." for words in dict.fromkeys(remarks.values()))])
+    return {"figure": statement(figure), "values": known, "error": said}
 
 
 def _error(p: Prepared, trade: Trade) -> str:

@@ -280,7 +280,7 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
         p = prepared(source, trade)
         # The six digits of a slider that nobody moved are no other value.
         still = {key for key, offer in p.inputs.items()
-                 if abs(trade.moved.get(key, math.inf) - offer.now) <= _UNMOVED * abs(offer.now)}  # fmt: skip
+                 if math.isclose(trade.moved.get(key, math.nan), offer.now, rel_tol=_UNMOVED)}  # fmt: skip
         moved = {key: value for key, value in trade.moved.items() if key not in still}
         return source, completed(trade.model_copy(update={"moved": moved}), p), p
     except ValidationError as error:
@@ -336,7 +336,7 @@ def curve(request: Request) -> Response:
             while before is None or before.left:
                 before = told = Progress(*ask("trade_piece", source=source, trade=trade, number=number, before=before))
                 number += 1
-                shown = {"figure": told.figure, "needed": [words for _, words in told.needed], "left": told.left}
+                shown = {"figure": told.figure, "needed": told.said, "left": told.left}
                 yield json.dumps(shown) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"

@@ -18,6 +18,7 @@ _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
 _MOST = 40  # mistakes of one request
 _WORDS = {
     "finite_number": "is not a finite number",
+    "float_parsing": "is not a number, such as 0.5",
     "missing": "is missing",
     "extra_forbidden": "is not a known field",
 }
@@ -69,8 +70,12 @@ def without_paths(text: str) -> str:
 
 
 def said(error: HypervalError) -> str:
-    """What an error of the package says to someone who does not share its files."""
-    parts = [error.what, f"expected: {error.expected}" if error.expected else ""]
+    """What an error of the package says to someone who does not share its files, and types no options of a command.
+
+    >>> said(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit"))
+    'collection.cube.unit: of the radiance; expected: a unit'
+    """
+    parts = [re.sub(r" \(--[a-z-]+\)", "", error.what), f"expected: {error.expected}" if error.expected else ""]
     return without_paths("; ".join(part for part in parts if part))
 
 

@@ -95,7 +95,7 @@ _DAY_S = 86400.0
 EVERYBODY = ""  # the owner of what commands wrote
 MOST_LISTED = 40
 _COMMANDS = ("hyperval", "__main__.py")  # by which this program is started
-_STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit")
+_STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit", "reason")
 COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
 Files = Mapping[str, str | Path]  # name in the folder of a run -> its text, or the path of what is copied
 

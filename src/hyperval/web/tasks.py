@@ -12,7 +12,7 @@ import math
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -35,6 +35,7 @@ from hyperval.run import file_stems, read_products
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import simulate
+from hyperval.spectra.axis import in_window
 from hyperval.storage import write_text
 from hyperval.study import live, piece, study_to_folder
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
@@ -77,9 +78,11 @@ def predict(folder: str) -> dict[str, Any]:
     prediction, rows = _predicted(folder), list[dict[str, Any]]()
     for key, pfa in product(prediction.products.roc, _PFA):
         about = dict(zip(("subject", "detector", "unit"), key, strict=True))
-        found = prediction.pd(pfa=pfa, **about)
-        rows.append({**about, "pfa": pfa, **dict(zip(("pd", "lower", "upper"), map(_number, found), strict=True))})
-    medians = {name: _number(np.nanmedian(e.mean)) for name, e in prediction.snr.items() if not name.endswith(")")}
+        with suppress(UsageError):  # where the curves of the scenario begin above it
+            found = zip(("pd", "lower", "upper"), map(_number, prediction.pd(pfa=pfa, **about)), strict=True)
+            rows.append({**about, "pfa": pfa, **dict(found)})
+    good = prediction.axis.good & in_window(prediction.axis.centre_nm)
+    medians = {n: _number(np.nanmedian(e.mean[good])) for n, e in prediction.snr.items() if not n.endswith(")")}
     snr = [{"subject": name, "median": median} for name, median in medians.items()]
     nm = prediction.axis.centre_nm
     return {

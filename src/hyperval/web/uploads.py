@@ -13,14 +13,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+from unicodedata import normalize
 
 from fastapi import Request
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
+from hyperval.atmosphere.state import AtmosphericState
 from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
@@ -49,9 +51,9 @@ _NEEDED = {
 }  # fmt: skip
 _PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xml": "XML", b"BZh": "packed by bzip2"}
 _LARGEST_TEXT = 4_000_000
-_INSIDE = re.compile(r"(?:[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}/){0,12}[A-Za-z0-9_][A-Za-z0-9_.@+-]{0,100}")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,60}(?:\.[A-Za-z0-9_-]{1,12}){0,2}")
-_NAME_WORDS = "letters, digits, - and _, with one or two endings, at most 80 characters"
+_INSIDE = re.compile(r"(?:\w[\w .@+()-]{0,100}/){0,12}\w[\w .@+()-]{0,100}")
+_NAME = re.compile(r"[^\W_][\w .@+()-]{0,79}")
+_NAME_WORDS = "letters, digits, blanks and . _ - + @ ( ), at most 80 characters, a letter or digit first"
 
 
 class Uploads:
@@ -89,7 +91,7 @@ class Uploads:
 
     def _keep(self, field: str, file: UploadFile) -> Path:
         """Keep a file under its field; a new one takes the place of one of its name, and of any other of a cube."""
-        name, place = file.filename or "", self.folder / field
+        name, place = normalize("NFC", file.filename or ""), self.folder / field
         if not _NAME.fullmatch(name):
             raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {_NAME_WORDS}")])
         place.mkdir(parents=True, exist_ok=True)
@@ -141,13 +143,17 @@ class Uploads:
 
 
 class StatedCollection(BaseModel):
-    """What a person says of a collection; blank entries are left out."""
+    """What a person says of a collection; blank entries are left out.
+
+    >>> with suppress(ValidationError):
+    ...     StatedCollection(time_utc="4.6.2018 10:00").time_utc
+    """
 
     name: str = Field("mine", max_length=60, pattern="^[a-z0-9][a-z0-9-]*$")
     quantity: Literal["radiance", "reflectance"] | None = None
     unit: str | None = Field(None, max_length=60)
     sensor: Literal[library_names()] | None = None  # type: ignore[valid-type]
-    time_utc: str | None = Field(None, max_length=60)
+    time_utc: Annotated[str | None, AfterValidator(AtmosphericState._is_a_time)] = Field(None, max_length=60)
     altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
     pixel_size_m: float | None = Field(None, ge=0.001, le=10_000, allow_inf_nan=False)
 
