@@ -6,7 +6,7 @@ from small_scene import SCENE, area, planks, small_scene
 
 from hyperval.model import pixel_fills
 from hyperval.scenario import Geometry
-from hyperval.simulate import centred_fill, lay_out, pixel_weights, regions, side_for_fill, square_footprint
+from hyperval.simulate import lay_out, pixel_weights, regions, square_footprint
 
 
 def test_centred_planks_reach_the_nominal_fill_in_their_own_pixel():
@@ -53,11 +53,6 @@ def test_later_areas_cover_earlier_ones_and_regions_stay_clear_of_borders_panels
     assert not found["grass-field"][27:].any()
     assert not found["grass-field"][7:21, 27:41].any()
     assert found["grass-field"][0, 0]  # the edge of the image is no border of a class
-
-
-@pytest.mark.parametrize("fill", [0.03, 0.4, 0.8])
-def test_the_side_of_a_fill(fill):
-    assert centred_fill(side_for_fill(fill, 1.0), 1.0) == pytest.approx(fill, abs=1e-9)
 
 
 @pytest.mark.parametrize("fwhm", [0.3, 1.0, 2.5])

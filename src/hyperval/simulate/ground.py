@@ -99,7 +99,11 @@ def centred_fill(side_pixels: float, psf_fwhm_pixels: float) -> float:
 
 
 def side_for_fill(fill: float, psf_fwhm_pixels: float) -> float:
-    """Side [pixels] of the square plank that gives ``fill`` when centred on a pixel, by bisection."""
+    """Side [pixels] of the square plank that gives ``fill`` when centred on a pixel, by bisection.
+
+    >>> [round(centred_fill(side_for_fill(fill, 1.0), 1.0), 9) for fill in (0.03, 0.4, 0.8)]
+    [0.03, 0.4, 0.8]
+    """
     high = 1.0
     while centred_fill(high, psf_fwhm_pixels) < fill:
         high *= 2.0
