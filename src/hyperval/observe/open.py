@@ -640,7 +640,7 @@ def _abundances(truth: AbundanceTruth, raster: Raster, path: Path) -> Iterator[t
     """Material -> (lines, samples) part of each pixel that it fills, 0 below the least; and with that of its edges."""
     for material, wanted in truth.materials.items():
         band = _band(raster, wanted, path)
-        fill = _values(raster, band)
+        fill = np.concatenate([values for _, values in _rows(raster, band)]).astype(float)
         if not np.all((fill >= -1e-6) & (fill <= 1 + 1e-6)):
             raise refusal("truth.abundance", str(path), band=band + 1, low=np.nanmin(fill), high=np.nanmax(fill))
         kept = np.where(fill >= LEAST_FILL, np.minimum(fill, 1.0), 0.0)
@@ -746,8 +746,3 @@ def _rows(raster: Raster, band: int) -> Iterator[tuple[slice, Array]]:
         for first in range(0, raster.lines, _LINES):
             rows = slice(first, min(first + _LINES, raster.lines))
             yield rows, raster.read_bands(first, rows.stop - first)[band]
-
-
-def _values(raster: Raster, band: int) -> Array:
-    """(lines, samples) of one band."""
-    return np.concatenate([values for _, values in _rows(raster, band)]).astype(float)
