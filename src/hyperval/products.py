@@ -187,6 +187,11 @@ class RocCurve:
     preset_pfa: Array | None = None
     alarms_before_first: int | None = None
 
+    @property
+    def has_limits(self) -> bool:
+        """Whether an uncertainty is stated: without one the limits are P_D itself, and no interval."""
+        return bool(np.any(self.pd_upper - self.pd_lower > 1e-12))
+
 
 @dataclass(frozen=True)
 class ObjectScores:

@@ -27,7 +27,7 @@ from hyperval.figures.catalogue import SPECTRA as PRODUCT_LABELS
 from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, single
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
-from hyperval.model import Z95, detection_at, detection_limits_at
+from hyperval.model import Z95, detection_at
 from hyperval.products import SPECTRA, ObservedProducts, PredictedProducts, Products
 from hyperval.progress import bars
 from hyperval.results import ResultTable, of_campaign
@@ -293,7 +293,8 @@ class _Side(_Tables):
         curve = self.products.roc[keys[0]]
         reached, ends = detection_at(curve, pfa, curve.pfa), (curve.pfa.min(initial=1.0), curve.pfa.max(initial=0.0))
         refuse(not 0.0 < pfa < 1.0 or np.isnan(reached), "api.pfa", pfa=pfa, ends=ends)
-        return Probability(float(detection_at(curve, pfa)), *detection_limits_at(curve, pfa).tolist())
+        limits = (curve.pd_lower, curve.pd_upper) if curve.has_limits else 2 * (np.full_like(curve.pd, np.nan),)
+        return Probability(*(float(detection_at(curve, pfa, values)) for values in (curve.pd, *limits)))
 
     @property
     def both(self) -> Mapping[str, Products]:  # type: ignore[override]

@@ -412,17 +412,6 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     return np.asarray(np.where(inside, pd, np.nan))
 
 
-def detection_limits_at(curve: RocCurve, pfa: npt.ArrayLike) -> Array:
-    """(..., 2) 95 % limits of P_D at ``pfa`` (...,), read as P_D is; NaN of a curve of which no uncertainty is stated.
-
-    >>> curve = RocCurve(ndtr([-3.0, -1.0]), *(ndtr([low, 1.0]) for low in (-1.0, -1.5, -0.5)), np.zeros(2))
-    >>> [detection_limits_at(c, 0.1).round(2).tolist() for c in (curve, replace(curve, pd_lower=curve.pd_upper))]
-    [[0.74, 0.78], [nan, nan]]
-    """
-    both = np.stack([detection_at(curve, pfa, limit) for limit in (curve.pd_lower, curve.pd_upper)], axis=-1)
-    return both if np.any(curve.pd_upper - curve.pd_lower > SMALLEST_SD) else np.full_like(both, np.nan)
-
-
 def log10_false_alarm_at(curve: RocCurve, pd: float, values: Array) -> float:
     """log10 P_FA at which ``values`` (K,), P_D or a limit of it, reach ``pd``, by the same reading; NaN outside."""
     x, y = probit([curve.pfa, np.maximum.accumulate(np.nan_to_num(values))])

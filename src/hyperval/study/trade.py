@@ -26,7 +26,7 @@ from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, M
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
-from hyperval.model.roc import detection_limits_at
+from hyperval.model.roc import detection_at
 from hyperval.model.stated import state_entries
 from hyperval.model.world import column_of, fits
 from hyperval.scenario import Scenario, load_scenario
@@ -480,7 +480,8 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
                 out[k] = float(spectrum.mean[bands].mean()) + np.array([-Z95, Z95]) * sd
         else:
             curve = products.roc[o.subject, p.scenario.processing.detectors[0], "pixel"]
-            out[k] = detection_limits_at(curve, pfa)
+            if curve.has_limits:
+                out[k] = np.stack([detection_at(curve, pfa, y) for y in (curve.pd_lower, curve.pd_upper)], axis=1)
     return out
 
 

@@ -298,9 +298,13 @@ def desk(request: Request) -> Response:
         source, trade, offers = _asked(request, request.query_params)
     except Refused as refusal:
         mistakes = to_show(refusal)
-        name = request.query_params.get("scenario", _FIRST)
-        first = {"scenario": _FIRST if any(m.field == "scenario" for m in mistakes) else name}
-        source, trade, offers = _asked(request, QueryParams(first))
+        wrong, given = {m.field for m in mistakes}, request.query_params
+        right = [(name, text) for name, text in given.multi_items() if name not in wrong]
+        try:
+            source, trade, offers = _asked(request, QueryParams(right))
+        except Refused:  # as they may be of the scenario that is wrong
+            first = {"scenario": _FIRST if "scenario" in wrong else given.get("scenario", _FIRST)}
+            source, trade, offers = _asked(request, QueryParams(first))
     ordered = list(offers.inputs.values())
     shown = [
         o for o in ordered
