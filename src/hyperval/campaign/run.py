@@ -336,7 +336,7 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
     UsageError : a reflectance cube is asked for and the collection has no empirical line.
     """
     with whole_folder(output) as folder:
-        job, notes = job_of(Path(path)), list[str]()
+        job, notes = job_of(Path(path), predicts=False), list[str]()
         refuse(write_reflectance and job.campaign.collection.empirical_line is None, "campaign.line", path)
 
         def cube(observed: Observed) -> None:

@@ -282,6 +282,12 @@ class Job:
         """The campaign; UsageError for mistakes and for values that are still to be filled in."""
         return validate(Campaign, self.content, self.lines, str(self.path))
 
+    @property
+    def observing(self) -> Job:
+        """What is observed of it: without the model, where values are still to be filled in, which that may need."""
+        content = {key: value for key, value in self.content.items() if key not in ("scenarios", "comparisons")}
+        return _named_in(self.path, content, self.lines, self.words) if self.to_fill_in else self
+
     @cached_property
     def outline(self) -> Outline:
         """What it says of itself, which needs no value to be filled in; UsageError for mistakes in that."""
@@ -368,8 +374,10 @@ def read_jobs(path: Path) -> list[Job]:
     return [replace(job, of_others=tuple(file for file in every if file not in set(job.files))) for job in runs]
 
 
-def job_of(path: Path) -> Job:
+def job_of(path: Path, *, predicts: bool = True) -> Job:
     """The campaign of a file of one run, which need not predict or compare.
+
+    ``predicts`` : whether it may, so that no value of the model is left to be filled in
 
     Raises
     ------
@@ -378,6 +386,7 @@ def job_of(path: Path) -> Job:
     """
     job, *more = read_jobs(path)
     refuse(more, "campaign.several", path, count=len(more) + 1)
+    job = job if predicts else job.observing
     assert job.campaign  # noqa: S101 - read now, for its mistakes
     return job
 
@@ -396,7 +405,7 @@ def jobs_of(*paths: Path, compares: bool = True) -> list[Job]:
     UsageError : mistakes, file names that no registry knows, values still to be filled in of a campaign that
         could run, or two campaigns of one name.
     """
-    jobs = [job for path in paths for job in read_jobs(path)]
+    jobs = [job if compares else job.observing for path in paths for job in read_jobs(path)]
     for job in jobs:
         job.check(compares=compares)
     names = [job.outline.name for job in jobs]
