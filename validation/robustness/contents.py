@@ -86,7 +86,7 @@ def with_text_beside(folder: Path) -> dict[str, dict[str, bytes]]:
 
 def run_products(folder: Path) -> dict[str, bytes]:
     """The file in which a run keeps its products."""
-    write_products(folder, {"predicted": prediction(), "observed": None}, title="t", simulated=True)
+    write_products(folder, {"predicted": prediction()}, title="t", simulated=True)
     return {"products.nc": (folder / "products.nc").read_bytes()}
 
 

@@ -53,9 +53,9 @@ def write_reflectance(folder: Path, name: str, cube: Cube, elm: EmpiricalLine | 
 
     Raises
     ------
-    UsageError : no empirical line.
+    UsageError : no empirical line, or a cube that is reflectance already.
     """
-    if elm is None:
+    if elm is None or cube.quantity == "reflectance":
         raise refusal("reflectance.line")
     axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & elm.usable)
     what = f"reflectance by the empirical line through {', '.join(elm.names)}; stored value = {SCALE} x reflectance"
