@@ -357,7 +357,7 @@ def write_table(table: Iterable[Result], folder: Path) -> None:
 
 
 def write_joined(
-    folder: Path, names: Sequence[str], planned: Iterable[Result], page: str, parts: Path | None = None
+    folder: Path, names: Sequence[str], planned: Sequence[Result], page: str, parts: Path | None = None
 ) -> None:
     """Write the page and the tables of several runs, whose folders come into ``folder`` under these names.
 
@@ -416,17 +416,17 @@ def _document(lines: Iterable[str], counts: Counter[str], more: Mapping[str, Any
     return head.removesuffix("[]\n}") + f"[\n{listed}\n ]\n}}\n" if listed else head + "\n"
 
 
-def junit_xml(rows: Iterable[Result]) -> str:
+def junit_xml(rows: Sequence[Result]) -> str:
     """One test case for each gate and each error; what disagrees fails, what is undecided counts as skipped."""
-    rows = list(rows)
     cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
-    for campaign in dict.fromkeys(row.campaign for row in rows):
-        own = [row for row in cases if row.campaign == campaign]
+    suites: dict[str, list[Result]] = {row.campaign: [] for row in rows}
+    for row in cases:
+        suites[row.campaign].append(row)
+    for campaign, own in suites.items():
         suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(own)})
         for row in own:
-            names = {"classname": f"{row.campaign}.{row.product}", "name": row_name(row)}
-            case = ElementTree.SubElement(suite, "testcase", names)
+            case = ElementTree.SubElement(suite, "testcase", classname=f"{campaign}.{row.product}", name=row_name(row))
             if element := row.outcome.element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
                 ElementTree.SubElement(case, element, message=undecided + _why(row))

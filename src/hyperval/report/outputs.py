@@ -28,5 +28,5 @@ def write_index(runs: Sequence[Run], folder: Path, title: str = "Validation", pa
     from hyperval.report.html import index_page
 
     folders = file_stems(run.campaign for run in runs)
-    rows = (row for run in runs for row in run.table)
+    rows = [row for run in runs for row in run.table]
     write_joined(Path(folder), list(folders.values()), rows, index_page(runs, folders, title), parts)
