@@ -32,8 +32,8 @@ from hyperval.model.world import column_of, fits
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import numbers_of, path_parts, setting, with_settings
+from hyperval.study import plan
 from hyperval.study.page import cell_edges, heat_mark
-from hyperval.study.plan import GROUND, LEAST_GAS, PFA, answers, bands_of, input_values, moved, output_values
 from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, Required, StudyFile
 
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
@@ -189,7 +189,7 @@ def _offers(world: World) -> Iterator[Offer]:
     table = package_table("study/trade.yaml").items()
     for row in (Offer(group=group, **row) for group, rows in table for row in rows):
         paths = [path for path in known if fits(row.path, path)]
-        if not paths and "now" in row.model_fields_set and (state is not None or row.path == PFA):
+        if not paths and "now" in row.model_fields_set and (state is not None or row.path == plan.PFA):
             paths = [row.path]
         for own in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
             low, high, now = row.low, row.high, row.now
@@ -264,7 +264,7 @@ def outputs_of(trade: Trade) -> list[Output]:
     """The output of each subject."""
     label = KINDS[trade.output]
     asked: dict[str, Any] = {"kind": trade.output}
-    if trade.output == "pd" and PFA not in (trade.x, trade.y):
+    if trade.output == "pd" and plan.PFA not in (trade.x, trade.y):
         asked["pfa"] = trade.pfa
         label += f" at P_FA {trade.pfa:g}"
     if trade.is_spectral:
@@ -338,7 +338,7 @@ def _overlays(p: Prepared, trade: Trade) -> list[Input]:
 
 def _constants(p: Prepared, trade: Trade) -> dict[str, float]:
     """Path -> value of what sliders moved and no axis moves."""
-    keys = [key for key in trade.moved if key not in (trade.x, trade.y, PFA)]
+    keys = [key for key in trade.moved if key not in (trade.x, trade.y, plan.PFA)]
     return {move.path: trade.moved[key] for key in keys for move in moves_of(p.inputs[key], trade)}
 
 
@@ -363,7 +363,7 @@ def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
     """
     inputs = _overlays(p, trade)
     rows = list(product(*(i.values or [] for i in inputs)))
-    columns = moved(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
+    columns = plan.moved(inputs, {i.name: column_of([row[k] for row in rows]) for k, i in enumerate(inputs)})
     names = [", ".join(str(row[k]) for k, i in enumerate(inputs) if len(i.values or []) > 1) for row in rows]
     several = len(trade.subject) > 1
     labels = [", ".join(filter(None, (s if several or not n else "", n))) for n in names for s in trade.subject]
@@ -418,8 +418,8 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     if what == "points":
         new = _known(trade, step) & ~(_known(trade, steps[number - 1][1]) if number else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
-        some = {path: column[rows] for path, column in moved(study.inputs, input_values(study)).items()}
-        values.reshape(-1, subjects)[rows], told = output_values(_world(p, trade), some, study.outputs)
+        some = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
+        values.reshape(-1, subjects)[rows], told = plan.output_values(_world(p, trade), some, study.outputs)
         remarks |= {int(rows[i]): words for i, words in told.items()}
     elif what == "required":
         needed = _required(p, trade, study)
@@ -452,7 +452,8 @@ def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float,
     'not reached in this range: probability of detection P_D stays below 2; the nearest is 1 at 0.2'
     """
     columns, labels = _families(p, trade)
-    found = [(q, answers(partial(output_values, _world(p, trade)), columns, q, study.outputs)) for q in study.required]
+    values_of = partial(plan.output_values, _world(p, trade))
+    found = [(q, plan.answers(values_of, columns, q, study.outputs)) for q in study.required]
     told, offer = list[tuple[float, str]](), p.inputs[trade.x]
     for label, (i, (q, answer)) in zip(labels, product(range(len(labels) // len(found)), found), strict=True):
         value, why = float(answer.solutions[i]), answer.reasons.get(i, "").replace(q.output, KINDS[trade.output])
@@ -474,7 +475,7 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
     out = np.full((len(trade.subject), pfa.size, 2), np.nan)
     for k, o in enumerate(outputs_of(trade)):
         if trade.is_spectral:
-            spectrum, bands = getattr(products, trade.output)[o.subject], bands_of(o, products.axis)
+            spectrum, bands = getattr(products, trade.output)[o.subject], plan.bands_of(o, products.axis)
             sd = math.sqrt(max(float(spectrum.error_covariance[np.ix_(bands, bands)].mean()), 0.0))
             if sd > 0.0:
                 out[k] = float(spectrum.mean[bands].mean()) + np.array([-Z95, Z95]) * sd
@@ -488,7 +489,7 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
 def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any]) -> Array:
     """(K, O, 2) limits along x, predicted at some of its values and between them as the curve runs."""
     _, x = _axis(along)
-    if trade.x == PFA:
+    if trade.x == plan.PFA:
         return np.moveaxis(_limits_in(p, trade, family, x), 0, 1)
     nodes = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int)
     at = np.full((nodes.size, len(trade.subject), 2), np.nan)
@@ -513,7 +514,7 @@ def _axis(along: Input) -> tuple[Axis, Array]:
 
 def _now(p: Prepared, trade: Trade, key: str) -> float:
     """Where an input stands; NaN where the scenario does not state it."""
-    return trade.pfa if key == PFA else trade.moved.get(key, p.inputs[key].now)
+    return trade.pfa if key == plan.PFA else trade.moved.get(key, p.inputs[key].now)
 
 
 def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
@@ -571,12 +572,13 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
     """
     p = prepared(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
-    columns, labels = _families(p, trade)
-    outputs = outputs_of(trade)
-    numbers, remarks = output_values(_world(p, trade), columns, outputs)
+    (columns, labels), outputs, remarks = _families(p, trade), outputs_of(trade), {_error(p, trade): None}
+    numbers = np.full((len(labels) // len(outputs), len(outputs)), np.nan)
     spectra = np.empty(numbers.shape, dtype=object)
     for index, e in evaluations(with_values(_world(p, trade), columns)):
+        remarks |= dict.fromkeys(f"{words}." for words in plan.saturation(e).values())
         for k, o in enumerate(outputs):
+            numbers[index, k] = plan.of_truths(e, o, None)
             if trade.is_spectral:
                 at, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
             else:
@@ -588,15 +590,13 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
         truths = [{path: column[i] for path, column in columns.items()} for i in range(len(numbers))]
         bands = np.concatenate([_limits_in(p, trade, truth, _ROC) for truth in truths])
     marks = _lines(labels, spectra.ravel().tolist(), bands)
-    told = zip(labels, numbers.ravel().tolist(), strict=True)
-    known = tuple((label, value if math.isfinite(value) else None) for label, value in told)
+    known = tuple((label, v if math.isfinite(v) else None) for label, v in zip(labels, numbers.flat, strict=True))
     x, y, rules = Axis(WAVELENGTH), _y_axis(trade), Rules()
     if not trade.is_spectral:
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
     figure = Figure("live", "roc", "", (Panels(x, (Part(y, marks, rules),)),))
-    said = " ".join([_error(p, trade), *(f"{words}." for words in dict.fromkeys(remarks.values()))])
-    return {"figure": statement(figure), "values": known, "error": said}
+    return {"figure": statement(figure), "values": known, "error": " ".join(remarks)}
 
 
 def _error(p: Prepared, trade: Trade) -> str:
@@ -609,11 +609,11 @@ def _error(p: Prepared, trade: Trade) -> str:
     terms = p.world.stated.atmosphere.run(sky)
     if terms.path_uncertainty is None:
         return ""
-    part = 100.0 * terms.path_uncertainty / mean_radiance(terms, GROUND, GROUND)
-    part = part[terms.gas_transmittance > LEAST_GAS]
+    part = 100.0 * terms.path_uncertainty / mean_radiance(terms, plan.GROUND, plan.GROUND)
+    part = part[terms.gas_transmittance > plan.LEAST_GAS]
     return (
-        f"Atmosphere: emulator of 6S, standard error {np.median(part):.2g} % of the radiance over ground of {GROUND:g}"
-        f" in the median band, {part.max():.2g} % in the worst."
+        f"Atmosphere: emulator of 6S, standard error {np.median(part):.2g} % of the radiance over ground of "
+        f"{plan.GROUND:g} in the median band, {part.max():.2g} % in the worst."
     )
 
 
