@@ -10,6 +10,7 @@ import errno
 import os
 import re
 import signal
+import socket
 import sys
 import tempfile
 import traceback
@@ -79,9 +80,14 @@ def options(
 
 
 def finished(code: int, output: Path | None) -> int:
-    """Say where the results are, if there are any, and pass on the exit code."""
+    """Say where the results are, if there are any, and their warnings, each with its run; pass on the exit code."""
     if output is not None:
         note(f"results in {output}")
+        for folder in hyperval.run.runs_in([output]) if output.is_dir() else ():
+            record = hyperval.run.provenance_of(folder)
+            name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
+            for line in record.get("warnings", ()):
+                note(f"{name}: {line}")
     return code
 
 
@@ -108,15 +114,6 @@ def say_verdicts(output: Path) -> None:
             print(line, file=sys.stderr) if outcome is outcomes.ERROR else note(line)
     if rows:
         note(hyperval.report.last_line(rows))
-
-
-def say_warnings(output: Path) -> None:
-    """The warnings of a finished run, each with its campaign."""
-    for folder in hyperval.run.runs_in([output]) if output.is_dir() else ():
-        record = hyperval.run.provenance_of(folder)
-        name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
-        for line in record.get("warnings", ()):
-            note(f"{name}: {line}")
 
 
 def note(text: str) -> None:
@@ -486,9 +483,7 @@ def predict(
     output: Output,
 ) -> int:
     """Run the forward model alone."""
-    code = campaign.predict_to_folder(scenario, output)
-    say_warnings(output)
-    return finished(code, output)
+    return finished(campaign.predict_to_folder(scenario, output), output)
 
 
 @command("observe campaign.yaml -o out --write-reflectance envi")
@@ -501,9 +496,7 @@ def observe(
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
-    code = campaign.observe(file, output, write_reflectance=write_reflectance)
-    say_warnings(output)
-    return finished(code, output)
+    return finished(campaign.observe(file, output, write_reflectance=write_reflectance), output)
 
 
 @command("validate --dry-run campaign.yaml", "validate campaign.yaml -o results")
@@ -529,7 +522,6 @@ def validate(
     if junit is not None:
         hyperval.storage.write_text(junit, (output / hyperval.run.JUNIT).read_text("utf-8"))
     finished(code, output)
-    say_warnings(output)
     say_verdicts(output)
     return code
 
@@ -652,6 +644,10 @@ def serve(
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
     for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
         refuse(given is not None and not given.is_dir(), "serve.folder", str(given), words=words)
+    try:
+        listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
+    except OSError as error:
+        raise UsageError(str(error.strerror), mend="choose others with --host and --port") from error
     application = make_app(ServerSettings(
         place, campaigns, data, (*LOOPBACK, *(n.lower() for n in name or ())), https, scheduler,
         upload_bytes=upload_mb * MEGABYTE, long_seconds=seconds, memory_bytes=memory_mb * MEGABYTE, queue=queue,
@@ -660,10 +656,12 @@ def serve(
     for words in application.state.runs.notices:
         note(words)
     note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")
-    uvicorn.run(
-        application, host=host, port=port, log_level="warning", access_log=False, server_header=False,
-        proxy_headers=False, timeout_keep_alive=30, ws="none", http=connections_of(connections), backlog=64,
+    config = uvicorn.Config(
+        application, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
+        timeout_keep_alive=30, ws="none", http=connections_of(connections), backlog=64,
     )  # fmt: skip
+    with suppress(KeyboardInterrupt):
+        uvicorn.Server(config).run([listening])
     return 0
 
 
@@ -677,9 +675,7 @@ def keep_caches(place: Path) -> None:
         os.environ.setdefault("MPLCONFIGDIR", str(place / "cache" / "matplotlib"))
 
 
-INTERRUPTED = 130
-TERMINATED = 143
-OUTPUT_CLOSED = 141
+INTERRUPTED, OUTPUT_CLOSED, TERMINATED = 130, 141, 143
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # Files and folders that a command was told to use and that cannot be.
 _PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR)
