@@ -166,8 +166,7 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
     target = {"name": "felt", "material": "felt", "spectrum": {"file": "../few.csv", "record": "felt"}}
     content["detection"] = {"group": "{target} {side_m} m", "detectors": ["cem"], "targets": [target]}
     path.write_text(yaml.safe_dump(content))
-    wrong = [i for i in dry_run([path]) if i.state == WRONG]
-    assert any("detection on radiance needs an empirical line" in str(i) for i in wrong)
+    assert any("detection on radiance needs an empirical line" in str(i) for i in dry_run([path]) if i.state == WRONG)
 
 
 def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_path):
@@ -185,6 +184,8 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_pa
     before = (folder / "campaign.yaml").read_bytes()  # what is there is not replaced
     assert (cli.run([*told, UNIT]), (folder / "campaign.yaml").read_bytes()) == (2, before)
     assert "already exists" in capsys.readouterr().err
+    assert cli.run([*told, "W m-2 sr-1 nm-1", "-o", str(draft / "b")]) == 0  # no such values
+    assert "(--scale)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("region", "records", "matched"), data_of("names_of_spectra"))

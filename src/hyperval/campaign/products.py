@@ -300,7 +300,7 @@ def predicted_side(
             task.features,
             quantity,
             task.seed,
-            observe.training_pixels(task, observed.observation.distribution),
+            observe.training_pixels(task, observed.observation),
         )
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
     return replace(whole, classification=errors, exceedance=shared, abundance=areas)

@@ -56,7 +56,7 @@ class StarterSources:
     Attributes
     ----------
     cube, regions, targets, spectra : files; a folder of spectra stands for its files
-    header, quantity, unit, sensor, time_utc, altitude_km, pixel_size_m : where the files do not say it
+    header, quantity, unit, sensor, time_utc, altitude_km, pixel_size_m, scale : where the files do not say it
     key : which array is the image, where a file holds several
     """
 
@@ -72,6 +72,7 @@ class StarterSources:
     altitude_km: float | None = None
     pixel_size_m: float | None = None
     key: str | None = None
+    scale: float | None = None
 
 
 class RecordedSpectrum(NamedTuple):
@@ -152,10 +153,11 @@ class Draft:
         stated = "counts" if silent else about.quantity or told_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
         lines, samples, bands = self.raster.size
-        cube = {"path": self.reference(sources.cube)}
+        cube: Entry = {"path": self.reference(sources.cube)}
         cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
         cube |= {"header": self.reference(sources.header)} if sources.header else {}
         cube |= {"variable": sources.key} if sources.key else {}
+        cube |= {"scale": sources.scale} if sources.scale is not None else {}
         self.collection |= {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]}
         what = f"{quantity or 'unknown'} image of {lines} lines, {samples} samples and {bands} bands"
         self.content = {
@@ -212,16 +214,16 @@ class Draft:
             if unit is not None or stated.unit is None:
                 collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
         collection["regions"] = collection["regions"] or [_WHOLE]
-        if any(str(value).startswith(FILL_IN) for value in collection["cube"].values()):
+        if (bands := stated.listed()) is not None and not stated.sorts and np.any(np.diff(bands.wavelength) < 0.0):
+            collection["cube"]["sort_bands"] = True
+            self.guess("sort_bands")
+        self._scale()
+        if FILL_IN in str(collection["cube"]):
             flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
             wanted = {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
             further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
             self.guess("no image", further=further or "nothing")
             return
-        if (bands := stated.listed()) is not None and not stated.sorts and np.any(np.diff(bands.wavelength) < 0.0):
-            collection["cube"]["sort_bands"] = True
-            self.guess("sort_bands")
-        self._scale()
         for entry in collection["regions"] if sources.regions else ():
             self._coordinates(entry, regions=[entry])
         place = self._place()
@@ -254,8 +256,11 @@ class Draft:
         """State the scale of an image whose header does not, or states one that was applied before.
 
         Of reflectance, the larger that makes reflectances of the values; of radiance, the divisor that the header
-        states for a reflectance, as some programs write it for either.
+        states for a reflectance, as some programs write it for either.  Where none makes possible values, it is asked
+        for.
         """
+        if self.sources.scale is not None or FILL_IN in str(self.collection["cube"]):
+            return
         entries, tried = self.raster.description.entries, dict[float, str]()
         if self.quantity == "reflectance":
             tried = {scale: f"{scale:g}, the usual one that makes the values reflectances" for scale in _SCALES}
@@ -271,7 +276,10 @@ class Draft:
         self._stated(entry, "coordinates", kinds, **parts)
 
     def _stated(self, entry: Entry, key: str, values: Mapping[Any, Mapping[str, Any]], **parts: Any) -> None:
-        """State the first value of a key with which the collection opens, and its guess; none where it opens so."""
+        """State the first value of a key with which the collection opens, and its guess; none where it opens so.
+
+        A scale that nothing tells is left to be filled in.
+        """
         try:
             self.opened(**parts)
         except HypervalError as first:
@@ -280,7 +288,9 @@ class Draft:
                 with suppress(HypervalError):
                     self.opened(**parts)
                     return self.guess(key, **words)
-            raise first from None
+            if "scale:" not in (first.mend or ""):
+                raise first from None
+            entry[key] = f"{FILL_IN}: what multiplies the stored values, such as 0.001 (--scale)"
 
     def _place(self) -> Place:
         """The opened collection, its targets one material for each region of their file."""

@@ -83,7 +83,7 @@ def finished(code: int, output: Path | None) -> int:
     """Say where the results are, if there are any, and their warnings, each with its run; pass on the exit code."""
     if output is not None:
         note(f"results in {output}")
-        for folder in hyperval.run.runs_in([output]) if output.is_dir() else ():
+        for folder in (output, *sorted(output.glob("*/"))):
             record = hyperval.run.provenance_of(folder)
             name = record.get("configuration", {}).get("campaign", {}).get("name", folder.name)
             for line in record.get("warnings", ()):
@@ -385,6 +385,7 @@ def init(
     altitude_km: Annotated[float | None, typer.Option(help="Sensor altitude above sea level [km].")] = None,
     pixel_size_m: Annotated[float | None, typer.Option(help="Ground size of a pixel, without a map position.")] = None,
     key: Key = None,
+    scale: Annotated[float | None, typer.Option(help="What multiplies the stored values, if none is stated.")] = None,
     name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
@@ -392,7 +393,7 @@ def init(
     called = path.stem if path == output else output.resolve().name
     own = name or re.sub(r"[^a-z0-9]+", "-", called.lower()).strip("-") or "campaign"
     given = cube, regions or (), targets, spectra or (), header, quantity, unit
-    sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key)
+    sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key, scale)
     text, guesses = campaign.starter_campaign(sources, path.parent, own)
     hyperval.config.write_draft(path, "campaign", text)
     for guess in guesses:

@@ -598,16 +598,22 @@ def class_sets(task: Classification) -> list[tuple[str, ...]]:
     return [tuple(task.classes), *pairs]
 
 
-def training_pixels(task: Classification, distribution: Mapping[str, PixelDistribution]) -> dict[str, float]:
+def training_pixels(task: Classification, observed: ObservedProducts) -> dict[str, float]:
     """Independent pixels that train each class: half of those of its region, at most as many as are taken.
+
+    Of a region too small for its ``distribution`` to be measured all pixels behind its mean count as independent.
 
     >>> from hyperval.collection import Classification
     >>> task = Classification(classes=["a", "b"], features=[{"name": "all"}], pixels=500)
-    >>> training_pixels(task, {"a": PixelDistribution(n=9000, effective_n=np.array([300.0])), "b": PixelDistribution()})
-    {'a': 150.0, 'b': 500.0}
+    >>> few = SpectralEstimate(np.ones(1), np.eye(1), n=180)
+    >>> law = PixelDistribution(n=9000, effective_n=np.array([300.0]))
+    >>> training_pixels(task, ObservedProducts(None, radiance={"a": few, "b": few}, distribution={"a": law}))
+    {'a': 150.0, 'b': 90.0}
     """
-    known = {name: distribution.get(name, PixelDistribution()).effective_n for name in task.classes}
-    halves = {name: np.inf if n is None else 0.5 / float(np.mean(1.0 / n)) for name, n in known.items()}
+    behind = {name: one.n for name, one in {**observed.radiance, **observed.reflectance}.items()}
+    counts = behind | {name: law.effective_n for name, law in observed.distribution.items()}
+    known = ((name, counts.get(name)) for name in task.classes)
+    halves = {name: np.inf if n is None else 0.5 / float(np.mean(1.0 / n)) for name, n in known}
     return {name: min(half, float(task.pixels)) for name, half in halves.items()}
 
 

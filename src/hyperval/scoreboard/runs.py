@@ -396,16 +396,20 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
     every = counted = place.pixels_of(*detection.false_alarms)
-    missing = np.zeros((2, len(names)), int)  # scores of objects, and of pixels of the background
+    lacks = [(set[str](), np.zeros(every.shape, bool)) for _ in names]  # objects and pixels that others have scored
     for own in used.values():
-        missing[1] += [np.count_nonzero(every & ~np.isfinite(one)) for one in own]
-        counted = np.logical_and.reduce([counted, *map(np.isfinite, own)])
+        known = [np.isfinite(one) for one in own]
+        counted, some = np.logical_and.reduce([counted, *known]), every & np.logical_or.reduce(known)
+        for (_, pixels), one in zip(lacks, known, strict=True):
+            pixels |= some & ~one
     looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
         objects = {o.name: o for own in subjects.values() for o in own}
         greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
-        valid = np.isfinite(greatest).all(axis=0)
-        missing[0] += (~np.isfinite(greatest)).sum(axis=1)
+        scored = np.isfinite(greatest)
+        valid = scored.all(axis=0)
+        for (without, _), lacking in zip(lacks, scored.any(axis=0) & ~scored, strict=True):
+            without.update(compress(objects, lacking))
         at = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
         pairs = [counts_by_block(own[valid], each) for own, each in zip(greatest, blocks, strict=True)]
@@ -416,11 +420,10 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
     over, tie = np.concatenate(looks, axis=1)
-    missing -= missing.min(axis=1, keepdims=True)  # where no detector has a score the image holds no data
     lost = tuple(
-        f"{name} has no score for {m} objects and {n} pixels of the background: none is ranked by them"
-        for name, m, n in zip(names, *missing.tolist(), strict=True)
-        if m or n
+        f"{name} has no score for {len(own)} objects and {pixels.sum()} background pixels: none is ranked by them"
+        for name, (own, pixels) in zip(names, lacks, strict=True)
+        if own or pixels.any()
     )
     return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density, lost)
 

@@ -53,6 +53,7 @@ _PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xm
 _LARGEST_TEXT = 4_000_000
 _INSIDE = re.compile(r"(?:\w[\w .@+()-]{0,100}/){0,12}\w[\w .@+()-]{0,100}")
 _NAME = re.compile(r"[^\W_][\w .@+()-]{0,79}")
+_NAME_BYTES = 240  # of file systems, at most 255
 _NAME_WORDS = "letters, digits, blanks and . _ - + @ ( ), at most 80 characters, a letter or digit first"
 
 
@@ -92,7 +93,7 @@ class Uploads:
     def _keep(self, field: str, file: UploadFile) -> Path:
         """Keep a file under its field; a new one takes the place of one of its name, and of any other of a cube."""
         name, place = normalize("NFC", file.filename or ""), self.folder / field
-        if not _NAME.fullmatch(name):
+        if not _NAME.fullmatch(name) or len(name.encode()) > _NAME_BYTES:
             raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {_NAME_WORDS}")])
         place.mkdir(parents=True, exist_ok=True)
         part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
@@ -156,6 +157,7 @@ class StatedCollection(BaseModel):
     time_utc: Annotated[str | None, AfterValidator(AtmosphericState._is_a_time)] = Field(None, max_length=60)
     altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
     pixel_size_m: float | None = Field(None, ge=0.001, le=10_000, allow_inf_nan=False)
+    scale: float | None = Field(None, gt=0.0, allow_inf_nan=False)
 
 
 @pages.get("/bring")
