@@ -322,7 +322,16 @@ class Host:
         return out
 
     def between(self, threshold: Array, means: Array, sds: Array) -> Callable[[slice], Array]:
-        """The same of many fills, read between some of them, in probit: some thresholds -> (n, k, J)."""
+        """The same of many fills, read between some of them, in probit: some thresholds -> (n, k, J).
+
+        >>> share = np.append(np.linspace(0.011815697982720898, 0.9997432737033439, 2000), np.ones(5))
+        >>> laws, means = ClassScores(*np.array([1.0, 0.0, 1.0, 5.0])[:, None, None]), np.ones((1, 2005))
+        >>> host, means[:, 2000:] = Host(share[None], np.zeros(1), np.ones(1), laws), -np.inf  # no pixels
+        >>> x, sds = np.array([[0.5, 2.0]]), np.ones((1, 2005))
+        >>> read = host.between(x, means, sds)(slice(None))
+        >>> bool(np.abs(read - host.exceedance(x, means, sds)).max() < 1e-3)
+        True
+        """
         from scipy.interpolate import PchipInterpolator, PPoly  # a quarter of a second, which single fills do not need
 
         shares, alike = np.unique(self.share, axis=0, return_inverse=True)
@@ -333,7 +342,7 @@ class Host:
             order = order[~np.isneginf(means[rows][:, order]).any(axis=0)]
             low, high = share[order[[0, -1]]]
             wanted = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _NODES))
-            chosen = order[np.searchsorted(share[order], wanted).clip(0, share.size - 1)]
+            chosen = order[np.searchsorted(share[order], wanted).clip(0, order.size - 1)]
             chosen = chosen[np.unique(share[chosen], return_index=True)[1]]
             some, at = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
             p = some.exceedance(threshold[rows], means[at], sds[at])
