@@ -97,10 +97,11 @@ HAZES = ("rural", "continental", "maritime", "urban", "desert")
 def assumed_inputs(world: World) -> list[UncertainInput]:
     """Every input of a scenario that may be off and whose uncertainty it does not state, with a usual one."""
     stated = {item.path for item in inputs_of(world)}
-    return [item for item in _usual(world) if item.path not in stated]
+    return [item for item in usual_inputs(world) if item.path not in stated]
 
 
-def _usual(world: World) -> Iterator[UncertainInput]:
+def usual_inputs(world: World) -> Iterator[UncertainInput]:
+    """Every input of a scenario that may be off, with a usual uncertainty."""
     scene = world.stated.scenario.scene
     yield from (_part(world, *row) for row in _PARTS if _there(world, row[2]))
     for c in scene.classes:
@@ -182,7 +183,7 @@ class Candidate:
 
     @property
     def most(self) -> float:
-        """Units that a direction may go: ten stated uncertainties, 200 usual steps, or half of the radiance."""
+        """Units that it may go: ten stated uncertainties, 200 usual steps, or half of the radiance."""
         if self.knots_nm:
             return MOST_SMOOTH
         return MOST_UNITS if self.budgeted and not self.unbounded else MOST_STEPS
@@ -197,16 +198,33 @@ class Candidate:
         >>> Candidate("scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), unbounded=True).ends
         (-12.8, 32.0)
         """
-        if self.budgeted:
-            return -self.most, self.most
         number, _, unit = self.step.partition(" ")
         low, high = _BELOW * min(0.0, *self.sizes), (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
+        if self.budgeted:
+            return min(low, -self.most), max(high, self.most)
         if self.unbounded and unit == "%" and float(number) >= 1.0:
             low, high = (
                 min(low, (_LEAST - 1.0) * 100.0 / float(number)),
                 max(high, (_MOST - 1.0) * 100.0 / float(number)),
             )
         return low, high
+
+    def as_far_as(self, usual: Candidate) -> Candidate:
+        """A number of a small stated uncertainty, asked at the sizes of one of which nothing is stated: who mistypes it
+        is no more careful than another.
+
+        >>> stated, usual = (UncertainInput("time", "scene", "hour", np.ones(1), np.array([[sd]])) for sd in (0.1, 1.0))
+        >>> clock = Candidate("time", "scene", "1 h", False, (usual,), (1.0, -1.0, 4.0))
+        >>> watch = Candidate("time", "scene", "one number", True, (stated,), (1.0, -1.0)).as_far_as(clock)
+        >>> watch.sizes, watch.ends
+        ((10.0, -10.0, 40.0), (-16.0, 80.0))
+        """
+        own, other = (next((m for m in c.members if m is not None), None) for c in (self, usual))
+        if own is None or not (self.budgeted and self.sizes and usual.sizes):
+            return self
+        step = np.max(np.abs(other.rows)) if other is not None else float(usual.step.partition(" ")[0])
+        ratio = float(step / np.max(np.abs(own.rows)))
+        return replace(self, sizes=tuple(ratio * z for z in usual.sizes)) if ratio > 1.0 else self
 
     @property
     def asked(self) -> bool:
@@ -289,7 +307,16 @@ def candidates(
 
 
 def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
-    """What is no number: bands elsewhere, another time or haze, spectra exchanged or in another unit."""
+    """What is no number: bands elsewhere, another time or haze, spectra at another level, exchanged or in another unit.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read
+    >>> world = read(load_scenario("yellow-planks-asphalt"))
+    >>> grass = {c.name: c for c in further_candidates([world, world])}["level of the spectrum of grass"]
+    >>> mean = world.stated.surfaces["grass"].mean
+    >>> [float(np.median(truth["surfaces.[grass].mean"] / mean).round(9)) for truth in grass.at(0, 2.0)]
+    [1.1, 1.1]
+    """
     states = [world.stated.scenario.atmosphere for world in worlds]
     if any(s is not None and s.engine == "table" for s in states):
         states = [None for _ in states]
@@ -313,6 +340,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         kinds = {h: [{"atmosphere.aerosol": h} if s else {} for s in states] for h in HAZES if h not in hazes}
         out.append(_one_of("aerosol type", "atmosphere", kinds))
     pairs, scaled = dict[str, list[Truth]](), dict[str, list[Truth]]()
+    levels = defaultdict[str, list[dict[str, Array]]](lambda: [{} for _ in worlds])
     for number, world in enumerate(worlds):
         scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
@@ -321,11 +349,14 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         if len(scene.targets) > 1 or any(_side(p) for t in scene.targets for p in t.populations):
             out += [_sized(target, number, worlds) for target in scene.targets]
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
+            for s, path in _field_spectra(kind if kind is not scene.targets else ()):
+                levels[s.name][number][path] = np.asarray(value_at(world, path))[0]
             for names in combinations([x.name for x in kind], 2):
                 pairs[" and ".join(names)] = alone(_exchanged(world, names))
             for name, x in product([s.name for s in kind if s.spectrum.measured is None], SCALES):
                 level = np.nan_to_num(world.stated.surfaces[name].mean)
                 scaled[f"{name} x {x:g}"] = alone({f"surfaces.[{name}].mean": x * level})
+    out += [_level(f"the spectrum of {name}", means) for name, means in levels.items()]
     found = {"exchanged spectra or regions": pairs, "scale of a spectrum": scaled}
     return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
 
@@ -561,9 +592,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
             name += f" and of {len(where) - 1} more" * (len(where) > 1)
             out.append(Candidate(name, "scene", "0.05 of the area", False, sizes=(-8.0, 8.0), moved=traded))
     names = {str([sorted(means) for means in each]): name for name, each in reversed(levels.items())}
-    for name in names.values():  # of those that mean the same spectra the first
-        level = partial(_levelled, levels[name])
-        out.append(Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=level))
+    out += [_level(name, levels[name]) for name in names.values()]  # of those that mean the same spectra the first
     entries |= _files_changed(levels)
     if any(pixels):
         larger = partial(_levelled, pixels)
@@ -651,6 +680,11 @@ def _files_changed(levels: Mapping[str, Sequence[Mapping[str, Array]]]) -> dict[
                 both = zip(out[f"{b} in the place of {a}"], out[f"{a} in the place of {b}"], strict=True)
                 out[f"{a} exchanged with {b}"] = [{**one, **other} for one, other in both]
     return out
+
+
+def _level(name: str, means: Sequence[Mapping[str, Array]]) -> Candidate:
+    moved = partial(_levelled, means)
+    return Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=moved)
 
 
 def _levelled(values: Sequence[Mapping[str, Any]], units: float) -> list[Truth]:

@@ -23,6 +23,7 @@ from hyperval.attribute.candidates import (
     exchanged_entries,
     further_candidates,
     rarer_candidates,
+    usual_inputs,
 )
 from hyperval.attribute.posterior import (
     ALL,
@@ -548,10 +549,12 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     many = len(worlds) > MOST_SCENARIOS
     apart = [c for c in moved if many and c.of_engine and c.sizes]
     further = further_candidates(worlds)
+    usual = {c.name: c for c in (*candidates([], [[*usual_inputs(world)] for world in worlds]), *further)}
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
-    by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *apart)}
+    far = (c.as_far_as(usual[c.name]) if c.name in usual else c for c in moved)
+    by_name = {c.name: c for c in (*further, *far) if c not in (*rare, *apart)}
     every = [c for c in by_name.values() if c.sizes or c.labels]
-    known = {c: columns.pop(c) for c in (*every, *apart) if c in columns}
+    known = {c: g for c in (*every, *apart) if (g := columns.pop(c, None)) is not None and 1.0 in c.sizes}
     columns |= _columns_at(every, known, predicted, evaluate)
     for c in apart:
         sides = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
@@ -559,11 +562,11 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     for c in moved:  # of a field spectrum, each band by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
             columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
-    names = {c.name for s in model.scenarios for c in s.scene.classes}
+    fractions = {c.name: c.fraction for s in model.scenarios for c in s.scene.classes}
     spectra = {b.product: getattr(base, b.product) for b in stack.blocks if b.bands is not None}.items()
-    classes = {product: {n: s.mean for n, s in each.items() if n in names} for product, each in spectra}
+    classes = {product: {n: s.mean for n, s in each.items() if n in fractions} for product, each in spectra}
     arms = arms_of(worlds[0])
-    of_spectra = partial(_of_spectra, stack, classes, observed.axis.centre_nm)
+    of_spectra = partial(_of_spectra, stack, classes, fractions, observed.axis.centre_nm)
     columns |= of_spectra(predicted, {})
     residual, wide = stack.observed - predicted, stack.unstructured(predicted)
     of_files = partial(_columns_at, exchanged_entries(worlds, model.looked_for), {}, predicted, evaluate)
@@ -699,19 +702,25 @@ def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Arra
 
 
 def _of_spectra(
-    stack: Stack, classes: Mapping[str, Mapping[str, Array]], centre_nm: Array, level: Array, arms: Mapping[str, Array]
+    stack: Stack,
+    classes: Mapping[str, Mapping[str, Array]],
+    fractions: Mapping[str, float],
+    centre_nm: Array,
+    level: Array,
+    arms: Mapping[str, Array],
 ) -> dict[Candidate, Array]:
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
     bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
     gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, alike=alike) for alike in (False, True))
     own, shared = gain.sum(axis=1), offset.sum(axis=1)
+    scene = stack.of_scene(classes, fractions, shared)
     flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
     smooth, mean, area = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
     parts: list[tuple[str, str, str, tuple[float, ...], Array]] = [
         (SINGLE_BANDS, "sensor", f"{100 * BAND_PART:g} % in each band", (), BAND_PART * bands),
         ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
         ("smooth offset of the sensor", "sensor", smooth, (), SMOOTH_PART * offset),
-        ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (shared - own)),
+        ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (scene - own)),
         ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.levelled(level)),
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
         *((name, "region", area, (-5.0, 50.0), change) for name, change in mixed.items()),

@@ -224,6 +224,14 @@ class Stack:
                     change[at] = 0.01 * np.nan_to_num(other[block.bands] - level[at])
         return out
 
+    def of_scene(self, classes: Mapping[str, Mapping[str, Array]], area: Mapping[str, float], other: Array) -> Array:
+        """(n,) radiance of the scene on average, by the area of its classes; ``other`` where none of them is known."""
+        out = other.copy()
+        for block, at in self.placed():
+            if block.product in LIT and (each := classes.get(block.product)):
+                out[at] = np.average([x[block.bands] for x in each.values()], axis=0, weights=[area[n] for n in each])
+        return out
+
     def levelled(self, level: Array) -> Array:
         """(n,) radiance that loses to its own mean over the bands what it has more than that."""
         out = np.zeros(level.size)
