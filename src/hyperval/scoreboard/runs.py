@@ -392,20 +392,33 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     Parameters
     ----------
     maps : score maps (lines, samples) by their names
+
+    >>> from types import SimpleNamespace
+    >>> at, red = np.arange(9).reshape(3, 3), {"name": "red", "material": "red", "spectrum": {"file": "red.csv"}}
+    >>> one = TargetObject("a", "red", 1.0, 1.0, (3, 3), (0, 0), np.ones((1, 1), bool), None, {"name": "a"})
+    >>> place = SimpleNamespace(targets=[one], target_pixels="touched", pixel_area_m2=1.0, pixels_of=lambda *_: at > 0)
+    >>> maps = {"red-cem": np.where(at < 5, 1.0, np.nan), "red-ace": np.where(at == 4, np.nan, 1.0)}
+    >>> maps |= {name: np.where(at == 8, np.nan, scores) for name, scores in maps.items()}  # no data
+    >>> for words in block_counts(place, maps, Detection(detectors=["cem", "ace"], targets=[red])).lost:
+    ...     print(words.partition(" of the")[0])
+    cem has no score for 0 objects and 3 pixels
+    ace has no score for 0 objects and 1 pixels
     """
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
-    every = counted = place.pixels_of(*detection.false_alarms)
-    missing = np.zeros((2, len(names)), int)  # scores of objects, and of pixels of the background
-    for own in used.values():
-        missing[1] += [np.count_nonzero(every & ~np.isfinite(one)) for one in own]
-        counted = np.logical_and.reduce([counted, *map(np.isfinite, own)])
+    known = np.array([[np.isfinite(one) for one in own] for own in used.values()])  # (targets, detectors, ...)
+    every = place.pixels_of(*detection.false_alarms)
+    counted = every & known.all(axis=(0, 1))
+    # What others have scores of, objects and pixels of the background: where none has the image holds no data.
+    missing = np.zeros((2, len(names)), int)
+    missing[1] = np.count_nonzero(every & known.any(axis=(0, 1)) & ~known.all(axis=0), axis=(1, 2))
     looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
         objects = {o.name: o for own in subjects.values() for o in own}
         greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
-        valid = np.isfinite(greatest).all(axis=0)
-        missing[0] += (~np.isfinite(greatest)).sum(axis=1)
+        found = np.isfinite(greatest)
+        valid = found.all(axis=0)
+        missing[0] += (found.any(axis=0) & ~found).sum(axis=1)
         at = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
         pairs = [counts_by_block(own[valid], each) for own, each in zip(greatest, blocks, strict=True)]
@@ -416,9 +429,8 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
     over, tie = np.concatenate(looks, axis=1)
-    missing -= missing.min(axis=1, keepdims=True)  # where no detector has a score the image holds no data
     lost = tuple(
-        f"{name} has no score for {m} objects and {n} pixels of the background: none is ranked by them"
+        f"{name} has no score for {m} objects and {n} pixels of the background: no detector is ranked by them"
         for name, m, n in zip(names, *missing.tolist(), strict=True)
         if m or n
     )
