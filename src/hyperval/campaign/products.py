@@ -299,7 +299,7 @@ def predicted_side(
             task.features,
             quantity,
             task.seed,
-            observe.training_pixels(task, observed.observation.distribution),
+            observe.training_pixels(task, observed.observation.distribution, observed.masks),
         )
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
     return replace(whole, classification=errors, exceedance=shared, abundance=areas)
