@@ -395,13 +395,14 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
 
     >>> from types import SimpleNamespace
     >>> at, red = np.arange(9).reshape(3, 3), {"name": "red", "material": "red", "spectrum": {"file": "red.csv"}}
-    >>> one = TargetObject("a", "red", 1.0, 1.0, (3, 3), (0, 0), np.ones((1, 1), bool), None, {"name": "a"})
-    >>> place = SimpleNamespace(targets=[one], target_pixels="touched", pixel_area_m2=1.0, pixels_of=lambda *_: at > 0)
+    >>> corners, own = {"a": (0, 0), "b": (2, 1)}, np.ones((1, 1), bool)
+    >>> both = [TargetObject(n, "red", 1.0, 1.0, (3, 3), x, own, None, {"name": n}) for n, x in corners.items()]
+    >>> place = SimpleNamespace(targets=both, target_pixels="touched", pixel_area_m2=1.0, pixels_of=lambda *_: at > 0)
     >>> maps = {"red-cem": np.where(at < 5, 1.0, np.nan), "red-ace": np.where(at == 4, np.nan, 1.0)}
     >>> maps |= {name: np.where(at == 8, np.nan, scores) for name, scores in maps.items()}  # no data
     >>> for words in block_counts(place, maps, Detection(detectors=["cem", "ace"], targets=[red])).lost:
     ...     print(words.partition(" of the")[0])
-    cem has no score for 0 objects and 3 pixels
+    cem has no score for 1 objects and 3 pixels
     ace has no score for 0 objects and 1 pixels
     """
     names = tuple(detection.detectors)
