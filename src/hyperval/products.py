@@ -189,7 +189,12 @@ class RocCurve:
 
     @property
     def has_limits(self) -> bool:
-        """Whether an uncertainty is stated: without one the limits are P_D itself, and no interval."""
+        """Whether an uncertainty is stated: without one the limits are P_D itself, and no interval.
+
+        >>> p = np.array([0.1, 0.2, 0.3])
+        >>> [RocCurve(p, p, p, p + above, p).has_limits for above in (0.0, np.array([np.nan, 0.0, 0.1]))]
+        [False, True]
+        """
         return bool(np.any(self.pd_upper - self.pd_lower > 1e-12))
 
 

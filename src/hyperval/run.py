@@ -417,7 +417,13 @@ def _document(lines: Iterable[str], counts: Counter[str], more: Mapping[str, Any
 
 
 def junit_xml(rows: Sequence[Result]) -> str:
-    """One test case for each gate and each error; what disagrees fails, what is undecided counts as skipped."""
+    """One test case for each gate and each error; what disagrees fails, what is undecided counts as skipped.
+
+    >>> gate = Result("b", "roc", "lawn", "cem", "auc", 0.9, role=Role.GATE, outcome=Outcome.DISAGREES)
+    >>> text = junit_xml([Result("a", "roc", "lawn", "cem", "auc", 0.9), gate])
+    >>> re.findall('testsuite name="(.)" tests="(.)" failures="(.)"', text)  # a campaign without a gate is there too
+    [('a', '0', '0'), ('b', '1', '1')]
+    """
     cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
     suites: dict[str, list[Result]] = {row.campaign: [] for row in rows}

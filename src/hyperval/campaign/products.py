@@ -151,15 +151,14 @@ def _of_filters(side: Collected, scenario: Scenario) -> Iterator[str]:
         return
     stated, bands = model.read(scenario, side.origins(scenario)).stated, detected.bank.bands
     for target in detection.targets:
-        spectrum = detected.bank.forms[observe.map_name(target.name, detection.detectors[0])][1]
-        if spectrum is None:
-            continue
-        subjects = observe.target_groups(place.targets, target, detection.group)
-        for name in dict.fromkeys(stated.targets[t].name for t, _, p in stated.populations if p.name in subjects):
-            gap = float(np.abs(stated.signatures[name][bands] - spectrum).max())
-            if gap > LEAST_APART * np.abs(spectrum).max():
-                words = f"in the image than in the model of {name!r}, up to {gap:.2g} apart"
-                yield f"warning: filters of {target.name!r} look for another spectrum {words} (filter_spectrum)"
+        forms = (detected.bank.forms[observe.map_name(target.name, name)][1] for name in detection.detectors)
+        for spectrum in [one for one in forms if one is not None][:1]:  # the same for each detector that has one
+            subjects = observe.target_groups(place.targets, target, detection.group)
+            for name in dict.fromkeys(stated.targets[t].name for t, _, p in stated.populations if p.name in subjects):
+                gap = float(np.abs(stated.signatures[name][bands] - spectrum).max())
+                if gap > LEAST_APART * np.abs(spectrum).max():
+                    words = f"in the image than in the model of {name!r}, up to {gap:.2g} apart"
+                    yield f"warning: filters of {target.name!r} look for another spectrum {words} (filter_spectrum)"
 
 
 def centre_of(place: observe.Place) -> tuple[float, float] | None:
@@ -300,7 +299,7 @@ def predicted_side(
             task.features,
             quantity,
             task.seed,
-            observe.training_pixels(task, observed.observation),
+            observe.training_pixels(task, observed.observation.distribution, observed.masks),
         )
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
     return replace(whole, classification=errors, exceedance=shared, abundance=areas)

@@ -102,8 +102,10 @@ class ClassLaw:
         >>> each = [law.trained(9.0, rng) for _ in range(4000)]
         >>> bool(np.allclose(np.mean([one.covariance for one in each], axis=0), np.eye(2), atol=0.04))  # unbiased
         True
-        >>> round(float(np.var([one.mean[0] for one in each]) * 9.0), 1)
-        1.0
+        >>> [round(float(np.var(numbers)), 2) for numbers in zip(*((k.mean[0], k.covariance[0, 0]) for k in each))]
+        [0.11, 0.25]
+        >>> 1 / 9, 2 / 8  # of a mean, and of a variance with 8 degrees of freedom
+        (0.1111111111111111, 0.25)
 
         Of heavy tails its variances vary more, here by sqrt((2 + 3 kappa)/n) with kappa = 2/(6 - 4).
 
@@ -149,6 +151,13 @@ def predicted_error(
     Parameters
     ----------
     trained : independent pixels of each class that the classifier is trained on; none: it knows the laws
+
+    >>> near, far = ([ClassLaw(np.full(4, mean), np.eye(4)) for mean in (0.0, away)] for away in (0.8, 9.0))
+    >>> known, few = (predicted_error(near, np.random.default_rng(1), 5000, n) for n in ((), (9.0, 9.0)))
+    >>> [round(e.error, 1) for e in (known, few)], few.upper - few.lower > 0.1, few.distance > known.distance
+    ([0.2, 0.3], True, True)
+    >>> predicted_error(far, np.random.default_rng(1), 5000, (1.0, 1.0)).lower  # one pixel counts as six
+    0.0
     """
     pixels = [law.draw(draws, rng) for law in laws]
 
@@ -425,6 +434,19 @@ def predicted_classification(
     Raises
     ------
     UsageError : a class without spread, which a Gaussian classifier cannot take.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace
+    >>> from hyperval.products import SpectralEstimate
+    >>> from hyperval.spectra import SpectralAxis
+    >>> axis, one = SpectralAxis(np.linspace(500.0, 800.0, 4), 10.0), np.eye(4)
+    >>> laws = {name: SpectralEstimate(np.full(4, mean), one, one) for name, mean in (("a", 0.0), ("b", 0.8))}
+    >>> every = SimpleNamespace(name="all", bands_nm=[], pca=None)
+    >>> asked = PredictedProducts(axis, reflectance=laws), [("a", "b")], [every], "counts"
+    >>> both = (predicted_classification(*asked, trained=n) for n in (None, {"a": 9.0, "b": 9.0}))
+    >>> [round(errors["a / b", "all"].error, 1) for errors in both]
+    [0.2, 0.3]
     """
     axis = prediction.axis
     spectra = prediction.radiance if quantity == "radiance" else prediction.reflectance

@@ -598,23 +598,19 @@ def class_sets(task: Classification) -> list[tuple[str, ...]]:
     return [tuple(task.classes), *pairs]
 
 
-def training_pixels(task: Classification, observed: ObservedProducts) -> dict[str, float]:
+def training_pixels(task: Classification, laws: Mapping[str, PixelDistribution], masks: Labels) -> dict[str, float]:
     """Independent pixels that train each class: half of those of its region, at most as many as are taken.
 
-    Of a region too small for its ``distribution`` to be measured all pixels behind its mean count as independent.
+    Of a region that is too small for their number to be measured every pixel counts.
 
-    >>> from hyperval.collection import Classification
-    >>> task = Classification(classes=["a", "b"], features=[{"name": "all"}], pixels=500)
-    >>> few = SpectralEstimate(np.ones(1), np.eye(1), n=180)
-    >>> law = PixelDistribution(n=9000, effective_n=np.array([300.0]))
-    >>> training_pixels(task, ObservedProducts(None, radiance={"a": few, "b": few}, distribution={"a": law}))
-    {'a': 150.0, 'b': 90.0}
+    >>> task = Classification(classes=["a", "b", "c"], features=[{"name": "all"}], pixels=500)
+    >>> seen = {"a": PixelDistribution(effective_n=np.array([200.0, 600.0])), "b": PixelDistribution()}
+    >>> training_pixels(task, seen, {"a": np.ones(9000), "b": np.ones(150), "c": np.ones(9000)})
+    {'a': 150.0, 'b': 75.0, 'c': 500.0}
     """
-    behind = {name: one.n for name, one in {**observed.radiance, **observed.reflectance}.items()}
-    counts = behind | {name: law.effective_n for name, law in observed.distribution.items()}
-    known = ((name, counts.get(name)) for name in task.classes)
-    halves = {name: np.inf if n is None else 0.5 / float(np.mean(1.0 / n)) for name, n in known}
-    return {name: min(half, float(task.pixels)) for name, half in halves.items()}
+    known = {name: laws.get(name, PixelDistribution()).effective_n for name in task.classes}
+    each = {k: np.count_nonzero(masks[k]) if n is None else 1.0 / np.mean(1.0 / n) for k, n in known.items()}
+    return {name: min(0.5 * float(n), float(task.pixels)) for name, n in each.items()}
 
 
 def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, Index]]:

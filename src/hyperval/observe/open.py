@@ -655,6 +655,8 @@ def with_edges(fill: Array) -> Array:
 
     >>> with_edges(np.array([[0.01, 0.3, 0.5, 0.0, 0.01]])).tolist()
     [[0.0, 0.31, 0.5, 0.0, 0.0]]
+    >>> with_edges(np.array([[0.01, 0.0], [0.0, 0.5]])).tolist()
+    [[0.0, 0.0], [0.0, 0.51]]
     """
     own = fill >= LEAST_FILL
     away, nearest = ndimage.distance_transform_edt(~own, return_indices=True)

@@ -392,24 +392,34 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     Parameters
     ----------
     maps : score maps (lines, samples) by their names
+
+    >>> from types import SimpleNamespace
+    >>> at, red = np.arange(9).reshape(3, 3), {"name": "red", "material": "red", "spectrum": {"file": "red.csv"}}
+    >>> corners, own = {"a": (0, 0), "b": (2, 1)}, np.ones((1, 1), bool)
+    >>> both = [TargetObject(n, "red", 1.0, 1.0, (3, 3), x, own, None, {"name": n}) for n, x in corners.items()]
+    >>> place = SimpleNamespace(targets=both, target_pixels="touched", pixel_area_m2=1.0, pixels_of=lambda *_: at > 0)
+    >>> maps = {"red-cem": np.where(at < 5, 1.0, np.nan), "red-ace": np.where(at == 4, np.nan, 1.0)}
+    >>> maps |= {name: np.where(at == 8, np.nan, scores) for name, scores in maps.items()}  # no data
+    >>> for words in block_counts(place, maps, Detection(detectors=["cem", "ace"], targets=[red])).lost:
+    ...     print(words.partition(" of the")[0])
+    cem has no score for 1 objects and 3 pixels
+    ace has no score for 0 objects and 1 pixels
     """
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
-    every = counted = place.pixels_of(*detection.false_alarms)
-    lacks = [(set[str](), np.zeros(every.shape, bool)) for _ in names]  # objects and pixels that others have scored
-    for own in used.values():
-        known = [np.isfinite(one) for one in own]
-        counted, some = np.logical_and.reduce([counted, *known]), every & np.logical_or.reduce(known)
-        for (_, pixels), one in zip(lacks, known, strict=True):
-            pixels |= some & ~one
+    known = np.array([[np.isfinite(one) for one in own] for own in used.values()])  # (targets, detectors, ...)
+    every = place.pixels_of(*detection.false_alarms)
+    counted = every & known.all(axis=(0, 1))
+    # What others have scores of, objects and pixels of the background: where none has the image holds no data.
+    missing = np.zeros((2, len(names)), int)
+    missing[1] = np.count_nonzero(every & known.any(axis=(0, 1)) & ~known.all(axis=0), axis=(1, 2))
     looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
         objects = {o.name: o for own in subjects.values() for o in own}
         greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
-        scored = np.isfinite(greatest)
-        valid = scored.all(axis=0)
-        for (without, _), lacking in zip(lacks, scored.any(axis=0) & ~scored, strict=True):
-            without.update(compress(objects, lacking))
+        found = np.isfinite(greatest)
+        valid = found.all(axis=0)
+        missing[0] += (found.any(axis=0) & ~found).sum(axis=1)
         at = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
         pairs = [counts_by_block(own[valid], each) for own, each in zip(greatest, blocks, strict=True)]
@@ -421,9 +431,9 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
     over, tie = np.concatenate(looks, axis=1)
     lost = tuple(
-        f"{name} has no score for {len(own)} objects and {pixels.sum()} background pixels: none is ranked by them"
-        for name, (own, pixels) in zip(names, lacks, strict=True)
-        if own or pixels.any()
+        f"{name} has no score for {m} objects and {n} pixels of the background: no detector is ranked by them"
+        for name, m, n in zip(names, *missing.tolist(), strict=True)
+        if m or n
     )
     return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density, lost)
 

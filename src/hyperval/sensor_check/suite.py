@@ -81,8 +81,9 @@ def numbers(specification: SensorSpecification) -> list[SensorNumber]:
     """Every number of the file in the order of the file; those of a part have its source.
 
     >>> from hyperval.sensor.specification import load_sensor
-    >>> [n.source for n in numbers(load_sensor("enmap").specification) if n.name == "detector_gain"]
-    ['assumed: the file does not state it']
+    >>> lacking = (n for n in numbers(load_sensor("casi-1500").specification) if n.source.endswith("not state it"))
+    >>> [n.name.removeprefix("VNIR.") for n in lacking]
+    ['bands.spacing', 'throughput.obscuration', 'degradation', 'bit_error_rate', 'bit_error_per', 'detector_gain']
     """
     used, stated = (specification.model_dump(mode="json", exclude_none=True, exclude_unset=u) for u in (False, True))
     return list(_numbers(used, stated, "", ""))

@@ -162,7 +162,11 @@ def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> tuple[Array, Mask]:
 
 
 def spacing_note(lacking: str, apart: Array) -> str:
-    """What is to be said of :func:`fwhm_from_spacing`, by what is lacking; ``apart``: centres beside gaps [nm]."""
+    """What is to be said of :func:`fwhm_from_spacing`, by what is lacking; ``apart``: centres beside gaps [nm].
+
+    >>> [spacing_note("none", np.array(apart)).partition(": ")[0] for apart in ([415.0], [])]
+    ['warning', 'none']
+    """
     note, first = f"{lacking}: band widths are taken as the band spacing", ", ".join(f"{nm:.4g}" for nm in apart[:5])
     guess = (
         f"warning: {note}; those of {apart.size} bands beside gaps (the first: {first} nm) are guesses by nearer bands"

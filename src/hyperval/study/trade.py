@@ -397,7 +397,11 @@ class Progress(NamedTuple):
 
     @property
     def said(self) -> list[str]:
-        """What each curve needs, and what is to be said of points: of the one of which there is most to say."""
+        """What each curve needs, and what is to be said of points: of the one of which there is most to say.
+
+        >>> Progress(np.zeros((1, 3, 1)), np.zeros(0), ((0.2, "x = 0.2"),), "", 0, {1: "no", 2: "no, nor here"}).said
+        ['x = 0.2', 'no, nor here (2 of 3 points, this one the most)']
+        """
         points = f" ({len(self.remarks)} of {self.values[..., 0].size} points, this one the most)"
         most = max(self.remarks.values(), key=len, default="")
         return [*(words for _, words in self.needed), *([most + points] if most else [])]
@@ -431,7 +435,13 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
 
 
 def _questions(p: Prepared, trade: Trade) -> list[Required]:
-    """At which value of x each output comes to what is wanted, where that is asked; y stands where its slider does."""
+    """At which value of x each output comes to what is wanted, where that is asked; y stands where its slider does.
+
+    >>> p, asphalt = prepared("yellow-planks-asphalt", Trade()), "surfaces.[asphalt]."
+    >>> asked = (completed(Trade(y=asphalt + name, wanted=0.5), p) for name in ("spread", "tail_dof"))
+    >>> [[move.offset for move in _questions(p, trade)[0].targets[1:]] for trade in asked]  # no tail is no number
+    [[1.0], []]
+    """
     offer, moves = p.inputs[trade.x], moves_of(p.inputs[trade.x], trade)
     if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
         moves += [Move(path=move.path, factor=0.0, offset=now) for move in moves_of(p.inputs[trade.y], trade)]
@@ -569,6 +579,12 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
     Returns
     -------
     ``figure`` of them; ``values``, the output of each curve by its name; ``error``: of the atmosphere; what saturates
+
+    Examples
+    --------
+    >>> bright = Trade(output="snr", moved={"sensor_changes.signal_factor": 2.0})
+    >>> live("panels", completed(bright, prepared("panels", Trade())))["error"].partition("SATURATION: ")[2]
+    'full scale is passed by grass, white panel, grey panel 48.'
     """
     p = prepared(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})

@@ -63,6 +63,12 @@ class Uploads:
     Parameters
     ----------
     request : whose session and server they are
+
+    >>> names = "Überflug 4 (2).hdr", " a.img", ".profile", "_a", "a/b", "a" * 80, "a" * 81
+    >>> [bool(_NAME.fullmatch(name)) for name in names]
+    [True, False, False, False, False, True, False]
+    >>> [bool(_INSIDE.fullmatch(name)) for name in ("line 4/a.img", "../a.img", "a/../b", "a//b", "/a")]
+    [True, False, False, False, False]
     """
 
     def __init__(self, request: Request):
