@@ -641,6 +641,7 @@ class Stated(Keeps):
     notes : what is to be said of the sensor, and of bands that spectra do not reach
     before, nominal : what the values of paths refer to, where this was read again after the change of some; None: this
     kept : what follows from it alone, once it was asked for
+    shift_nm, width : by which the true bands were moved and widened beside what the scenario says
     names : class, surface or target -> names of them all, which the star of a path stands for
     populations : number of the target, number in it, and population of target pixels
     mean : (S, B) mean reflectance of the surfaces
@@ -662,6 +663,8 @@ class Stated(Keeps):
     notes: Sequence[str] = ()
     before: Stated | None = None
     kept: dict[Any, Any] = field(default_factory=dict)
+    shift_nm: float | Array = 0.0
+    width: float = 1.0
 
     def __post_init__(self) -> None:
         scene, self.nominal = self.scenario.scene, self.before or self
@@ -756,5 +759,5 @@ def read_files(
     surroundings = None if around is None else without_gaps(sources.spectrum(around, "surroundings").mean)
     return Stated(
         scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
-        Atmosphere(scenario, source, true, nodes or {}, star), notes, kept=kept,
+        Atmosphere(scenario, source, true, nodes or {}, star), notes, kept=kept, shift_nm=shift_nm, width=width,
     )  # fmt: skip

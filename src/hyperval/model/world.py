@@ -268,6 +268,15 @@ def value_at(world: World, path: str) -> Any:
     Raises
     ------
     UsageError : it leads nowhere, or to something that the scenario does not state.
+
+    Examples
+    --------
+    What was read again with bands elsewhere has them there: an uncertainty of the shift is about that.
+
+    >>> from hyperval.scenario import load_scenario
+    >>> ((_, elsewhere),) = settled(with_values(read(load_scenario("panels")), {SHIFT: np.array([[2.0]])}))
+    >>> value_at(elsewhere, SHIFT).ravel().tolist(), value_at(elsewhere, WIDTH).tolist()
+    ([2.0], [1.0])
     """
     if path in world.moved:
         return world.moved[path]
@@ -290,7 +299,7 @@ def value_at(world: World, path: str) -> Any:
         fills = (stated.populations[i][2].fill.geometry for i in populations)
         return np.concatenate([np.atleast_1d((g and g.psf_fwhm_pixels) or 0.0) for g in fills])[None].astype(float)
     if path in (SHIFT, WIDTH):
-        return np.full(1, float(path == WIDTH))
+        return np.asarray(stated.shift_nm if path == SHIFT else stated.width, dtype=float)[None]
     if parts[0] == "atmosphere" and len(parts) == 2 and parts[1] in STATE and stated.scenario.atmosphere:
         return np.array([state_value(stated.scenario.atmosphere, parts[1])])
     try:
@@ -656,7 +665,7 @@ def _read_with(stated: Stated, values: Truth) -> Stated:
         settings = {p: plain(v) for p, v in values.items() if v is not None and p not in (SHIFT, WIDTH)}
         scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
         atmosphere = stated.atmosphere
-        bands = values.get(SHIFT, 0.0), values.get(WIDTH) or 1.0
+        bands = values.get(SHIFT, stated.shift_nm), values.get(WIDTH) or stated.width
         there = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
         kept[key] = replace(there, before=stated.nominal)
         if len(kept) > _AGAIN:
