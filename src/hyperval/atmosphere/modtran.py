@@ -86,8 +86,8 @@ class _Table:
         total, together = np.asarray(added["radiance"]), np.asarray(sum(added[part] for part in TOTAL_PARTS))
         wrong = np.abs(total - together) > layout["rounding"] * np.abs(total) + _LEAST_RADIANCE
         parts = " + ".join(column for part in TOTAL_PARTS for column in layout["sums"][part])
-        told: dict[str, Any] = {"name": layout["sums"]["radiance"][0], "parts": parts, "rounding": layout["rounding"]}
-        refuse(wrong.any(), "modtran.sum", self.at(wrong), total=total[wrong], sum=together[wrong], **told)
+        told = {"layout": layout, "parts": parts, "total": total[wrong], "sum": together[wrong]}
+        refuse(wrong.any(), "modtran.sum", self.at(wrong), **told)
         return {name: converted(np.asarray(values)) for name, values in added.items()}
 
 
