@@ -109,6 +109,7 @@ class Description:
     packing : scale and offset of the file by which its reader has unpacked the values that count as stored here
     header : of ENVI; its lists and scale factors are read when asked for, as a campaign may state them itself
     gains : file of what whole numbers of radiance are divided by
+    names : of the bands, where another file than a header has them
     ignored : number in the file that means no data, where its reader hands out NaN in its place
     """
 
@@ -126,12 +127,13 @@ class Description:
     packing: tuple[float, float] = (1.0, 0.0)
     header: EnviHeader | None = None
     gains: Path | None = None
+    names: tuple[str, ...] = ()
     ignored: float | None = None
 
     @property
     def band_names(self) -> tuple[str, ...]:
         """The names of the bands, empty where a header does not have one for each."""
-        return self.header.band_names if self.header is not None else ()
+        return self.header.band_names if self.header is not None else self.names
 
     def no_data(self) -> float | None:
         """Stored value that means no data: the ``data ignore value`` of a header, else that of the data file."""
