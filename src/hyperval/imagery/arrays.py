@@ -414,20 +414,16 @@ def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None
 
 def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
     """The coordinate of one axis that holds wavelengths, by its name, its standard name or its unit."""
-
-    def standard(v: xr.Variable) -> bool:
-        return bool(v.attrs.get("standard_name") == "radiation_wavelength")
-
-    along = {
-        n: v for n, v in data.variables.items() if v.ndim == 1 and v.dims[0] in array.dims and v.dtype.kind in "iuf"
-    }
-    listed = {n: v for n, v in along.items() if standard(v) or not _NO_CENTRE.search(str(n))}
-    named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
-    in_unit = [
-        n
-        for n, v in listed.items()
-        if (factor := in_nm(str(v.attrs.get("units", "")))) and plausible(v.values[v.values > 0] * factor)
-    ]
+    named, in_unit = list[Any](), list[Any]()
+    for name, v in data.variables.items():
+        standard = v.attrs.get("standard_name") == "radiation_wavelength"
+        other = _NO_CENTRE.search(str(name)) and not standard
+        if other or v.ndim != 1 or v.dims[0] not in array.dims or v.dtype.kind not in "iuf":
+            continue
+        if standard or _WAVE.search(str(name)):
+            named.append(name)
+        if (factor := in_nm(str(v.attrs.get("units", "")))) and plausible(v.values[v.values > 0] * factor):
+            in_unit.append(name)
     return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)
 
 
