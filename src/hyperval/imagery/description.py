@@ -213,16 +213,14 @@ class Description:
         if width is not None and not width.any():
             notes.append("every fwhm in the file is 0, which is none")
             width = None
-        if width is not None and not np.all(width > 0):
-            band = int(np.flatnonzero(~(width > 0))[0])
-            raise refusal("bands.width", at["fwhm"], band=band + 1, width=width[band] / to_nm)
-        if width is not None and (np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM):
-            raise refusal("bands.widths", at["fwhm"], least=width.min(), most=width.max(), unit=unit)
+        if width is not None:
+            none, wide = np.flatnonzero(~(width > 0)), np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM
+            refuse(none.size, "bands.width", at["fwhm"], band=none + 1, width=width[none] / to_nm)
+            refuse(wide, "bands.widths", at["fwhm"], least=width.min(), most=width.max(), unit=unit)
         falls, same = np.flatnonzero(np.diff(centre) <= 0), np.unique(centre).size < centre.size
-        if falls.size and (same or not (sort_bands or self.sorts)):
-            i = int(falls[0])
-            pair = {"second": i + 2, "second_nm": centre[i + 1], "first": i + 1, "first_nm": centre[i]}
-            raise refusal("bands.same" if same else "bands.order", at["wavelength"], **pair)
+        pair = {"first": falls + 1, "second": falls + 2, "low": centre[falls], "high": centre[falls + 1]}
+        unordered = falls.size and (same or not (sort_bands or self.sorts))
+        refuse(unordered, "bands.same" if same else "bands.order", at["wavelength"], **pair)
         order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")

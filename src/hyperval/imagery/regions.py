@@ -601,7 +601,6 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
     except ImportError:
         raise refusal("vector.package", path) from None
     _check_files(path)
-    wanted = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -616,10 +615,8 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
                     raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
                 fields = [str(f) for f in meta["fields"]]
                 texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
-                if not {f.lower() for f in fields} & {*wanted} and (grid.name_field or (len(shapes) > 1 and texts)):
-                    lacking = repr(grid.name_field) if grid.name_field else "that names the regions"
-                    known = ", ".join(fields) or "none"
-                    raise refusal("vector.attribute", where, what=f"no attribute {lacking}", known=known)
+                nameless = grid.name_field is None and not {f.lower() for f in fields} & {*REGION_COLUMNS}
+                refuse(nameless and texts and len(shapes) > 1, "vector.attribute", where, known=", ".join(fields))
                 rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
                 names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
                 features = zip(shapes, rows, names, strict=True)
