@@ -198,8 +198,6 @@ def collision_column(profile: Profile, bottom_km: float, top_km: float | None = 
     """Integral of rho_O2 rho_air over altitude [amagat2 cm], up to the top of the profile by default."""
     highest = float(profile.altitude_km[-1])
     top = highest if top_km is None else min(top_km, highest)
-    if top <= bottom_km:
-        return 0.0
     z = np.linspace(bottom_km, top, int(np.ceil((top - bottom_km) / _STEP_KM)) + 1)
     temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
     air = (pressure_at(profile, z) / _STP_HPA) * (_STP_K / temperature)  # amagat
