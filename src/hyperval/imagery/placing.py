@@ -224,17 +224,13 @@ class LocationTable(LookupTable):
     def _coarse(self) -> tuple[Any, Index, Array]:
         """Every n-th pixel with a place: their tree, their (line, sample), and the scale of x and y in it."""
         step = max(1, math.ceil(math.sqrt(self.shape[0] * self.shape[1] / MOST_NODES)))
-        nodes, places = [], []
-        for line in range(0, self.shape[0], step):
-            x, y = (v[0, ::step] for v in self._xy(line, 1))
-            good = np.flatnonzero(self._valid(x, y))
-            nodes.append(np.column_stack([np.full(good.size, line), good * step]))
-            places.append(np.column_stack([x[good], y[good]]))
-        place = np.concatenate(places)
+        x, y = np.stack([[v[0, ::step] for v in self._xy(line, 1)] for line in range(0, self.shape[0], step)], axis=1)
+        good = self._valid(x, y)
+        place, nodes = np.column_stack([x[good], y[good]]), np.argwhere(good) * step
         refuse(not len(place), "place.none", self.raster.path)
         geographic = self.crs is not None and self.crs.is_geographic
         scale = np.array([math.cos(math.radians(float(place[:, 1].mean()))) if geographic else 1.0, 1.0])
-        return scipy.spatial.cKDTree(place * scale), np.concatenate(nodes), scale
+        return scipy.spatial.cKDTree(place * scale), nodes, scale
 
     @cached_property
     def _pixel(self) -> float:
@@ -301,8 +297,7 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     """
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     table = LocationTable(raster, Affine.identity(), None, shape)
-    rows = [table._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)]
-    x, y = (np.concatenate([row[i].ravel() for row in rows]) for i in (0, 1))
+    x, y = np.concatenate([table._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)], axis=1)
     good = table._valid(x, y)
     refuse(not good.any(), "place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
