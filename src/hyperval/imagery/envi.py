@@ -178,9 +178,9 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
         with open(data, "rb") as stream:
             head = stream.read(6)
         packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
-        kind = "image.packed" if packed else "image.short" if size < expected else "image.long"
-        told = {"size": size, "more": size - expected, "missing": 100.0 * (1.0 - size / expected)}
-        raise refusal(kind, data, header=parsed, packed=packed, **told)
+        told: dict[str, object] = {"header": parsed, "packed": packed, "size": size, "more": size - expected}
+        told["missing"] = 100.0 * (1.0 - size / expected)
+        raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **told)
     scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
     # The .gain file that the image's name begins with, as f130612t01p00r10rdn_e.gain.
     files = [] if scaled or parsed.dtype.kind == "f" else sorted(data.parent.glob("*.[gG][aA][iI][nN]"))
