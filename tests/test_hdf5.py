@@ -12,7 +12,7 @@ from hyperval import api, hdf5
 from hyperval.atmosphere import read_table
 from hyperval.errors import InputError
 from hyperval.hdf5 import check_hdf5, trial
-from hyperval.imagery import open_cube, sun_of_observation
+from hyperval.imagery import open_cube, open_raster
 from hyperval.run import write_table
 from hyperval.spectra import read_records
 from hyperval.statistics_library import read_statistics_library
@@ -55,7 +55,7 @@ def test_a_file_that_the_library_follows_for_ever_is_refused(before, tmp_path, m
         lambda path: open_cube(path, quantity="other"),
         lambda path: open_cube(path, quantity="other", variable="a"),
         lambda path: open_cube(path, quantity="other", engine="h5netcdf"),
-        lambda path: sun_of_observation(path, (2, 2)),
+        open_raster,
         read_table,
         lambda path: read_statistics_library(path, "grass"),
         read_records,  # of HYPERNETS

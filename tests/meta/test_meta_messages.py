@@ -148,6 +148,6 @@ def test_every_refusal_is_used_and_gets_what_its_words_name():
                 words = REFUSALS[name]
                 assert words.keys() <= {"what", "expected", "mend", "usage", "engine"}, name
                 texts = " ".join(str(words.get(key, "")) for key in ("what", "expected", "mend"))
-                fields = {f.partition("[")[0] for _, f, _, _ in Formatter().parse(texts) if f}
+                fields = {re.split(r"[.\[]", f)[0] for _, f, _, _ in Formatter().parse(texts) if f}
                 assert fields <= given or None in given, (path.name, node.lineno, name, fields - given)
     assert used == REFUSALS.keys()

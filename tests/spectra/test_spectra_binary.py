@@ -176,7 +176,7 @@ def test_what_the_header_of_a_library_says(tmp_path):
     good, plain = header.read_text(), read_records(path)
     for old, new, message in (
         ("lines = 2", "lines = 3", "expected: 48 bytes"), ("{red tile, grey tile}", "{red tile}", "1 names for 2 spec"),
-        ("{0.4, 0.5, 0.6, 0.7}", "{0.4, 0.5}", "2 wavelengths for 4 channels"),
+        ("{0.4, 0.5, 0.6, 0.7}", "{0.4, 0.5}", "'wavelength' has 2 values for 4 bands"),
         ("Spectral Library", "Standard", "expected: ENVI Spectral Library"),
     ):  # fmt: skip
         header.write_text(good.replace(old, new))

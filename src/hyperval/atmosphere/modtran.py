@@ -86,8 +86,8 @@ class _Table:
         total, together = np.asarray(added["radiance"]), np.asarray(sum(added[part] for part in TOTAL_PARTS))
         wrong = np.abs(total - together) > layout["rounding"] * np.abs(total) + _LEAST_RADIANCE
         parts = " + ".join(column for part in TOTAL_PARTS for column in layout["sums"][part])
-        told: dict[str, Any] = {"name": layout["sums"]["radiance"][0], "parts": parts, "rounding": layout["rounding"]}
-        refuse(wrong.any(), "modtran.sum", self.at(wrong), total=total[wrong], sum=together[wrong], **told)
+        told = {"layout": layout, "parts": parts, "total": total[wrong], "sum": together[wrong]}
+        refuse(wrong.any(), "modtran.sum", self.at(wrong), **told)
         return {name: converted(np.asarray(values)) for name, values in added.items()}
 
 
@@ -625,17 +625,13 @@ def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TI
     ------
     EngineError : it cannot be started, takes longer than ``timeout_s``, fails, or leaves no output.
     """
-    where, arguments = str(modtran.executable), list[str]()
-    if modtran.version == 6:
-        arguments, candidates = [f"{_NAME}.json"], [f"{_NAME}.tp7", f"{_NAME}.chn"]
-    else:
-        candidates = ["tape7", "tape5.tp7"]
-        if modtran.data is not None:
-            (folder / "DATA").symlink_to(modtran.data)
-    (folder / "".join(arguments or ["tape5"])).write_text(deck, encoding="ascii")
-    done = run_program(
-        [where, *arguments], "MODTRAN", str(refusal("modtran.unset").mend), timeout_s=timeout_s, folder=folder
-    )
+    where, mend, six = str(modtran.executable), str(refusal("modtran.unset").mend), modtran.version == 6
+    of_six, of_others = [f"{_NAME}.{end}" for end in ("json", "tp7", "chn")], ["tape5", "tape7", "tape5.tp7"]
+    given, *candidates = of_six if six else of_others
+    if modtran.data is not None and not six:
+        (folder / "DATA").symlink_to(modtran.data)
+    (folder / given).write_text(deck, encoding="ascii")
+    done = run_program([where, given] if six else [where], "MODTRAN", mend, timeout_s=timeout_s, folder=folder)
     said = last_line(done.stderr or done.stdout)
     refuse(done.returncode != 0, "modtran.failed", where, code=done.returncode, said=said)
     left = [folder / name for name in candidates if (folder / name).is_file()]

@@ -194,18 +194,15 @@ def binary_coefficient(wavenumber_cm: Array) -> Array:
     return np.asarray(first + np.where(inside, second * _FACTOR_1060 * _LOSCHMIDT_1E20, 0.0))
 
 
-def collision_column(profile: Profile, bottom_km: float, top_km: float | None = None) -> float:
+def collision_column(profile: Profile, bottom_km: float, top_km: float = np.inf) -> float:
     """Integral of rho_O2 rho_air over altitude [amagat2 cm], up to the top of the profile by default."""
-    highest = float(profile.altitude_km[-1])
-    top = highest if top_km is None else min(top_km, highest)
-    if top <= bottom_km:
-        return 0.0
+    top = min(top_km, float(profile.altitude_km[-1]))
     z = np.linspace(bottom_km, top, int(np.ceil((top - bottom_km) / _STEP_KM)) + 1)
     temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
     air = (pressure_at(profile, z) / _STP_HPA) * (_STP_K / temperature)  # amagat
     return float(OXYGEN * np.trapezoid(air**2, z) * _CM_PER_KM)
 
 
-def continuum_depth(wavelength_nm: Array, profile: Profile, bottom_km: float, top_km: float | None = None) -> Array:
+def continuum_depth(wavelength_nm: Array, profile: Profile, bottom_km: float, top_km: float = np.inf) -> Array:
     """Vertical optical depth of the collision-induced bands between two altitudes, (n,)."""
     return binary_coefficient(1e7 / wavelength_nm) * collision_column(profile, bottom_km, top_km)

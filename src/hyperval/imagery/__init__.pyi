@@ -22,7 +22,7 @@ from .placing import (
     sun_zenith_deg,
     table_of,
 )
-from .products import layouts, sun_of_observation
+from .products import layouts
 from .regions import (
     ImageGrid,
     Region,
@@ -88,7 +88,6 @@ __all__ = [
     "rectangle_region",
     "region_objects",
     "ring_region",
-    "sun_of_observation",
     "sun_zenith_deg",
     "table_of",
     "time_notes",

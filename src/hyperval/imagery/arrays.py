@@ -12,7 +12,7 @@ import threading
 import warnings
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -125,7 +125,7 @@ def _tree(path: Path, engine: str | None) -> xr.DataTree:
     options: dict[str, Any] = {"engine": engine, "cache": False, "decode_times": False}
     options |= {"phony_dims": "sort"} if engine == "h5netcdf" else {}
     try:
-        with _two_fills():
+        with warnings.catch_warnings(action="ignore", category=xr.SerializationWarning):  # of two no-data values
             try:
                 return xr.open_datatree(path, **options)
             except (NotImplementedError, TypeError, ValueError):  # an engine without groups
@@ -135,13 +135,14 @@ def _tree(path: Path, engine: str | None) -> xr.DataTree:
         raise refusal("array.no_engine", path, why=str(error).split("\n", 1)[0], known=known) from error
 
 
-def _matrix(path: Path, name: str, kind: str) -> dict[str, Numbers]:
-    """Arrays of a variable of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped."""
+def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
+    """The arrays of variables of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped."""
     with _readable(path, kind):
         if kind == "NumPy":
-            return {name: np.load(path, mmap_mode="r", allow_pickle=False)}
-        variable = name.split("/")[0]
-        return dict(_fields(variable, scipy.io.loadmat(path, variable_names=[variable])[variable]))
+            return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False)}
+        variables = {name.split("/")[0] for name in names}
+        held = scipy.io.loadmat(path, variable_names=variables)
+        return {name: array for variable in variables for name, array in _fields(variable, held[variable])}
 
 
 def _fields(name: str, value: Numbers) -> Iterator[tuple[str, Numbers]]:
@@ -166,13 +167,6 @@ def _readable(path: Path, kind: str) -> Iterator[None]:
     except Exception as error:  # each library has errors of its own
         why = str(error).split("\n", 1)[0][:200] or type(error).__name__
         raise refusal("array.matrix", path, kind=kind, why=why) from error
-
-
-def _two_fills() -> AbstractContextManager[Any]:
-    """Without the warning that an array has two no-data values: both are taken as such."""
-    import xarray as xr
-
-    return warnings.catch_warnings(action="ignore", category=xr.SerializationWarning)
 
 
 def check_own_values(path: Path) -> None:
@@ -412,7 +406,7 @@ def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None
     path = Path(str(array.encoding.get("source") or "xarray"))
     if isinstance(array, xr.DataArray):
         array = array.to_dataset(name=array.name or "array")
-    with _two_fills():
+    with warnings.catch_warnings(action="ignore", category=xr.SerializationWarning):
         data = xr.decode_cf(array, decode_times=False)
     chosen = _chosen([("/", data)], variable, path)
     return _labelled_raster(chosen, Store(path, at_hand, chosen.path, chosen.array.variable))
@@ -420,20 +414,16 @@ def labelled_array(array: xr.DataArray | xr.Dataset, variable: str | None = None
 
 def _wavelengths(array: xr.DataArray, data: xr.Dataset) -> xr.DataArray | None:
     """The coordinate of one axis that holds wavelengths, by its name, its standard name or its unit."""
-
-    def standard(v: xr.Variable) -> bool:
-        return bool(v.attrs.get("standard_name") == "radiation_wavelength")
-
-    along = {
-        n: v for n, v in data.variables.items() if v.ndim == 1 and v.dims[0] in array.dims and v.dtype.kind in "iuf"
-    }
-    listed = {n: v for n, v in along.items() if standard(v) or not _NO_CENTRE.search(str(n))}
-    named = [n for n, v in listed.items() if standard(v) or _WAVE.search(str(n))]
-    in_unit = [
-        n
-        for n, v in listed.items()
-        if (factor := in_nm(str(v.attrs.get("units", "")))) and plausible(v.values[v.values > 0] * factor)
-    ]
+    named, in_unit = list[Any](), list[Any]()
+    for name, v in data.variables.items():
+        standard = v.attrs.get("standard_name") == "radiation_wavelength"
+        other = _NO_CENTRE.search(str(name)) and not standard
+        if other or v.ndim != 1 or v.dims[0] not in array.dims or v.dtype.kind not in "iuf":
+            continue
+        if standard or _WAVE.search(str(name)):
+            named.append(name)
+        if (factor := in_nm(str(v.attrs.get("units", "")))) and plausible(v.values[v.values > 0] * factor):
+            in_unit.append(name)
     return next((data[fits[0]] for fits in (named, in_unit) if len(fits) == 1), None)
 
 
@@ -554,7 +544,7 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     """The numeric arrays of a file without labels and their shapes; "a/b" is in the struct or group a."""
     shapes: dict[str, tuple[int, ...]] = {}
     if kind == "NumPy":
-        shapes[path.stem] = _matrix(path, path.stem, kind)[path.stem].shape
+        shapes[path.stem] = _matrix(path, kind)[path.stem].shape
     elif kind == "MATLAB 5":
         with _readable(path, kind):
             for name, shape, what in scipy.io.whosmat(path):
@@ -563,7 +553,7 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
                 elif what == "struct":  # whose size is known when it is read
                     if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
                         raise ValueError(why)
-                    shapes |= {field: value.shape for field, value in _matrix(path, name, kind).items()}
+                    shapes |= {field: value.shape for field, value in _matrix(path, kind, name).items()}
     else:
         check_own_values(path)
 
@@ -628,20 +618,16 @@ def open_matrix(
     axes = "ls" if shapes[name] == plane else "ls-" if shapes[name][:2] == plane else "-ls"
     axes = axes if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
     axes, shape = axes[::turn], shapes[name][::turn]
-
-    def stored(name: str) -> Store:
-        return Store(path, hdf5) if tree else Store(path, _matrix, name, kind)
-
-    store = stored(name)
+    bands = dict(zip(axes, shape, strict=True)).get("b")
+    beside = {p: [n for n, size in vectors.items() if p.search(n) and size == bands] for p in (_WAVE, _WIDTH)}
+    store = Store(path, hdf5) if tree else Store(path, _matrix, kind, name, *beside[_WAVE], *beside[_WIDTH])
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
     piece = Piece((Term(name),), axes, shape, dtype.newbyteorder("="))
 
-    def listed_beside(pattern: re.Pattern[str]) -> Array | None:
-        named = [n for n, size in vectors.items() if pattern.search(n) and size == piece.size("b")]
-        whole = (slice(None),) * len(shapes[named[0]]) if len(named) == 1 else None
-        return None if whole is None else stored(named[0]).read(named[0], whole).astype(float).ravel()
-
-    wave = listed_beside(_WAVE)
-    own = None if wave is None else ListedBands(wave, listed_beside(_WIDTH))
+    wave, width = (
+        store.read(names[0], (slice(None),)).astype(float).ravel() if len(names) == 1 else None
+        for names in beside.values()
+    )
+    own = None if wave is None else ListedBands(wave, width)
     return array_raster(store, (piece,), Description(f"array {name!r} of a {kind} file", own))

@@ -333,11 +333,11 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     judged = judged[np.isfinite(judged).all(axis=1)]
     high = float(np.percentile(judged, 95)) if judged.size else 0.0
     if high > limit:
-        of = {"quantity": cube.quantity, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
-        raise refusal("scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **of)
+        unit = "" if cube.unit == "1" else f" {cube.unit}"
+        raise refusal("scale.implausible", cube.raster.path, cube=cube, unit=unit, high=high, limit=limit, how=how)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
-        told = {"by": cube.scaling.source or "its unit", "most": judged.max(), "gain": gain[0]}
-        raise refusal("scale.twice", cube.raster.path, **told)
+        by = cube.scaling.source or "its unit"
+        raise refusal("scale.twice", cube.raster.path, by=by, most=judged.max(), gain=gain[0])
     return cube
 
 

@@ -109,6 +109,7 @@ class Description:
     packing : scale and offset of the file by which its reader has unpacked the values that count as stored here
     header : of ENVI; its lists and scale factors are read when asked for, as a campaign may state them itself
     gains : file of what whole numbers of radiance are divided by
+    names : of the bands, where another file than a header has them
     ignored : number in the file that means no data, where its reader hands out NaN in its place
     """
 
@@ -126,12 +127,13 @@ class Description:
     packing: tuple[float, float] = (1.0, 0.0)
     header: EnviHeader | None = None
     gains: Path | None = None
+    names: tuple[str, ...] = ()
     ignored: float | None = None
 
     @property
     def band_names(self) -> tuple[str, ...]:
         """The names of the bands, empty where a header does not have one for each."""
-        return self.header.band_names if self.header is not None else ()
+        return self.header.band_names if self.header is not None else self.names
 
     def no_data(self) -> float | None:
         """Stored value that means no data: the ``data ignore value`` of a header, else that of the data file."""
@@ -211,16 +213,14 @@ class Description:
         if width is not None and not width.any():
             notes.append("every fwhm in the file is 0, which is none")
             width = None
-        if width is not None and not np.all(width > 0):
-            band = int(np.flatnonzero(~(width > 0))[0])
-            raise refusal("bands.width", at["fwhm"], band=band + 1, width=width[band] / to_nm)
-        if width is not None and (np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM):
-            raise refusal("bands.widths", at["fwhm"], least=width.min(), most=width.max(), unit=unit)
+        if width is not None:
+            none, wide = np.flatnonzero(~(width > 0)), np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM
+            refuse(none.size, "bands.width", at["fwhm"], band=none + 1, width=width[none] / to_nm)
+            refuse(wide, "bands.widths", at["fwhm"], least=width.min(), most=width.max(), unit=unit)
         falls, same = np.flatnonzero(np.diff(centre) <= 0), np.unique(centre).size < centre.size
-        if falls.size and (same or not (sort_bands or self.sorts)):
-            i = int(falls[0])
-            pair = {"second": i + 2, "second_nm": centre[i + 1], "first": i + 1, "first_nm": centre[i]}
-            raise refusal("bands.same" if same else "bands.order", at["wavelength"], **pair)
+        pair = {"first": falls + 1, "second": falls + 2, "low": centre[falls], "high": centre[falls + 1]}
+        unordered = falls.size and (same or not (sort_bands or self.sorts))
+        refuse(unordered, "bands.same" if same else "bands.order", at["wavelength"], **pair)
         order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")

@@ -6,14 +6,12 @@ Files are written by blocks of lines: whole or not at all.
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +21,6 @@ from rasterio.crs import CRS
 from hyperval.data import Index
 from hyperval.envi_header import EnviHeader, parse_header, read_header
 from hyperval.errors import refusal, refuse
-from hyperval.imagery.arrays import Store
 from hyperval.imagery.description import Description, Raster, crs_of_wkt
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
@@ -43,6 +40,7 @@ _DATUMS: dict[str, tuple[int, int, int | None, range]] = {
 }
 _ALIASES = {"NAD83": "NORTHAMERICA1983", "NAD27": "NORTHAMERICA1927", "ED50": "EUROPEAN1950", "ETRS89": "ETRS1989"}
 _HEMISPHERES = {"NORTH": False, "SOUTH": True} | dict.fromkeys("CDEFGHJKLM", True) | dict.fromkeys("NPQRSTUVWX", False)
+_ORDERS = {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}  # of lines, samples and bands in a file
 _PACKED = {
     b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ\x00": "xz",
     b"(\xb5/\xfd": "zstandard", b"7z\xbc\xaf": "7-zip",
@@ -136,14 +134,6 @@ def pixel_area_m2(transform: Affine | None, crs: CRS | None, entries: Mapping[st
     return area if _options(entries.get("map info", "").split(",")).get("units", "").lower() in _METRES else None
 
 
-def _without_buffer(path: Path) -> BinaryIO:
-    """A file that several threads read at stated places."""
-    stream = open(path, "rb", buffering=0)  # noqa: SIM115 - closed when its last user leaves
-    if hasattr(os, "posix_fadvise"):
-        os.posix_fadvise(stream.fileno(), 0, 0, os.POSIX_FADV_SEQUENTIAL)
-    return stream
-
-
 @dataclass(frozen=True, eq=False)
 class EnviRaster(Raster):
     """An ENVI data file whose size is exactly what its header says."""
@@ -156,49 +146,23 @@ class EnviRaster(Raster):
         assert self.description.header is not None  # noqa: S101 - it is opened by one
         return self.description.header
 
-    @cached_property
-    def _file(self) -> Store:
-        return Store(self.path, _without_buffer)
-
-    def kept_open(self) -> AbstractContextManager[object]:
-        """Inside, the file is opened once for all reads."""
-        return self._file.kept_open()
-
-    def _fill(self, out: npt.NDArray[Any], values: int) -> None:
-        """Read a contiguous array that begins so many values behind the first."""
-        view = memoryview(out.reshape(-1).view("u1").data)  # contiguous, so this is no copy
-        at, done = self.header.header_offset + values * self.dtype.itemsize, 0
-        with self._file.kept_open() as stream:
-            while done < len(view):
-                if hasattr(os, "preadv"):
-                    step = os.preadv(stream.fileno(), [view[done:]], at + done)
-                else:
-                    with self._file.lock:
-                        stream.seek(at + done)
-                        step = stream.readinto(view[done:])
-                refuse(not step, "image.shrunk", self.path)
-                done += step
-
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
-        lines, samples, bands = self.size
-        flat = np.empty(count * samples * bands, self.dtype) if buffer is None else buffer[: count * samples * bands]
-        if self.header.interleave == "bsq":
-            by_band = flat.reshape(bands, count, samples)
-            with self._file.kept_open():
-                for band in range(bands):
-                    self._fill(by_band[band], (band * lines + first) * samples)
-            return by_band
-        self._fill(flat, first * samples * bands)
-        if self.header.interleave == "bil":
-            return flat.reshape(count, bands, samples).transpose(1, 0, 2)
-        return flat.reshape(count, samples, bands).transpose(2, 0, 1)
+        shape, order = (count, self.samples, self.bands), _ORDERS[self.header.interleave]
+        flat = np.empty(math.prod(shape), self.dtype) if buffer is None else buffer[: math.prod(shape)]
+        parts = self.bands if self.header.interleave == "bsq" else 1  # the lines of each band, or all at once
+        with open(self.path, "rb") as stream:
+            for number, part in enumerate(flat.reshape(parts, -1)):
+                at = number * self.lines * self.samples + first * self.samples * self.bands // parts
+                stream.seek(self.header.header_offset + at * self.dtype.itemsize)
+                refuse(stream.readinto(part.view("u1").data) < part.nbytes, "image.shrunk", self.path)
+        return flat.reshape([shape[axis] for axis in order]).transpose([order.index(axis) for axis in (2, 0, 1)])
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
         """(n, bands) stored numbers of single pixels."""
         refuse(self.path.stat().st_size < self.header.expected_bytes, "image.shrunk", self.path)
-        axes = {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}[self.header.interleave]
-        values = np.memmap(self.path, self.dtype, "r", self.header.header_offset, tuple(self.size[a] for a in axes))
-        return np.array(values.transpose(np.argsort(axes))[rows, cols])
+        order = _ORDERS[self.header.interleave]
+        values = np.memmap(self.path, self.dtype, "r", self.header.header_offset, tuple(self.size[a] for a in order))
+        return np.array(values.transpose(np.argsort(order))[rows, cols])
 
 
 def open_envi(data: Path, header: Path) -> EnviRaster:
@@ -214,12 +178,8 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
         with open(data, "rb") as stream:
             head = stream.read(6)
         packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
-        sides = (
-            f"{parsed.samples} samples x {parsed.lines} lines x {parsed.bands} bands x {parsed.dtype.itemsize} bytes"
-        )
-        described = f"{parsed.header_offset} + {sides} = {expected} bytes ({parsed.path})"
-        told: dict[str, object] = {"size": size, "more": size - expected, "missing": 100.0 * (1.0 - size / expected)}
-        told |= {"packed": packed, "described": described}
+        told: dict[str, object] = {"header": parsed, "packed": packed, "size": size, "more": size - expected}
+        told["missing"] = 100.0 * (1.0 - size / expected)
         raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **told)
     scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
     # The .gain file that the image's name begins with, as f130612t01p00r10rdn_e.gain.
@@ -263,8 +223,7 @@ class EnviWriter:
         if header.interleave == "bsq":
             parts = [(band * header.lines + self.lines_written, stored[:, :, band]) for band in range(header.bands)]
         else:
-            axes = (0, 2, 1) if header.interleave == "bil" else (0, 1, 2)
-            parts = [(self.lines_written * header.bands, stored.transpose(axes))]
+            parts = [(self.lines_written * header.bands, stored.transpose(_ORDERS[header.interleave]))]
         for row, values in parts:
             self.stream.seek(header.header_offset + row * header.samples * header.dtype.itemsize)
             self.stream.write(np.ascontiguousarray(values).tobytes())

@@ -31,7 +31,7 @@ from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
 from hyperval.imagery.description import Raster, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
-from hyperval.imagery.products import SAMPLED_LINES, SUN_ZENITH, median_angle, sun_of_observation, table_in
+from hyperval.imagery.products import SAMPLED_LINES, median_angle, table_in
 from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.units import is_radiance
@@ -46,6 +46,7 @@ _AREA_LINES = 20  # and as many places in each
 MOST_NODES = 160_000  # of the coarse grid that a place is first looked for in
 _STEPS = 8  # of the search from the nearest node to the nearest pixel
 _FARTHEST = 1.5  # [pixel] beyond the image that a place may lie
+_SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)
 _EQUATOR_M, _FLATTENING_SQUARED = 6_378_137.0, 6.694379990141e-3  # WGS 84: radius, first eccentricity squared
 
 
@@ -223,17 +224,13 @@ class LocationTable(LookupTable):
     def _coarse(self) -> tuple[Any, Index, Array]:
         """Every n-th pixel with a place: their tree, their (line, sample), and the scale of x and y in it."""
         step = max(1, math.ceil(math.sqrt(self.shape[0] * self.shape[1] / MOST_NODES)))
-        nodes, places = [], []
-        for line in range(0, self.shape[0], step):
-            x, y = (v[0, ::step] for v in self._xy(line, 1))
-            good = np.flatnonzero(self._valid(x, y))
-            nodes.append(np.column_stack([np.full(good.size, line), good * step]))
-            places.append(np.column_stack([x[good], y[good]]))
-        place = np.concatenate(places)
+        x, y = np.stack([[v[0, ::step] for v in self._xy(line, 1)] for line in range(0, self.shape[0], step)], axis=1)
+        good = self._valid(x, y)
+        place, nodes = np.column_stack([x[good], y[good]]), np.argwhere(good) * step
         refuse(not len(place), "place.none", self.raster.path)
         geographic = self.crs is not None and self.crs.is_geographic
         scale = np.array([math.cos(math.radians(float(place[:, 1].mean()))) if geographic else 1.0, 1.0])
-        return scipy.spatial.cKDTree(place * scale), np.concatenate(nodes), scale
+        return scipy.spatial.cKDTree(place * scale), nodes, scale
 
     @cached_property
     def _pixel(self) -> float:
@@ -300,8 +297,7 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     """
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     table = LocationTable(raster, Affine.identity(), None, shape)
-    rows = [table._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)]
-    x, y = (np.concatenate([row[i].ravel() for row in rows]) for i in (0, 1))
+    x, y = np.concatenate([table._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)], axis=1)
     good = table._valid(x, y)
     refuse(not good.any(), "place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
@@ -457,8 +453,7 @@ def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
     if path is None:
         return None
     try:
-        beside = _sun_in_bands if isinstance(raster, EnviRaster) else sun_of_observation
-        angles = beside(path, raster.size[:2])
+        angles = _sun_in_bands(path, raster.size[:2])
     except HypervalError:
         return None
     zenith = None if angles is None else median_angle(angles)
@@ -466,10 +461,10 @@ def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
 
 
 def _sun_in_bands(path: Path, shape: tuple[int, int]) -> Array | None:
-    """Zenith angles of the sun in some lines of an ENVI file of observation geometry."""
+    """Zenith angles of the sun in some lines of a file of observation geometry; None where it is of another size."""
     angles = open_raster(path)
-    bands = [i for i, name in enumerate(angles.description.band_names) if SUN_ZENITH.search(name)]
+    bands = [i for i, name in enumerate(angles.description.band_names) if _SUN_ZENITH.search(name)]
     if len(bands) != 1 or angles.size[:2] != shape:
         return None
-    lines = [angles.read_bands(int(line), 1)[bands[0]].ravel() for line in some_lines(angles.lines, SAMPLED_LINES)]
+    lines = [angles.read_some_bands(int(n), 1, bands).ravel() for n in some_lines(angles.lines, SAMPLED_LINES)]
     return np.concatenate(lines).astype(float)

@@ -33,7 +33,6 @@ from hyperval.units import is_radiance, to_internal
 
 MAX_BANDS = 20_000
 SAMPLED_LINES = 16
-SUN_ZENITH = re.compile(r"(sun|solar)\W+zenith", re.IGNORECASE)
 _HIGHEST = 65535.0  # of the 16 bits that a range of values is divided into
 Position = tuple[Affine | None, CRS | None, tuple[str, ...]]
 
@@ -81,14 +80,15 @@ class ProductTree:
             return found[()] if found.size <= MAX_BANDS * 100 else None
         return found if "@" in (reference or "") else None
 
-    def text(self, reference: str | None) -> str | None:
-        """A text or number as text; None when the file has none."""
+    def texts(self, reference: str | None) -> tuple[str, ...]:
+        """The texts or numbers of a small array or an attribute as text, none where the file has none."""
         value = self.raw(reference)
-        if isinstance(value, np.ndarray):
-            value = value.ravel()[0] if value.size == 1 else " ".join(str(v) for v in value.ravel())
-        if isinstance(value, bytes):
-            value = value.decode("utf-8", "replace")
-        return None if value is None or not str(value).strip() else str(value).strip()
+        listed = () if value is None else np.ravel(value)
+        return tuple(v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in listed)
+
+    def text(self, reference: str | None) -> str | None:
+        """The same as one text; None when the file has none."""
+        return " ".join(self.texts(reference)).strip() or None
 
     def number(self, reference: str) -> float:
         """A number; InputError when the file has none there, or not a finite one."""
@@ -124,11 +124,11 @@ class ProductTree:
 
 
 def _tree(file: h5py.File, path: Path) -> ProductTree | None:
-    """The file by the layout whose images and wavelengths it holds, None when it is none of them."""
-    for layout in layouts().trees:
+    """The file by the layout whose images and wavelengths, or names of bands, it holds; None: it is none of them."""
+    for layout in (*layouts().trees, *layouts().observations):
         tree = ProductTree(file, path, layout)
-        names = [name for array in layout.arrays for name in (array.path, array.wavelength)]
-        found = [(name, tree.item(name)) for name in names]
+        names = [layout.band_names, *(name for array in layout.arrays for name in (array.path, array.wavelength))]
+        found = [(name, tree.item(name)) for name in names if isinstance(name, str)]
         if all(item is not None if "@" in name else isinstance(item, h5py.Dataset) for name, item in found):
             return tree
     return None
@@ -148,7 +148,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         if tree is None:
             return None
         layout = tree.layout
-        images = [tree.image(array.path) for array in layout.arrays]
+        images = [tree.image(array.path, len(array.dimensions)) for array in layout.arrays]
         ignore = _ignore(tree, images[0])
         pieces = tuple(_piece(tree, a, image, ignore) for a, image in zip(layout.arrays, images, strict=True))
         transform, crs, notes = (None, None, ()) if layout.lookup_table else _position(tree, pieces[0])
@@ -160,10 +160,11 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
         entries = {key: text for key, reference in (layout.entries or {}).items() if (text := tree.text(reference))}
         unit, unit_notes = _unit(tree)
-        centre = np.where(wavelength > 0, wavelength, np.nan)
+        centre, widths = np.where(wavelength > 0, wavelength, np.nan), None if np.isnan(width).all() else width
         about = Description(
             product=layout.product,
-            bands=ListedBands(centre, None if np.isnan(width).all() else width, layout.wavelength_unit, good),
+            bands=ListedBands(centre, widths, unit_nm, good) if (unit_nm := layout.wavelength_unit) else None,
+            names=tuple(layout.band_names) if isinstance(layout.band_names, list) else tree.texts(layout.band_names),
             scale=Scale(gain, offset, f"scale of the {layout.product}"),
             quantity=layout.quantity,
             unit=unit,
@@ -216,7 +217,7 @@ def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore:
 
 def _columns(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, bands: int) -> Array:
     """(5, bands) wavelength, width (NaN without), flag (1 without), gain and offset of an array."""
-    columns = [tree.numbers(array.wavelength, bands, "wavelengths")]
+    columns = [tree.numbers(array.wavelength, bands, "wavelengths") if array.wavelength else np.full(bands, np.nan)]
     low, width = np.array(array.widths or [(-np.inf, np.nan)], float).T
     published = width[np.searchsorted(low, columns[0], side="right") - 1]
     for reference, what, lacking in ((array.fwhm, "widths", published), (array.good, "flags", 1.0)):
@@ -306,43 +307,15 @@ def _crs(tree: ProductTree) -> CRS | None:
 def _sun(tree: ProductTree) -> float | None:
     """The zenith angle of the sun [degrees] that a product states for the whole image; None without."""
     found = None if tree.layout.sun_zenith is None else tree.item(tree.layout.sun_zenith)
-    is_image = isinstance(found, h5py.Dataset) and found.ndim == 2
-    return median_angle(_angles(found) if is_image else tree.floats(tree.layout.sun_zenith))
+    if not isinstance(found, h5py.Dataset) or found.ndim != 2:
+        return median_angle(tree.floats(tree.layout.sun_zenith))
+    return median_angle(found[some_lines(found.shape[0], SAMPLED_LINES)].astype(float).ravel())
 
 
 def median_angle(angles: Array) -> float | None:
     """Median of the angles between 0 and 180 degrees, None where there is none."""
     angles = angles[(angles >= 0.0) & (angles <= 180.0)]
     return float(np.median(angles)) if angles.size else None
-
-
-def sun_of_observation(path: Path, shape: tuple[int, int]) -> Array | None:
-    """Zenith angles of the sun [degrees] in some lines of a file of angles for an image of ``shape``.
-
-    None where its layout is not known or it is of another size.
-
-    Raises
-    ------
-    InputError : no HDF5 file, or one whose values lie elsewhere.
-    """
-    arrays.check_own_values(path)
-    with arrays.Store(path, arrays.hdf5).kept_open() as file:
-        for layout in layouts().observations:
-            tree = ProductTree(file, path, layout)
-            array, names = tree.item(layout.sun_zenith), tree.raw(layout.names)
-            listed = [] if names is None else np.ravel(names).tolist()
-            words = [n.decode("utf-8", "replace") if isinstance(n, bytes) else str(n) for n in listed]
-            bands = [i for i, word in enumerate(words) if SUN_ZENITH.search(word)]
-            size = shape if layout.names is None else (*shape, len(words))
-            if getattr(array, "shape", None) == size and len(bands) == len(size) - 2:
-                return _angles(array, *bands)
-    return None
-
-
-def _angles(array: h5py.Dataset, band: int | None = None) -> Array:
-    lines = some_lines(array.shape[0], SAMPLED_LINES)
-    rows = [array[int(line)] if band is None else array[int(line), :, band] for line in lines]
-    return np.concatenate([np.asarray(row, dtype=np.float64).ravel() for row in rows])
 
 
 MAX_XML_BYTES = 64 << 20

@@ -260,11 +260,10 @@ def _checked_part(part: Part, shape: tuple[int, int], where: str) -> Part:
     elif isinstance(part, np.ndarray) and part.dtype == bool:
         return np.flatnonzero(part)
     elif isinstance(part, np.ndarray):
-        lines, samples = part.reshape(-1, 2).T
+        lines, samples = part.T
         out = np.flatnonzero((lines < 0) | (lines >= shape[0]) | (samples < 0) | (samples >= shape[1]))
         if out.size:
-            counts = {"outside": out.size, "count": lines.size, "line": lines[out[0]], "sample": samples[out[0]]}
-            raise refusal("region.pixels", where, last=(shape[0] - 1, shape[1] - 1), **counts)
+            raise refusal("region.pixels", where, out=out, all=lines, first=part[out[0]], last=np.subtract(shape, 1))
         return np.asarray(lines * shape[1] + samples)
     return part
 
@@ -408,8 +407,7 @@ def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
     counts = [_whole(*count) for count in told.get("roi npts", [])]
     announced = [_whole(*count) for count in told.get("number of rois", [(str(len(names)), "")])][-1]
     if len(names) != len(counts) or announced != len(names) or sum(counts) != len(rows):
-        found = {"announced": announced, "names": len(names), "points": sum(counts), "rows": len(rows)}
-        raise refusal("roi.counts", path, **found)
+        raise refusal("roi.counts", path, said=announced, names=len(names), points=sum(counts), rows=len(rows))
     parts = np.split(np.array(rows, np.int64).reshape(-1, 2), np.cumsum(counts[:-1], dtype=int))
     for name, part in zip(names, parts, strict=False):
         yield name, f"{path}: region {name!r}", [part]
@@ -603,7 +601,6 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
     except ImportError:
         raise refusal("vector.package", path) from None
     _check_files(path)
-    wanted = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -618,10 +615,8 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
                     raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
                 fields = [str(f) for f in meta["fields"]]
                 texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
-                if not {f.lower() for f in fields} & {*wanted} and (grid.name_field or (len(shapes) > 1 and texts)):
-                    lacking = repr(grid.name_field) if grid.name_field else "that names the regions"
-                    known = ", ".join(fields) or "none"
-                    raise refusal("vector.attribute", where, what=f"no attribute {lacking}", known=known)
+                nameless = grid.name_field is None and not {f.lower() for f in fields} & {*REGION_COLUMNS}
+                refuse(nameless and texts and len(shapes) > 1, "vector.attribute", where, known=", ".join(fields))
                 rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
                 names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
                 features = zip(shapes, rows, names, strict=True)
@@ -747,8 +742,7 @@ def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int]
     """Region of the pixels from the first to the last line and sample, 0-based, both included."""
     (top, bottom), (left, right) = lines, samples
     if not (0 <= top <= bottom < shape[0] and 0 <= left <= right < shape[1]):
-        box = {"top": top, "bottom": bottom, "left": left, "right": right}
-        raise refusal("region.rectangle", f"region {name!r}", last=(shape[0] - 1, shape[1] - 1), **box)
+        raise refusal("region.rectangle", f"region {name!r}", lines=lines, samples=samples, last=np.subtract(shape, 1))
     mask = np.zeros(shape, bool)
     mask[top : bottom + 1, left : right + 1] = True
     return Region(name, mask, "inline")

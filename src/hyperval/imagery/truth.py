@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import UserDict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -75,20 +76,12 @@ class TargetObject:
         image[self.window] |= self.part
 
 
-class TargetMasks(Mapping[str, Mask]):
-    """Name -> (lines, samples) mask of each target, made when it is asked for."""
-
-    def __init__(self, targets: Sequence[TargetObject]):
-        self._targets = {t.name: t for t in targets}
+class TargetMasks(UserDict[str, Any]):
+    """Name -> (lines, samples) mask of each target, made of the target when it is asked for."""
 
     def __getitem__(self, name: str) -> Mask:
-        return self._targets[name].mask
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._targets)
-
-    def __len__(self) -> int:
-        return len(self._targets)
+        target: TargetObject = self.data[name]
+        return target.mask
 
 
 def all_pixels(targets: Sequence[TargetObject], shape: tuple[int, int]) -> Mask:

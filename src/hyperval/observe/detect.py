@@ -166,7 +166,7 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
             "it favours targets of many pixels or pieces, of which the best counts for all"
         )
     areas, nominal = target_areas(place, detection, maps)
-    outlines = {key: TargetMasks(members) for key, members in outlined.items()}
+    outlines = {key: TargetMasks({t.name: t for t in members}) for key, members in outlined.items()}
     products = curves.products | {"abundance": areas}
     return Detected(bank, maps, outlines, products, nominal, (*bank.notes, *notes))
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from hyperval.data import Array
 from hyperval.envi_header import EnviHeader, data_beside, read_header
-from hyperval.errors import refusal, refuse
+from hyperval.errors import needed, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum
 
@@ -147,8 +147,8 @@ def calibrated(
         powers = _calibrations(raw, end_of_reference, stored.size, dtype)
     except (struct.error, IndexError, ValueError) as error:
         raise refusal("asd.calibration", where, why=error) from None
-    needed = (LAMP, RESPONSE) if receptor else (BASE, LAMP, RESPONSE)
-    refuse(any(k not in powers for k in needed), "asd.uncalibrated", where, power=kind)
+    wanted = (LAMP, RESPONSE) if receptor else (BASE, LAMP, RESPONSE)
+    refuse(any(k not in powers for k in wanted), "asd.uncalibrated", where, power=kind)
     response, integration_ms, own_gains = powers[RESPONSE]
     gains, joins, integration = head["gains"].tolist(), head["joins"].tolist(), int(head["integration"])
     refuse(not (integration and integration_ms > 0 and all(gains) and all(own_gains)), "asd.settings", where)
@@ -278,10 +278,7 @@ def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None
     whole, most = header.expected_bytes, MAX_BYTES
     wrong = size != whole or size > most
     refuse(wrong, "library.size", path, size=size, lines=lines, channels=channels, whole=whole, most=most)
-    listed = header.numbers("wavelength")
-    wavelength = np.array([]) if listed is None else listed
-    unlike = wavelength.size != channels
-    refuse(unlike, "library.wavelengths", header.where("wavelength"), count=wavelength.size, channels=channels)
+    wavelength = needed(header.numbers("wavelength", channels), "library.wavelengths", header.path, channels=channels)
     names = header.strings("spectra names") or tuple(f"spectrum {i + 1}" for i in range(lines))
     refuse(len(names) != lines, "library.names", header.where("spectra names"), count=len(names), lines=lines)
     values = np.fromfile(path, header.dtype, offset=header.header_offset).reshape(lines, channels).astype(float)
