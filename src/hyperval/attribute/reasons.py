@@ -79,6 +79,7 @@ Truths = Sequence[Truth]  # what is moved in each scenario
 Key = tuple[str, str, str]  # background, detector, metric
 Evaluate = Callable[..., list[tuple[Array, Array]]]  # of truths, a title, and whether a budget is made of them
 Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
+Sides = dict[tuple[Candidate, float], tuple[Array, Array]]  # what is explained, and numbers, with a candidate at a size
 
 
 @dataclass(frozen=True, eq=False)
@@ -534,14 +535,12 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
         for of in (True, False)
     }  # the order of the candidates
     found = chain.from_iterable(evaluate(some, "attribution: inputs", of) for of, some in steps.items())
-    units, ends = dict[Candidate, Array](), dict[Candidate, tuple[Array, Array]]()
-    columns = dict[Candidate, Array]()
+    units, ends, sides = dict[Candidate, Array](), dict[Candidate, tuple[Array, Array]](), Sides()
     for candidate in moved:
         pairs = [(next(found), next(found)) for _ in range(candidate.size)]
         units[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
         ends[candidate] = pairs[0][0][1], pairs[0][1][1]
-        at_sizes = np.stack([side - predicted for side, _ in pairs[0]], axis=1)
-        columns[candidate] = at_sizes if candidate.sizes else units[candidate]
+        sides |= {(candidate, z): side for z, side in zip((1.0, -1.0), pairs[0], strict=True)}
     budget = budget_covariance(units, predicted.size)
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
@@ -551,11 +550,10 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
     by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *apart)}
     every = [c for c in by_name.values() if c.sizes or c.labels]
-    known = {c: columns.pop(c) for c in (*every, *apart) if c in columns}
-    columns |= _columns_at(every, known, predicted, evaluate)
+    columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(every, sides, predicted, evaluate)
     for c in apart:
-        sides = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
-        columns[replace(c, sizes=())] = np.column_stack([side - predicted for side, _ in sides])
+        each = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
+        columns[replace(c, sizes=())] = np.column_stack([side - predicted for side, _ in each])
     for c in moved:  # of a field spectrum, each band by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
             columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
@@ -600,20 +598,18 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
 
 
 def _columns_at(
-    candidates: Sequence[Candidate], known: Mapping[Candidate, Array], predicted: Array, evaluate: Evaluate
+    candidates: Sequence[Candidate], known: Sides, predicted: Array, evaluate: Evaluate
 ) -> dict[Candidate, Array]:
-    """What candidates make at their sizes or by their alternatives, without what cannot be; the first may be known."""
-    first = {c: known.get(c, np.zeros((predicted.size, 0))) for c in candidates}
-    places = {c: c.sizes or tuple(range(len(c.labels))) for c in candidates}
-    wanted = [(c, z) for c, at in places.items() for z in at[first[c].shape[1] :]]
-    found = dict(zip(wanted, _asked(evaluate, [c.at(0, z) for c, z in wanted]), strict=True)) if wanted else {}
-    out = {}
+    """What candidates make at their sizes or by their alternatives, without what cannot be; some are known."""
+    places: dict[Candidate, Sequence[float]] = {c: c.sizes or range(len(c.labels)) for c in candidates}
+    wanted = [(c, z) for c, at in places.items() for z in at if (c, z) not in known]
+    asked = _asked(evaluate, [c.at(0, z) for c, z in wanted]) if wanted else []
+    found, out = {**known, **dict(zip(wanted, asked, strict=True))}, {}
     for c, at in places.items():
-        sides = {z: side for z in at[first[c].shape[1] :] if (side := found[c, z]) is not None}
-        there = (*at[: first[c].shape[1]], *sides)
-        kept = {"sizes": there} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
-        if there:
-            out[replace(c, **kept)] = np.column_stack([first[c], *(side[0] - predicted for side in sides.values())])
+        made = {z: side[0] - predicted for z in at if (side := found[c, z]) is not None}
+        kept = {"sizes": tuple(made)} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in made)}
+        if made:
+            out[replace(c, **kept)] = np.column_stack([*made.values()])
     return out
 
 
