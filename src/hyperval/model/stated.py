@@ -68,6 +68,19 @@ _ENVIRONMENT = (
 )  # fmt: skip
 
 
+class Keeps:
+    """What keeps what follows from it, once it was asked for."""
+
+    kept: dict[Any, Any]
+
+    def once(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What ``make`` gives, made the first time that ``key`` is asked for."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        made: Made = self.kept[key]
+        return made
+
+
 @dataclass(frozen=True)
 class SurfaceStatistics(ClassStatistics):
     """A surface of the scene; bands that its source does not cover are NaN in ``mean``.
@@ -201,18 +214,18 @@ def band_error_covariance(
 
 
 @dataclass(frozen=True)
-class Sources:
+class Sources(Keeps):
     """Where spectra come from: the axis, statistics handed in, and how file names become paths.
 
     ``nominal`` are the bands as they are labelled, where they are not those of ``axis`` (a shifted spectrometer);
-    what was measured stands on them.  ``read`` holds the spectra of files that were read before.
+    what was measured stands on them.  ``kept`` holds the spectra of files that were read before.
     """
 
     axis: SpectralAxis
     measured: Mapping[str, ClassStatistics]
     resolve: Resolve
     nominal: SpectralAxis | None = None
-    read: Read = field(default_factory=dict, repr=False, compare=False)
+    kept: Read = field(default_factory=dict, repr=False, compare=False)
 
     def surface(self, surface: Surface) -> SurfaceStatistics:
         """Mean and covariance of one surface of the scene (rho_m, Sigma_m of 3.8-3.12).
@@ -262,11 +275,8 @@ class Sources:
 
     def _once(self, reader: Callable[..., Made], reference: str, **how: Any) -> Made:
         """What a file says, read the first time that it is asked for."""
-        key = (path := self.resolve(reference), *how.values())
-        if key not in self.read:
-            self.read[key] = reader(path, **how)
-        made: Made = self.read[key]
-        return made
+        path = self.resolve(reference)
+        return self.once((path, *how.values()), lambda: reader(path, **how))
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         axis, zero, more = self.axis, np.zeros((len(self.axis), len(self.axis))), dict[str, Any]()
@@ -463,19 +473,6 @@ def _noted(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms
     return replace(terms, notes=(*unstated_notes(state), *engine_notes(state, terms)))
 
 
-class Keeps:
-    """What keeps what follows from it, once it was asked for."""
-
-    kept: dict[Any, Any]
-
-    def once(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What ``make`` gives, made the first time that ``key`` is asked for."""
-        if key not in self.kept:
-            self.kept[key] = make()
-        made: Made = self.kept[key]
-        return made
-
-
 @dataclass(eq=False)
 class Atmosphere(Keeps):
     """The atmosphere over a scenario, at its bands: terms of (3.7) in any of its states.
@@ -613,14 +610,14 @@ class Law(NamedTuple):
     ----------
     owner : number of the class
     weight : part of the class
-    offset : (B,) of its mean from that of the class; None: the class itself
+    offset : (B,) of its mean from that of the class
     covariance : (B, B)
     dof : degrees of freedom of a component; None: those of the class
     """
 
     owner: int
     weight: float
-    offset: Array | None
+    offset: Array
     covariance: Array
     dof: float | None
 
@@ -708,7 +705,7 @@ def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[L
     parts = surface.components
     if parts is None:
         scale = surface.tail_scale if c.tail_dof == "measured" else 1.0
-        return [Law(number, 1.0, None, scale * surface.covariance, None)]
+        return [Law(number, 1.0, np.zeros(len(surface.axis)), scale * surface.covariance, None)]
     dof = None if isinstance(c.tail_dof, float) else parts.dof
     laws = zip(parts.weights.tolist(), parts.offsets, parts.covariances, strict=True)
     return [Law(number, w, offset, covariance, dof) for w, offset, covariance in laws]
