@@ -9,7 +9,7 @@ What a classifier sees of a spectrum: bands, or principal components of the clas
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -276,24 +276,29 @@ class UnmixedSubject:
     ring: int
 
 
+@dataclass(frozen=True, eq=False)
+class Unmixed:
+    """Areas by (subject, method), and what the prediction needs for each subject.
+
+    ``bands`` (B,) were used; ``noise``: method -> (F, F) weights of the fit, None for equal ones.
+    """
+
+    areas: Mapping[tuple[str, str], Abundance]
+    subjects: tuple[UnmixedSubject, ...]
+    bands: Mask
+    noise: Mapping[str, PositiveDefinite | None]
+    pixel_area_m2: float
+
+
 def labelled(method: str, endmembers: str) -> str:
     """The method with the origin of its endmembers: "fcls field"."""
     return f"{method} {endmembers}".strip()
 
 
 def predicted_areas(
-    scenario: Scenario,
-    origins: Origins,
-    truth: Truth,
-    prediction: PredictedProducts,
-    subjects: Iterable[UnmixedSubject],
-    bands: Mask,
-    covariances: Mapping[str, Array | None],
-    pixel_area_m2: float,
-    *,
-    draws: int = 400,
-    seed: int = 0,
-) -> dict[tuple[str, str], Abundance]:
+    scenario: Scenario, origins: Origins, truth: Truth, prediction: PredictedProducts, unmixed: Unmixed,
+    draws: int = 400, seed: int = 0,
+) -> dict[tuple[str, str], Abundance]:  # fmt: skip
     """Mean and spread of the area that unmixing would find, by (subject, method).
 
     A pixel is f t + (1 - f) b (3.10): fills of a whole object from the geometry, background pixels b by the
@@ -307,24 +312,22 @@ def predicted_areas(
     ----------
     truth : dotted path -> what truly stands there; the endmembers stay what they are
     prediction : of the same truth
-    covariances : method -> (F, F) weights of the fit, None for equal ones
     """
     if scenario.atmosphere is not None:
         return {}
     world = settled(with_truths(read(scenario, origins), [truth]))[0][1]
-    index = np.flatnonzero(bands)
-    noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
+    index = np.flatnonzero(unmixed.bands)
     populations = {(name, p.name): p for name, p in world.populations_at(0)}
     out = {}
-    for number, item in enumerate(subjects):
+    for number, item in enumerate(unmixed.subjects):
         population = populations.get((item.scenario_target, item.population))
         if population is None:
             continue
         rng = np.random.default_rng([seed, number])
         pixels, endmembers, absent = _objects(population, item, prediction, world, index, draws, rng)
-        for method, factor in noise.items():
+        for method, factor in unmixed.noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
-            area = np.where(absent, 0.0, abundance).sum(axis=1) * pixel_area_m2
+            area = np.where(absent, 0.0, abundance).sum(axis=1) * unmixed.pixel_area_m2
             spread = float(area.std(ddof=1)) / np.sqrt(item.objects)
             out[item.subject, labelled(method, item.endmembers)] = Abundance(
                 float(area.mean()), float(spread), round((~absent).sum(axis=1).mean()), item.nominal_m2

@@ -22,9 +22,9 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.data import Array, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, TargetObject, all_pixels
-from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
+from hyperval.model import ClassLaw, Unmixed, class_features, feature_bands, measured_error
 from hyperval.observe import sites
-from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, scored_part, target_groups, unmix
+from hyperval.observe.detect import BACKGROUND, Detected, detect, scored_part, target_groups, unmix
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels

@@ -191,10 +191,13 @@ class Place:
             return sample.mean, sample.covariance
         return self.line.reflectance(sample.mean), sample.covariance / np.outer(self.line.gain, self.line.gain)
 
-    def pixels_at(self, lines: Index, samples: Index) -> tuple[Array, Mask]:
-        """(n, B) values of pixels (n,), in reflectance with a line, and (n,) which of them hold data."""
+    def pixels_at(self, lines: Index, samples: Index, bands: Mask | slice = slice(None)) -> tuple[Array, Mask]:
+        """(n, b) values of pixels (n,), in reflectance with a line, and (n,) which of them hold data in the ``bands``;
+        without any, which hold data.
+        """
         values, usable = self.cube.marked_pixels((lines, samples))
-        return values if self.line is None else self.line.reflectance(values), usable
+        values = (values if self.line is None else self.line.reflectance(values))[:, bands]
+        return values, usable if isinstance(bands, slice) else usable & np.isfinite(values).all(axis=1)
 
     def valid_pixels(
         self, lines: Index, samples: Index, bands: npt.NDArray[Any] | None = None
