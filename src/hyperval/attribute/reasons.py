@@ -423,7 +423,7 @@ class Causes:
         for last in range(MOST_ROUNDS, -1, -1):
             found = posterior(ALL, residual, covariance, columns, self.wide[of], noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
-            sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.asked}
+            sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
             # At none of those that the model was asked at.
             sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
             known = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.labels}
@@ -652,7 +652,7 @@ def attribute(
     stated = [c for c in ends if c.budgeted]
     shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
     sides = (model.assuming(model.scenarios), observed)
-    outcomes = _what_ifs(model, stack, numbers, causes.covariance, sides, options.what_ifs)
+    outcomes = _what_ifs(model, causes, sides, options.what_ifs)
     columns, _ = causes.standing()
     ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
     if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
@@ -830,12 +830,7 @@ class WhatIfOutcome(NamedTuple):
 
 
 def _what_ifs(
-    model: ScenarioModel,
-    stack: Stack,
-    numbers: Sequence[ComparedQuantity],
-    covariance: Array,
-    sides: tuple[Products, Products],
-    what_ifs: Sequence[WhatIf],
+    model: ScenarioModel, causes: Causes, sides: tuple[Products, Products], what_ifs: Sequence[WhatIf]
 ) -> list[Result]:
     """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
 
@@ -846,13 +841,15 @@ def _what_ifs(
     UsageError : an experiment that fits no scenario, or compares other things than the campaign does.
     """
 
+    stack = causes.stack
+
     def left(item: WhatIf, predicted: Products, seen: Products) -> WhatIfOutcome:
         after = stack if seen is sides[1] else stacked(predicted, seen)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
         refuse(now != before, "whatif.other", name=item.name)
-        spread = covariance if after is stack else covariance - stack.covariance + after.covariance
+        spread = causes.covariance if after is stack else causes.covariance - stack.covariance + after.covariance
         residuals = Whitened(after.observed - after.predicted(predicted), spread)
-        return WhatIfOutcome(item, residuals, gaps_of(numbers, predicted, seen), alarm_ratios(predicted, seen))
+        return WhatIfOutcome(item, residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen))
 
     def tried(item: WhatIf) -> WhatIfOutcome:
         scenarios = changed_scenarios(model.scenarios, item)
