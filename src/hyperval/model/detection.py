@@ -11,9 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded where they are first named
 from scipy.special import ndtr
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
@@ -49,9 +50,6 @@ from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Scenario, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
 
 RocKey = tuple[str, str, str]
 
@@ -107,10 +105,9 @@ FILL_NODES = np.linspace(0.0, 1.0, 9)
 
 
 @cache
-def _spline() -> CubicSpline:
-    from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
-
-    return CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
+def _spline() -> scipy.interpolate.CubicSpline:
+    """A quarter of a second, which spectra alone do not need."""
+    return scipy.interpolate.CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
 
 
 @dataclass(frozen=True)

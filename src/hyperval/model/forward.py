@@ -455,13 +455,12 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     surroundings (3.10).
     """
     world, scene = e.world, e.scenario.scene
-    places = [shares_at(world, number) for number in range(len(e.stated.populations))]
     light = e.light.rows(e.which)
     own = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
     out = {s.name: 2 * (own[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
     full = {t.name: target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
     for number, (t, _, population) in enumerate(e.stated.populations):
-        host, fills, placed = own[scene.targets[t].host], world.pixel_fills[number], places[number]
+        host, fills, placed = own[scene.targets[t].host], world.pixel_fills[number], shares_at(world, number)
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
         if placed is not None:
             parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}

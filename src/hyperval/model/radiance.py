@@ -552,9 +552,7 @@ def light_of(world: World) -> Light:
     models, which = world.sensor_noise
     noise = None
     if models:
-        noise = models[0]
-        if len(models) > 1:
-            noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
+        noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
         noise, fixed = with_signal(noise, factor("electrons")), noise.fixed_noise * factor("fixed_noise")
         noise = replace(noise, fixed_noise=fixed, gain=g, offset=offset, factor=factor("noise"))
     elm = processing.elm if isinstance(processing.elm, ElmPanels) or (radiant and processing.elm != "none") else None

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+import scipy  # its parts are loaded where they are first named
 
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
@@ -135,7 +135,7 @@ def mean_error_covariance(covariance: Array, n: int) -> Array:
     Few spectra know their own spread badly; with this +-1.96 u is the 95 % interval of the mean.
     Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
     """
-    wider = float(special.stdtrit(n - 1, 0.975)) / Z95
+    wider = float(scipy.special.stdtrit(n - 1, 0.975)) / Z95
     return np.asarray(wider**2 * covariance / n)
 
 
@@ -181,10 +181,8 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     if known.sum() < 2:
         return out
     if nominal is not None and wavelength_nm.size == len(nominal) and sampled_bands(wavelength_nm, nominal) is not None:
-        from scipy.interpolate import CubicSpline  # 10 MB
-
         at = np.clip(axis.centre_nm, wavelength_nm[known][0], wavelength_nm[known][-1])
-        moved = CubicSpline(wavelength_nm[known], values[known])(at)
+        moved = scipy.interpolate.CubicSpline(wavelength_nm[known], values[known])(at)
         return np.where(known, moved, np.nan)
     return band_average(wavelength_nm[known], values[known], axis, outside="nan")
 
@@ -193,10 +191,8 @@ def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralA
     """(B, B) error covariance of band averages from that of samples (n, n); 0 in bands they do not cover."""
     if wavelength_nm.size == len(axis) and sampled_bands(wavelength_nm, axis) is not None:
         return covariance
-    from scipy import sparse  # a band has a part in few of the samples
-
     weights, short = band_weights(wavelength_nm, axis)
-    few = sparse.csr_array(np.where(short[:, None], 0.0, weights))
+    few = scipy.sparse.csr_array(np.where(short[:, None], 0.0, weights))  # a band has a part in few of the samples
     return np.asarray((few @ (few @ covariance).T).T)
 
 
