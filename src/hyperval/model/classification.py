@@ -434,8 +434,7 @@ def predicted_classification(
                 estimate = spectra[name]
                 if estimate.pixel_covariance is None or not np.all(np.diag(estimate.pixel_covariance)[bands] > 0):
                     raise UsageError(f"classification: the prediction of {name!r} has no spread in some band")
-                known = prediction.distribution.get(name)
-                tail = np.inf if known is None else known.tail_dof
+                tail = prediction.distribution.get(name, PixelDistribution()).tail_dof
                 laws.append(ClassLaw(estimate.mean[bands], cut(estimate.pixel_covariance, bands), tail))
             psi = class_features(laws, choice.pca)
             rng = np.random.default_rng([seed, bands.size])
