@@ -172,18 +172,16 @@ def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Se
     pixels : by class, (n, F)
     blocks : by class, (n,) the block of the image that each pixel lies in
     """
-    errors, variances, n = [], [], 0
+    errors, variances, n = [], [], sum(map(len, pixels))
     for i, (x, block) in enumerate(zip(pixels, blocks, strict=True)):
         wrong = gaussian_classes(laws, x) != i
         rate = float(np.mean(wrong))
         _, index = np.unique(block, return_inverse=True)
         excess = np.bincount(index, wrong) - rate * np.bincount(index)
-        count = excess.size
-        correction = count / (count - 1.0) if count > 1 else 1.0
+        correction = excess.size / (excess.size - 1.0) if excess.size > 1 else 1.0
         between = correction * float(excess @ excess) / wrong.size**2
         errors.append(rate)
         variances.append(max(between, rate * (1.0 - rate) / wrong.size))
-        n += int(wrong.size)
     error = float(np.mean(errors))
     variance = float(np.sum(variances)) / len(errors) ** 2
     effective = float(n)

@@ -371,7 +371,8 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     for number, (t, _, population) in enumerate(e.stated.populations):
         material = e.material(t, first)
         lit = e.seen.light.rows(np.array([v])).surface(material.mean, material.beam, material.sky)[0][0, 0]
-        fill = e.fills(number).of(0).mean
+        fills = e.fills(number)
+        fill = float(fills.weights[0] @ fills.values[0])
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
     view = e.seen.light.row(v)
     seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))

@@ -444,11 +444,9 @@ class World:
     @cached_property
     def _recorded(self) -> tuple[Array, Array]:
         """(U or 1, S, B or 1) gain and offset on the reflectance of surfaces, where it is what is recorded."""
-        stated, scene = self.stated, self.stated.scenario.scene
+        scenario, scene = self.stated.scenario, self.stated.scenario.scene
         named = (*scene.classes, *scene.panels, *scene.sites, *scene.targets)
-        free = np.array([s.spectrum.measured is None for s in named])[None, :, None]
-        if stated.scenario.atmosphere is not None:
-            free = np.zeros_like(free)
+        free = np.array([scenario.atmosphere is None and s.spectrum.measured is None for s in named])[None, :, None]
         gain, offset = self.column("gain")[:, None, :], self.column("offset")[:, None, :]
         return np.where(free, gain, 1.0), np.where(free, offset, 0.0)
 

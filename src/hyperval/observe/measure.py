@@ -543,8 +543,8 @@ class RegionLaws:
             region = c.spectrum.measured if c.covariance is None else c.covariance.measured
             if region is None or region not in self._statistics:
                 continue
-            mixes = c.mixture is not None and c.has_mixture
-            key = (region, c.mixture, c.tail_dof is not None) if mixes and c.mixture is not None else None
+            mixes = c.mixture if c.has_mixture else None
+            key = None if mixes is None else (region, mixes, c.tail_dof is not None)
             first = out.setdefault(region, (c, key))[1]
             if key is not None and first is None:
                 out[region] = (c, key)
