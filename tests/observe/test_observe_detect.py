@@ -318,7 +318,7 @@ def test_areas_by_unmixing_add_up_and_their_background_lies_around_the_target(un
     found = unmixing.observe()
     together, unmixed = found.observation.abundance, found.unmixed
     assert [(s.subject, s.objects) for s in unmixed.subjects] == [("fill 0.8", 2), ("fill 0.3", 3)]
-    assert (unmixed.covariances["fcls"], unmixed.covariances["fcls-weighted"].shape) == (None, (BANDS, BANDS))
+    assert (unmixed.noise["fcls"], unmixed.noise["fcls-weighted"].matrix.shape) == (None, (BANDS, BANDS))
     assert unmixed.pixel_area_m2 == 4.0
     weighted, equal = (together["fill 0.3", m].standard_uncertainty for m in ("fcls-weighted field", "fcls field"))
     assert weighted < equal

@@ -27,7 +27,7 @@ def test_cells_that_make_a_rectangle_have_the_fills_of_its_geometry(blur):
     expected = pixel_fills(geometry, offset[None], np.zeros(1))[0]
     half = expected.shape[0] // 2
     corner = half + 0.5 + offset[::-1] - np.array([length, width]) / 2
-    grid = FinerGrid(*corner, length / 16, width / 9, both)
+    grid = FinerGrid(np.array(corner), np.array([length / 16, width / 9]), both)
     fills = window_fills(np.ones((16, 9), bool), grid, (0, 0), expected.shape)
     np.testing.assert_allclose(fills[0], expected, atol=1e-9)
     assert fills.sum() == pytest.approx(length * width, rel=1e-6)
@@ -52,7 +52,7 @@ def test_an_error_of_registration_widens_the_response_on_average():
     np.testing.assert_allclose(shifts.mean(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(shifts.std(axis=0), sd, rtol=1e-12)
     wide = float(np.hypot(fwhm, sd / SIGMA_PER_FWHM))
-    moved, still = FinerGrid(0.0, 0.0, 0.1, 0.1, (fwhm, fwhm), shifts), FinerGrid(0.0, 0.0, 0.1, 0.1, (wide, wide))
+    moved, still = (FinerGrid(np.zeros(2), np.full(2, 0.1), *of) for of in (((fwhm, fwhm), shifts), ((wide, wide),)))
     mean = window_fills(mask, moved, *WINDOW).mean(axis=0)
     np.testing.assert_allclose(mean, window_fills(mask, still, *WINDOW)[0], atol=0.01)
     assert np.array_equal(registration_shifts(0.0), np.zeros((1, 2)))

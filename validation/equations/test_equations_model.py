@@ -217,11 +217,11 @@ def test_3_7_light_on_a_target_in_the_shade():
 
 def test_3_12_target_pixels_of_a_fill():
     e, f, one = Evaluation(both()), 0.3, Plain(1)
-    found, (mean, covariance) = target_pixels(e.seen, e.material(0, e.world), np.array([f])), one.pixel(f)
-    d_b = (1 - f) * found.around[0][-1, 0] + f * found.around[1][-1, 0]
+    means, noise, sides, _ = target_pixels(e.seen, e.material(0, e.world), np.array([f]))
+    d_b, (mean, covariance) = (1 - f) * sides[0][-1, 0] + f * sides[1][-1, 0], one.pixel(f)
     slope, around = e.seen.slope[1], e.seen.of.covariance(1)
-    whole = one.within(f, 1.0) * np.outer(slope, slope) + around * np.outer(d_b, d_b) + np.diag(found.noise[1, 0])
-    assert found.means[1, 0] == pytest.approx(mean, rel=1e-9)
+    whole = one.within(f, 1.0) * np.outer(slope, slope) + around * np.outer(d_b, d_b) + np.diag(noise[1, 0])
+    assert means[1, 0] == pytest.approx(mean, rel=1e-9)
     assert whole == pytest.approx(covariance, rel=1e-9)
     levels = {n: one.level(s.mean) for n, s in SURFACES.items()} | {"plank": one.b + one.k * mean}
     spreads = pixel_spreads(e, 1, levels)

@@ -57,29 +57,27 @@ FRACTION = 0.10
 # A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
 # the directions that hold nine tenths of its variance between 400 and 2500 nm.
 SURFACE, SURFACE_NM, SURFACE_DIRECTIONS = 0.10, 300.0, 4
-# Name, kind, path, usual size as a part of what stands there.
-_PARTS: tuple[tuple[str, Kind, str, float], ...] = (
-    (SURROUNDINGS, "scene", "light.surroundings", 0.10),
-    (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10),
-    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10),
-    ("ozone", "atmosphere", "atmosphere.ozone_atm_cm", 0.05),
-    ("sunlight", "atmosphere", "light.irradiance", 0.01),
-    ("path radiance", "atmosphere", "light.path", 0.10),
-    ("spherical albedo", "atmosphere", "light.spherical_albedo", 0.10),
-    ("sensor gain", "sensor", "sensor.gain", 0.01),
-    ("sensor noise", "sensor", "sensor.noise", 0.05),
-    ("electrons per radiance", "sensor", "sensor.electrons", 0.05),
-    ("fill fraction of the targets", "scene", "fill", 0.05),
-    ("PSF width", "scene", "blur", 0.10),
-)
-# Where the model is asked besides one unit up and down, in units; between and a little beyond it is interpolated.
-_SIZES = {
-    "sunlight": (-20.0, 25.0), "sensor gain": (-20.0, 25.0), "sensor noise": (-10.0, 10.0, 25.0),
-    "electrons per radiance": (-12.0, -6.0, 10.0, 25.0), "noise without signal": (-10.0, 10.0, 30.0),
-    "fill fraction of the targets": (-12.0, -6.0, 6.0, 20.0), "tails": (5.0, 20.0), "PSF width": (-5.0, 5.0, 10.0),
-    "path radiance": (-5.0, 10.0), AEROSOL: (-5.0, 10.0),
-}  # fmt: skip
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
+# Name, kind, path, usual size as a part of what stands there; and where the model is asked besides one unit up and
+# down, in units: between and a little beyond it is interpolated.
+_PARTS: tuple[tuple[str, Kind, str, float, tuple[float, ...]], ...] = (
+    (SURROUNDINGS, "scene", "light.surroundings", 0.10, _OTHER_SIZES),
+    (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10, (-5.0, 10.0)),
+    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10, _OTHER_SIZES),
+    ("ozone", "atmosphere", "atmosphere.ozone_atm_cm", 0.05, _OTHER_SIZES),
+    ("sunlight", "atmosphere", "light.irradiance", 0.01, (-20.0, 25.0)),
+    ("path radiance", "atmosphere", "light.path", 0.10, (-5.0, 10.0)),
+    ("spherical albedo", "atmosphere", "light.spherical_albedo", 0.10, _OTHER_SIZES),
+    ("sensor gain", "sensor", "sensor.gain", 0.01, (-20.0, 25.0)),
+    ("sensor noise", "sensor", "sensor.noise", 0.05, (-10.0, 10.0, 25.0)),
+    ("electrons per radiance", "sensor", "sensor.electrons", 0.05, (-12.0, -6.0, 10.0, 25.0)),
+    ("fill fraction of the targets", "scene", "fill", 0.05, (-12.0, -6.0, 6.0, 20.0)),
+    ("PSF width", "scene", "blur", 0.10, (-5.0, 5.0, 10.0)),
+)
+_SIZES = {name: sizes for name, *_, sizes in _PARTS} | {
+    "noise without signal": (-10.0, 10.0, 30.0),
+    "tails": (5.0, 20.0),
+}
 _LEAST, _MOST = 0.05, 10.0  # factors that a change may have on what is given in parts
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
 SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
@@ -103,7 +101,7 @@ def assumed_inputs(world: World) -> list[UncertainInput]:
 def usual_inputs(world: World) -> Iterator[UncertainInput]:
     """Every input of a scenario that may be off, with a usual uncertainty."""
     scene = world.stated.scenario.scene
-    yield from (_part(world, *row) for row in _PARTS if _there(world, row[2]))
+    yield from (_part(world, *row[:4]) for row in _PARTS if _there(world, row[2]))
     for c in scene.classes:
         yield _part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD)
         if np.all(np.isfinite(np.asarray(value_at(world, f"surfaces.[{c.name}].tail_dof"), dtype=float))):
@@ -172,11 +170,6 @@ class Candidate:
         return min(max((m.size for m in self.members if m is not None), default=0), MOST_DIRECTIONS)
 
     @property
-    def is_shared(self) -> bool:
-        """Whether it befalls all that is measured: the sensor, or the light."""
-        return self.kind in ("sensor", "atmosphere")
-
-    @property
     def unit(self) -> str:
         """One unit in a sentence."""
         return "stated uncertainty" if self.budgeted else f"step of {self.step}".removesuffix(" of ")
@@ -225,11 +218,6 @@ class Candidate:
         step = np.max(np.abs(other.rows)) if other is not None else float(usual.step.partition(" ")[0])
         ratio = float(step / np.max(np.abs(own.rows)))
         return replace(self, sizes=tuple(ratio * z for z in usual.sizes)) if ratio > 1.0 else self
-
-    @property
-    def asked(self) -> bool:
-        """Whether it has sizes at which the model may be asked."""
-        return bool(self.sizes and (self.members or self.moved))
 
     def at(self, direction: int, units: float) -> list[Truth]:
         """The truth of each scenario so many units along one direction."""

@@ -25,6 +25,7 @@ from hyperval.errors import refusal, refuse
 from hyperval.products import background_of
 
 ALL = "all"
+SHARED = ("sensor", "atmosphere")  # kinds that befall all that is measured
 # A stated uncertainty is too wide where the data refute, at this level, all that is less than so many times so.
 TOO_WIDE, TOO_WIDE_LEVEL = 1.5, 1e-3
 COMMON, DIFFERENT = "what all subjects share", "what differs between subjects"
@@ -617,7 +618,7 @@ class Reasoner:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
         change, what explains most by itself, and after it no more than is needed.
         """
-        rank = [not f.candidate.is_shared if self.noisy else self._alone(f.candidate, e) for f in h.causes]
+        rank = [f.candidate.kind not in SHARED if self.noisy else self._alone(f.candidate, e) for f in h.causes]
         order = [f for _, f in sorted(zip(rank, h.causes, strict=True), key=lambda pair: float(pair[0]))]
         if not order or order[0] is h.causes[0]:
             return h

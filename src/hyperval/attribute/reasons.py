@@ -80,6 +80,7 @@ Truths = Sequence[Truth]  # what is moved in each scenario
 Key = tuple[str, str, str]  # background, detector, metric
 Evaluate = Callable[..., list[tuple[Array, Array]]]  # of truths, a title, and whether a budget is made of them
 Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
+Sides = dict[tuple[Candidate, float], tuple[Array, Array]]  # what is explained, and numbers, with a candidate at a size
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,7 +424,7 @@ class Causes:
         for last in range(MOST_ROUNDS, -1, -1):
             found = posterior(ALL, residual, covariance, columns, self.wide[of], noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
-            sizes = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.asked}
+            sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
             # At none of those that the model was asked at.
             sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
             known = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.labels}
@@ -535,14 +536,12 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
         for of in (True, False)
     }  # the order of the candidates
     found = chain.from_iterable(evaluate(some, "attribution: inputs", of) for of, some in steps.items())
-    units, ends = dict[Candidate, Array](), dict[Candidate, tuple[Array, Array]]()
-    columns = dict[Candidate, Array]()
+    units, ends, sides = dict[Candidate, Array](), dict[Candidate, tuple[Array, Array]](), Sides()
     for candidate in moved:
         pairs = [(next(found), next(found)) for _ in range(candidate.size)]
         units[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
         ends[candidate] = pairs[0][0][1], pairs[0][1][1]
-        at_sizes = np.stack([side - predicted for side, _ in pairs[0]], axis=1)
-        columns[candidate] = at_sizes if candidate.sizes else units[candidate]
+        sides |= {(candidate, z): side for z, side in zip((1.0, -1.0), pairs[0], strict=True)}
     budget = budget_covariance(units, predicted.size)
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
@@ -554,11 +553,10 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     far = (c.as_far_as(usual[c.name]) if c.name in usual else c for c in moved)
     by_name = {c.name: c for c in (*further, *far) if c not in (*rare, *apart)}
     every = [c for c in by_name.values() if c.sizes or c.labels]
-    known = {c: g for c in (*every, *apart) if (g := columns.pop(c, None)) is not None and 1.0 in c.sizes}
-    columns |= _columns_at(every, known, predicted, evaluate)
+    columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(every, sides, predicted, evaluate)
     for c in apart:
-        sides = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
-        columns[replace(c, sizes=())] = np.column_stack([side - predicted for side, _ in sides])
+        each = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
+        columns[replace(c, sizes=())] = np.column_stack([side - predicted for side, _ in each])
     for c in moved:  # of a field spectrum, each band by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
             columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
@@ -603,20 +601,18 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
 
 
 def _columns_at(
-    candidates: Sequence[Candidate], known: Mapping[Candidate, Array], predicted: Array, evaluate: Evaluate
+    candidates: Sequence[Candidate], known: Sides, predicted: Array, evaluate: Evaluate
 ) -> dict[Candidate, Array]:
-    """What candidates make at their sizes or by their alternatives, without what cannot be; the first may be known."""
-    first = {c: known.get(c, np.zeros((predicted.size, 0))) for c in candidates}
-    places = {c: c.sizes or tuple(range(len(c.labels))) for c in candidates}
-    wanted = [(c, z) for c, at in places.items() for z in at[first[c].shape[1] :]]
-    found = dict(zip(wanted, _asked(evaluate, [c.at(0, z) for c, z in wanted]), strict=True)) if wanted else {}
-    out = {}
+    """What candidates make at their sizes or by their alternatives, without what cannot be; some are known."""
+    places: dict[Candidate, Sequence[float]] = {c: c.sizes or range(len(c.labels)) for c in candidates}
+    wanted = [(c, z) for c, at in places.items() for z in at if (c, z) not in known]
+    asked = _asked(evaluate, [c.at(0, z) for c, z in wanted]) if wanted else []
+    found, out = {**known, **dict(zip(wanted, asked, strict=True))}, {}
     for c, at in places.items():
-        sides = {z: side for z in at[first[c].shape[1] :] if (side := found[c, z]) is not None}
-        there = (*at[: first[c].shape[1]], *sides)
-        kept = {"sizes": there} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in there)}
-        if there:
-            out[replace(c, **kept)] = np.column_stack([first[c], *(side[0] - predicted for side in sides.values())])
+        made = {z: side[0] - predicted for z in at if (side := found[c, z]) is not None}
+        kept = {"sizes": tuple(made)} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in made)}
+        if made:
+            out[replace(c, **kept)] = np.column_stack([*made.values()])
     return out
 
 
@@ -659,7 +655,7 @@ def attribute(
     stated = [c for c in ends if c.budgeted]
     shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
     sides = (model.assuming(model.scenarios), observed)
-    outcomes = _what_ifs(model, stack, numbers, causes.covariance, sides, options.what_ifs)
+    outcomes = _what_ifs(model, causes, sides, options.what_ifs)
     columns, _ = causes.standing()
     ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
     if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
@@ -843,12 +839,7 @@ class WhatIfOutcome(NamedTuple):
 
 
 def _what_ifs(
-    model: ScenarioModel,
-    stack: Stack,
-    numbers: Sequence[ComparedQuantity],
-    covariance: Array,
-    sides: tuple[Products, Products],
-    what_ifs: Sequence[WhatIf],
+    model: ScenarioModel, causes: Causes, sides: tuple[Products, Products], what_ifs: Sequence[WhatIf]
 ) -> list[Result]:
     """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
 
@@ -859,13 +850,15 @@ def _what_ifs(
     UsageError : an experiment that fits no scenario, or compares other things than the campaign does.
     """
 
+    stack = causes.stack
+
     def left(item: WhatIf, predicted: Products, seen: Products) -> WhatIfOutcome:
         after = stack if seen is sides[1] else stacked(predicted, seen)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
         refuse(now != before, "whatif.other", name=item.name)
-        spread = covariance if after is stack else covariance - stack.covariance + after.covariance
+        spread = causes.covariance if after is stack else causes.covariance - stack.covariance + after.covariance
         residuals = Whitened(after.observed - after.predicted(predicted), spread)
-        return WhatIfOutcome(item, residuals, gaps_of(numbers, predicted, seen), alarm_ratios(predicted, seen))
+        return WhatIfOutcome(item, residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen))
 
     def tried(item: WhatIf) -> WhatIfOutcome:
         scenarios = changed_scenarios(model.scenarios, item)

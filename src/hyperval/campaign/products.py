@@ -284,11 +284,10 @@ def predicted_side(
     nominal = observed.detected.nominal_area_m2 if observed.detected is not None else {}
     areas = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
     if (unmixed := observed.unmixed) and detection and (how := detection.unmixing):
-        known = unmixed.subjects, unmixed.bands, unmixed.covariances, unmixed.pixel_area_m2
         truths = truths or [{} for _ in side.scenarios]
         for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
             own = scenario, side.origins(scenario), truth, prediction
-            areas |= model.predicted_areas(*own, *known, draws=how.draws, seed=how.seed)
+            areas |= model.predicted_areas(*own, unmixed, how.draws, how.seed)
     whole = joined(side, side.scenarios, predictions)
     errors = whole.classification
     if task is not None:

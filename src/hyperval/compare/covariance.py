@@ -131,8 +131,7 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
     first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return "a covariance is not finite"
-    law = predicted.distribution.get(subject)
-    kurtosis = 0.0 if law is None else pixels.kurtosis_parameter(law.tail_dof)
+    kurtosis = pixels.kurtosis_parameter(predicted.distribution.get(subject, PixelDistribution()).tail_dof)
     if math.isinf(kurtosis):
         return "tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band"
     directions = pixels.EigenDirections.of(first)

@@ -765,18 +765,16 @@ class JointDifference:
         return {name: math.sqrt(max(part, 0.0)) for name, part in parts.items()}
 
 
-def joint_difference(
-    pairs: Mapping[str, tuple[SpectralEstimate, SpectralEstimate]], use: Mapping[str, Sequence[Mask]]
-) -> JointDifference:
-    """Of spectra of both sides by subject, in the bands (B,) of every piece that each subject uses."""
-    every = [(i, q, at) for i, s in enumerate(pairs) for q, at in enumerate(use[s]) if at.any()]
-    subject, piece = (np.array(numbers, dtype=np.intp) for numbers in list(zip(*every, strict=True))[:2])
-    count = len(every)
-    by_predicted, by_measured, of_sensor = np.zeros((3, count, every[0][2].size))
+def joint_difference(pairs: Mapping[str, tuple[SpectralEstimate, SpectralEstimate]], use: Mask) -> JointDifference:
+    """Of spectra of both sides by subject, in the bands (S, Q, B) of every piece that each subject uses."""
+    subject, piece = np.nonzero(use.any(axis=2))
+    within, count = use[subject, piece], subject.size
+    bands = within.sum(axis=1).astype(float)
+    by_predicted, by_measured, of_sensor = np.zeros((3, *within.shape))
     difference, noise, relative = np.empty(count), np.zeros((count, count)), np.zeros(())
-    for n, (i, _, at) in enumerate(every):
-        p, m = list(pairs.values())[i]
-        by_predicted[n, at], by_measured[n, at] = 1.0 / p.mean[at] / at.sum(), 1.0 / m.mean[at] / at.sum()
+    for n, at in enumerate(within):
+        p, m = list(pairs.values())[subject[n]]
+        by_predicted[n, at], by_measured[n, at] = 1.0 / p.mean[at] / bands[n], 1.0 / m.mean[at] / bands[n]
         difference[n] = np.log(p.mean[at] / m.mean[at]).mean()
     directions: dict[tuple[str, str, int], Array] = {}  # source, draw and their number
     for i, (name, (p, m)) in enumerate(pairs.items()):
@@ -795,7 +793,6 @@ def joint_difference(
         sources[source] = sources.get(source, 0.0) + rows.T @ rows
     if of_sensor.any():
         sources[CALIBRATION] = of_sensor @ relative @ of_sensor.T
-    bands = np.array([float(at.sum()) for *_, at in every])
     return JointDifference(subject, piece, difference, by_predicted.sum(axis=1), bands, sources)
 
 
@@ -805,15 +802,11 @@ def joint_pieces(predicted: Products, observed: Products) -> JointDifference | N
     mixed = {subject for subject, _ in predicted.scores}
     pairs = {s: (p, here[s]) for s, p in predicted.radiance.items() if s in here and s not in mixed and p.errors}
     pieces = [(axis.centre_nm >= low) & (axis.centre_nm < high) & in_window(axis.centre_nm) for low, high in PIECES_NM]
-    use: dict[str, list[Mask]] = {}
-    for s, pair in pairs.items():
-        good = comparable_bands(*pair, axis) & (pair[0].mean > 0) & (pair[1].mean > 0)
-        use[s] = [m if np.count_nonzero(m := good & piece) >= _FEWEST_BANDS else m & False for piece in pieces]
-    shown = np.sum([[m.any() for m in own] for own in use.values()], axis=0) > 1
-    if not np.any(shown):
-        return None
-    use = {s: [m & some for m, some in zip(own, shown, strict=True)] for s, own in use.items()}
-    return joint_difference(pairs, use)
+    good = [comparable_bands(p, m, axis) & (p.mean > 0) & (m.mean > 0) for p, m in pairs.values()]
+    use = np.reshape(good, (-1, 1, len(axis))).astype(bool) & np.array(pieces)
+    use &= np.count_nonzero(use, axis=2, keepdims=True) >= _FEWEST_BANDS
+    use &= (np.count_nonzero(use.any(axis=2), axis=0) > 1)[:, None]
+    return joint_difference(pairs, use) if use.any() else None
 
 
 def _regions(joint: JointDifference) -> Iterator[tuple[str, Array, Array]]:

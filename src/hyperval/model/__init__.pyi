@@ -3,6 +3,7 @@
 from .ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from .classification import (
     ClassLaw,
+    Unmixed,
     UnmixedSubject,
     bhattacharyya_distance,
     class_features,
@@ -181,6 +182,7 @@ __all__ = [
     "SurfaceStatistics",
     "Truth",
     "UncertainInput",
+    "Unmixed",
     "UnmixedSubject",
     "World",
     "ace_exceedance",

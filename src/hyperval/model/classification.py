@@ -9,7 +9,7 @@ What a classifier sees of a spectrum: bands, or principal components of the clas
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -190,18 +190,16 @@ def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Se
     pixels : by class, (n, F)
     blocks : by class, (n,) the block of the image that each pixel lies in
     """
-    errors, variances, n = [], [], 0
+    errors, variances, n = [], [], sum(map(len, pixels))
     for i, (x, block) in enumerate(zip(pixels, blocks, strict=True)):
         wrong = gaussian_classes(laws, x) != i
         rate = float(np.mean(wrong))
         _, index = np.unique(block, return_inverse=True)
         excess = np.bincount(index, wrong) - rate * np.bincount(index)
-        count = excess.size
-        correction = count / (count - 1.0) if count > 1 else 1.0
+        correction = excess.size / (excess.size - 1.0) if excess.size > 1 else 1.0
         between = correction * float(excess @ excess) / wrong.size**2
         errors.append(rate)
         variances.append(max(between, rate * (1.0 - rate) / wrong.size))
-        n += int(wrong.size)
     error = float(np.mean(errors))
     variance = float(np.sum(variances)) / len(errors) ** 2
     effective = float(n)
@@ -294,24 +292,29 @@ class UnmixedSubject:
     ring: int
 
 
+@dataclass(frozen=True, eq=False)
+class Unmixed:
+    """Areas by (subject, method), and what the prediction needs for each subject.
+
+    ``bands`` (B,) were used; ``noise``: method -> (F, F) weights of the fit, None for equal ones.
+    """
+
+    areas: Mapping[tuple[str, str], Abundance]
+    subjects: tuple[UnmixedSubject, ...]
+    bands: Mask
+    noise: Mapping[str, PositiveDefinite | None]
+    pixel_area_m2: float
+
+
 def labelled(method: str, endmembers: str) -> str:
     """The method with the origin of its endmembers: "fcls field"."""
     return f"{method} {endmembers}".strip()
 
 
 def predicted_areas(
-    scenario: Scenario,
-    origins: Origins,
-    truth: Truth,
-    prediction: PredictedProducts,
-    subjects: Iterable[UnmixedSubject],
-    bands: Mask,
-    covariances: Mapping[str, Array | None],
-    pixel_area_m2: float,
-    *,
-    draws: int = 400,
-    seed: int = 0,
-) -> dict[tuple[str, str], Abundance]:
+    scenario: Scenario, origins: Origins, truth: Truth, prediction: PredictedProducts, unmixed: Unmixed,
+    draws: int = 400, seed: int = 0,
+) -> dict[tuple[str, str], Abundance]:  # fmt: skip
     """Mean and spread of the area that unmixing would find, by (subject, method).
 
     A pixel is f t + (1 - f) b (3.10): fills of a whole object from the geometry, background pixels b by the
@@ -325,24 +328,22 @@ def predicted_areas(
     ----------
     truth : dotted path -> what truly stands there; the endmembers stay what they are
     prediction : of the same truth
-    covariances : method -> (F, F) weights of the fit, None for equal ones
     """
     if scenario.atmosphere is not None:
         return {}
     world = settled(with_truths(read(scenario, origins), [truth]))[0][1]
-    index = np.flatnonzero(bands)
-    noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
+    index = np.flatnonzero(unmixed.bands)
     populations = {(name, p.name): p for name, p in world.populations_at(0)}
     out = {}
-    for number, item in enumerate(subjects):
+    for number, item in enumerate(unmixed.subjects):
         population = populations.get((item.scenario_target, item.population))
         if population is None:
             continue
         rng = np.random.default_rng([seed, number])
         pixels, endmembers, absent = _objects(population, item, prediction, world, index, draws, rng)
-        for method, factor in noise.items():
+        for method, factor in unmixed.noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
-            area = np.where(absent, 0.0, abundance).sum(axis=1) * pixel_area_m2
+            area = np.where(absent, 0.0, abundance).sum(axis=1) * unmixed.pixel_area_m2
             spread = float(area.std(ddof=1)) / np.sqrt(item.objects)
             out[item.subject, labelled(method, item.endmembers)] = Abundance(
                 float(area.mean()), float(spread), round((~absent).sum(axis=1).mean()), item.nominal_m2
@@ -462,8 +463,7 @@ def predicted_classification(
                 estimate = spectra[name]
                 if estimate.pixel_covariance is None or not np.all(np.diag(estimate.pixel_covariance)[bands] > 0):
                     raise UsageError(f"classification: the prediction of {name!r} has no spread in some band")
-                known = prediction.distribution.get(name)
-                tail = np.inf if known is None else known.tail_dof
+                tail = prediction.distribution.get(name, PixelDistribution()).tail_dof
                 laws.append(ClassLaw(estimate.mean[bands], cut(estimate.pixel_covariance, bands), tail))
             psi = class_features(laws, choice.pca)
             rng = np.random.default_rng([seed, bands.size])

@@ -11,9 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded where they are first named
 from scipy.special import ndtr
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
@@ -49,9 +50,6 @@ from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Scenario, TargetSubject
 from hyperval.spectra.axis import SpectralAxis, in_window
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
 
 RocKey = tuple[str, str, str]
 
@@ -97,8 +95,7 @@ def class_scores(seen: Seen, filters: LinearFilter) -> tuple[Array, Array]:
     for j, law in enumerate(laws):
         gain, stretch = of.gain[:, law.owner], of.stretch[:, law.owner]
         variances[:, j] += gain * spread(through, law.covariance, stretch)[:, 0]
-        if law.offset is not None:
-            means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset, truths))
+        means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset, truths))
     variances += surroundings_variance(of, w[:, None, :] * seen.around)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
 
@@ -108,10 +105,9 @@ FILL_NODES = np.linspace(0.0, 1.0, 9)
 
 
 @cache
-def _spline() -> CubicSpline:
-    from scipy.interpolate import CubicSpline  # a quarter of a second, which spectra alone do not need
-
-    return CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
+def _spline() -> scipy.interpolate.CubicSpline:
+    """A quarter of a second, which spectra alone do not need."""
+    return scipy.interpolate.CubicSpline(FILL_NODES, np.eye(FILL_NODES.size))
 
 
 @dataclass(frozen=True)
@@ -167,16 +163,16 @@ def target_scores(seen: Seen, filters: LinearFilter, material: Material, rows: I
     filters, seen = filters.rows(rows), seen.rows(rows)
     of, number, w, g = seen.of, material.host, filters.weights, FILL_NODES
     truths, bands = w.shape
-    pixels = target_pixels(seen, material, g)
-    means = np.einsum("uf,ukf->uk", w, wide(pixels.means, truths)) - filters.offset[:, None]  # (3.26)
-    rest = np.einsum("ukf,uf->uk", wide(pixels.noise, truths), w**2)  # noise of (3.28)
+    reflectance, noise, around, factor = target_pixels(seen, material, g)
+    means = np.einsum("uf,ukf->uk", w, wide(reflectance, truths)) - filters.offset[:, None]  # (3.26)
+    rest = np.einsum("ukf,uf->uk", wide(noise, truths), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
-    v = w[:, None, :] * np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in pixels.around], axis=1)
+    v = w[:, None, :] * np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in around], axis=1)
     parts = surroundings_variance(of, np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
     zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
     rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)
     through = (w * seen.slope)[:, None, :]
-    lit_through, error = through * pixels.factor, np.zeros(truths)
+    lit_through, error = through * factor, np.zeros(truths)
     if material.error is not None:
         error = np.linalg.norm(lit_through[:, 0] @ material.error.T, axis=1)
     own = spread(lit_through, material.covariance, material.stretch)[:, 0]
@@ -528,9 +524,7 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     for j, law in enumerate(of.laws):
         m = law.owner
         gain, stretch = float(of.gain[0, m]), of.stretch[0, m] * np.ones(e.bands.size)
-        mean = seen.means[0, m]
-        if law.offset is not None:
-            mean = mean + np.sqrt(gain) * slope * stretch * law.offset
+        mean = seen.means[0, m] + np.sqrt(gain) * slope * stretch * law.offset
         surface = gain * law.covariance * np.outer(stretch, stretch)
         whole = spread_of(surface, seen.around[0, m], seen.noise[0, m])
         laws.append((mean, surface, whole))
@@ -544,18 +538,18 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     square, shift = np.outer(slope, slope), float(e.shift[u])
 
     def at_fill(fill: float) -> Exceedance:
-        share, pixels = 1.0 - fill, target_pixels(seen, material, np.array([fill]))
-        mean, (beside, on) = pixels.means[0, 0], pixels.around
+        share, (means, noise, (beside, on), lit) = 1.0 - fill, target_pixels(seen, material, np.array([fill]))
+        mean = means[0, 0]
         if shift and material.error is not None:
             # The true target departs along the filter's own direction, by standard deviations of its score.
             w = base.filter("matched-filter", looked_for).weights * slope
             along = material.error @ w
             mean = mean + shift * fill * (along @ material.error / np.linalg.norm(along)) * slope
-        factor = material.stretch[0] * np.ravel(pixels.factor) * np.ones(e.bands.size)
+        factor = material.stretch[0] * np.ravel(lit) * np.ones(e.bands.size)
         own = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
         f2 = fill**2 + float(material.fine_texture[0]) * (fill - fill**2)
         around = share * beside[0, 0] + fill * on[0, 0]
-        whole = spread_of(f2 * own + share**2 * host, around, pixels.noise[0, 0])
+        whole = spread_of(f2 * own + share**2 * host, around, noise[0, 0])
         by_law = []
         for k, j in enumerate(numbers):
             # A law of the host differs from its class in mean and spread; what has its tails is what it has alone.

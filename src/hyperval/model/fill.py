@@ -46,10 +46,6 @@ class FillDistribution:
     weights: Array
     shape: tuple[int, int] | None = None
 
-    def of(self, u: int) -> FillDistribution:
-        """That of one of the evaluations."""
-        return FillDistribution(*(x[u if len(x) > 1 else 0] for x in (self.values, self.weights)))
-
     @property
     def mean(self) -> float:
         """E[f]."""

@@ -10,7 +10,7 @@ background's laws, where they were fitted to pixels of an image, come by leaving
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
 from itertools import islice
@@ -207,26 +207,6 @@ def _read(at: Array, x: Array, z: Array) -> Array:
     return np.asarray(np.interp(at, x, z) + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
 
 
-def with_limits(
-    scenario: Scenario, prediction: PredictedProducts, changes: Mapping[RocKey, Changes],
-    shifts: Mapping[RocKey, float], drawn: Mapping[RocKey, Array],
-) -> PredictedProducts:  # fmt: skip
-    """The prediction with limits of its curves.
-
-    ``drawn`` : curves (N, K) of truths drawn from the budget, where errors shift the mean of P_D by so much that
-    their directions do not add up
-    """
-    filters = {p.name: t.name for t in scenario.scene.targets for p in t.populations}
-    roc: dict[RocKey, RocCurve] = with_bands(prediction.roc, changes)
-    roc |= {key: drawn_curve(prediction.roc[key], limits(curves)) for key, curves in drawn.items()}
-    notes = shift_notes(shifts, drawn, len(next(iter(drawn.values()), ())))
-    for (population, detector, unit), curve in roc.items():
-        alarms = prediction.exceedance.get((filters[population], detector))
-        if alarms is not None and np.any(alarms.upper > alarms.probability):
-            roc[population, detector, unit] = with_law_limits(curve, alarms)
-    return replace(prediction, roc=roc, notes=(*prediction.notes, *notes))
-
-
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
 _PROBABILITIES = ("P_D", "AUC")
 
@@ -337,8 +317,7 @@ def emulated(world: World, inputs: Sequence[UncertainInput]) -> tuple[World, Cos
 
 
 def with_intervals(
-    stated: PredictedProducts, inputs: Sequence[UncertainInput],
-    predicted: Callable[[Iterable[Truth]], Iterable[PredictedProducts]], draws: Mapping[Key, Array], u: Uncertainty,
+    stated: PredictedProducts, world: World, inputs: Sequence[UncertainInput], draws: Mapping[Key, Array],
     cost: Cost | None,
 ) -> PredictedProducts:  # fmt: skip
     """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
@@ -349,7 +328,8 @@ def with_intervals(
     With "both" a curve takes the limits of the draws where P_D at 1e-2 or 1e-3 disagrees.
     """
     steps = [item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
-    moved, table, everywhere = tabulated(predicted([{}, *steps])), [], u.method == "monte-carlo"
+    moved, table, u = tabulated(_predictions(world, [{}, *steps])), [], world.stated.scenario.uncertainty
+    everywhere = u.method == "monte-carlo"
     for key, values in quantities(stated).items():
         linear = linear_spread(key, stated, moved[key])
         drawn = np.array([draws[key].std(axis=0, ddof=1), *limits(draws[key])])
@@ -380,24 +360,33 @@ def with_uncertainty(
 ) -> PredictedProducts:
     """The prediction of a world with the intervals of its curves: from its directions, or from draws of its inputs.
 
-    ``inputs`` : to be drawn from where the scenario asks for it, or errors shift the mean of P_D by so much that their
-    directions do not add up
+    Parameters
+    ----------
+    inputs : to be drawn from where the scenario asks for it, or errors shift the mean of P_D by so much that their
+        directions do not add up
+    changes : of probit P_D, as :func:`with_bands` takes them
     """
-    scenario, u = world.stated.scenario, world.stated.scenario.uncertainty
-    shifts = mean_shifts(products.roc, changes)
+    stated, u = world.stated, world.stated.scenario.uncertainty
+    shifts, drawn = mean_shifts(products.roc, changes), dict[RocKey, Array]()
     far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
-    if not inputs or not (far or u.method != "linear"):
-        return with_limits(scenario, products, changes, shifts, {})
-    there, cost = emulated(world, inputs)
-    of_world = partial(_predictions, there)
-    truths = track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")
-    if u.method == "linear":  # nothing but these curves is looked at
-        whole = any(unit == "object" for *_, unit in far)
-        drawn = [p.roc for p in of_world(truths, object_curves=whole, spectra=False)]
-        curves = {key: np.array([roc[key].pd for roc in drawn]) for key in far}
-        return with_limits(scenario, products, changes, shifts, curves)
-    draws = tabulated(of_world(truths))
-    return with_intervals(with_limits(scenario, products, changes, shifts, {}), inputs, of_world, draws, u, cost)
+    if draws := bool(inputs) and (bool(far) or u.method != "linear"):
+        there, cost = emulated(world, inputs)
+        truths = track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")
+        if u.method == "linear":  # nothing but these curves is looked at
+            whole = any(unit == "object" for *_, unit in far)
+            each = [p.roc for p in _predictions(there, truths, object_curves=whole, spectra=False)]
+            drawn = {key: np.array([roc[key].pd for roc in each]) for key in far}
+    roc: dict[RocKey, RocCurve] = with_bands(products.roc, changes)
+    roc |= {key: drawn_curve(products.roc[key], limits(curves)) for key, curves in drawn.items()}
+    filters = {p.name: stated.targets[t].name for t, _, p in stated.populations}
+    for (population, detector, unit), curve in roc.items():
+        alarms = products.exceedance.get((filters[population], detector))
+        if alarms is not None and np.any(alarms.upper > alarms.probability):
+            roc[population, detector, unit] = with_law_limits(curve, alarms)
+    limited = replace(products, roc=roc, notes=(*products.notes, *shift_notes(shifts, drawn, u.samples)))
+    if not draws or u.method == "linear":
+        return limited
+    return with_intervals(limited, there, inputs, tabulated(_predictions(there, truths)), cost)
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
@@ -455,13 +444,12 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     surroundings (3.10).
     """
     world, scene = e.world, e.scenario.scene
-    places = [shares_at(world, number) for number in range(len(e.stated.populations))]
     light = e.light.rows(e.which)
     own = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
     out = {s.name: 2 * (own[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
     full = {t.name: target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
     for number, (t, _, population) in enumerate(e.stated.populations):
-        host, fills, placed = own[scene.targets[t].host], world.pixel_fills[number], places[number]
+        host, fills, placed = own[scene.targets[t].host], world.pixel_fills[number], shares_at(world, number)
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
         if placed is not None:
             parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}

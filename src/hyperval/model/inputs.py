@@ -38,7 +38,7 @@ def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor
     if form.correlation == "random":
         return np.asarray(np.diag(u)[u > 0])
     if form.correlation == "arms":
-        rows = np.array([np.where(arm, u, 0.0) for arm in _arms(axis, sensor)])
+        rows = np.where(_arms(axis, sensor), u, 0.0)
         rows = rows[np.any(rows > 0, axis=1)]
         return np.asarray(rows[np.argsort(-(rows**2).sum(axis=1), kind="stable")])
     return np.asarray(u[None, :])
@@ -69,15 +69,12 @@ def form_in_words(form: SpectralForm) -> str:
     return words.get(form.correlation or "", "systematic: one error for all bands")
 
 
-def _arms(axis: SpectralAxis, sensor: Sensor | None) -> list[Mask]:
-    w, groups = axis.centre_nm, []
-    arms = sensor.specification.arms if sensor is not None else ()
+def _arms(axis: SpectralAxis, sensor: Sensor | None) -> Mask:
+    """(K, B) bands of each arm that are in none before; those beside all arms share one error."""
+    w, arms = axis.centre_nm, sensor.specification.arms if sensor is not None else ()
     refuse(not arms, "uncertainty.arms")
-    taken = np.zeros(w.shape, bool)
-    for low, high in (arm.range_nm for arm in arms):
-        groups.append((w >= low) & (w <= high) & ~taken)
-        taken |= groups[-1]
-    return [*groups, ~taken] if not taken.all() else groups  # bands beside all arms share one error
+    inside = np.array([*((w >= low) & (w <= high) for low, high in (arm.range_nm for arm in arms)), w > -np.inf])
+    return np.asarray(inside & (np.cumsum(inside, axis=0) == 1))
 
 
 def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axis: SpectralAxis) -> Array:
@@ -333,10 +330,7 @@ def interpolation_input(world: World) -> list[UncertainInput]:
 
     Its size is :func:`hyperval.atmosphere.between.path_error`; it is smooth over wavelength.
     """
-    if world.stated.scenario.atmosphere is None:
-        return []
-    sigma = world.stated.atmosphere({}, 1).path_uncertainty
+    sigma, form = world.stated.atmosphere({}, 1).path_uncertainty, SpectralForm(correlation_nm=INTERPOLATION_NM)
     if sigma is None or not np.any(sigma):
         return []
-    form = SpectralForm(correlation_nm=INTERPOLATION_NM)
     return [spectral_input(world, TABLE, "engine", "light.path_error", sigma[0, 0], form)]

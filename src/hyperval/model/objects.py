@@ -143,11 +143,9 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
         _, parts, dof = e.host_laws(number)
         laws = tuple(zip(parts.tolist(), of_truth(dof, u).tolist(), strict=True))
         laws = () if laws == ((1.0, math.inf),) else laws  # one normal law
-        wanted = Objects(
-            population, tuple(s for _, s in beside), uncertainty.position_m,
-            (draws or ROWS * COLUMNS) if certain else COLUMNS, thesis, laws, len(linear), seed,
-        )  # fmt: skip
-        numbers = _few_numbers(wanted) if certain and draws else drawn_numbers(wanted, drawn.blur)
+        count, around = (draws or ROWS * COLUMNS) if certain else COLUMNS, tuple(s for _, s in beside)
+        wanted = population, around, uncertainty.position_m, count, thesis, laws, len(linear), seed
+        numbers = _few_numbers(*wanted) if certain and draws else drawn_numbers(*wanted, drawn.blur)
         others = [names.index(name) for name, _ in beside]
         for name, more in zip(linear, numbers.more, strict=True):
             own = response_nodes(e, truths, number, name, number)
@@ -160,20 +158,6 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
             make = partial(_greatest_scores, own, full, change, host, drawn, numbers, more)
             out[population.name, name] = e.once(key, make)
     return out
-
-
-@dataclass(frozen=True)
-class Objects:
-    """What the drawn numbers of the objects of one population follow from, besides the widths of the blur."""
-
-    population: TargetSubject
-    beside: tuple[TargetSubject, ...]
-    position_m: float | None
-    columns: int
-    thesis: bool
-    host: Laws  # none: one normal law
-    detectors: int
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -209,21 +193,42 @@ class Numbers:
         return np.asarray(1.0 - self.fills - self.others.sum(axis=-1))
 
 
-def drawn_numbers(objects: Objects, blur: Array) -> Numbers:
-    """The numbers of one population; ``blur`` (S,) changes of its width [pixels]."""
-    rng = np.random.default_rng([objects.seed, 11, zlib.crc32(objects.population.name.encode())])
-    fills, others, places = _drawn_fills(objects, blur, rng)
+def drawn_numbers(
+    population: TargetSubject, beside: tuple[TargetSubject, ...], position_m: float | None, columns: int, thesis: bool,
+    laws: Laws, detectors: int, seed: int, blur: Array | None = None,
+) -> Numbers:  # fmt: skip
+    """The numbers of the objects of one population.
+
+    Parameters
+    ----------
+    beside, position_m : its neighbours, and the standard uncertainty of their places
+    columns : draws of objects at each of those of the blur
+    thesis : whether an object is one pixel of its mean fill
+    laws : of the host; none: one normal law
+    blur : (S,) changes of its width [pixels]; None: it is certain
+
+    >>> population = TargetSubject(name="plank", fill={"listed": [[0.5, 0.2], [0.4]]})
+    >>> numbers = drawn_numbers(population, (), None, 3, False, (), 1, 1)
+    >>> numbers.fills.tolist(), numbers.absent.tolist()
+    ([[0.5, 0.2], [0.4, 0.0]], [[False, False], [False, True]])
+    """
+    rng = np.random.default_rng([seed, 11, zlib.crc32(population.name.encode())])
+    widths = np.zeros(1) if blur is None else blur
+    fills, others, places = _drawn_fills(population, beside, position_m, columns, thesis, widths, rng)
     shape = (*places.shape, fills.shape[1])
     host, law = rng.standard_normal(shape), None
-    if objects.host:
-        parts, dof = np.array(objects.host).T
+    if laws:
+        parts, dof = np.array(laws).T
         law = rng.choice(dof.size, shape, p=parts) if dof.size > 1 else None
         own = np.broadcast_to(dof if law is None else dof[law], shape)
         # Normal departures of the host become those of a t of the same variance.
         tailed = np.isfinite(own)
         host[tailed] *= np.sqrt((own[tailed] - 2.0) / rng.chisquare(own[tailed]))
-    more = [rng.standard_normal(shape) if objects.host else None for _ in range(objects.detectors)]
+    more = [rng.standard_normal(shape) if laws else None for _ in range(detectors)]
     return Numbers(np.nan_to_num(fills), np.nan_to_num(others), np.isnan(fills), places, host, tuple(more), law)
+
+
+_few_numbers = lru_cache(maxsize=64)(drawn_numbers)  # populations; those of few draws, some 0.1 to 1 MB each
 
 
 Populations = Sequence[tuple[str, TargetSubject]]  # each with the name of its target
@@ -244,11 +249,12 @@ def neighbours_of(population: TargetSubject, populations: Populations) -> Popula
     return out
 
 
-def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tuple[Array, Array, Index]:
+def _drawn_fills(
+    population: TargetSubject, beside: Sequence[TargetSubject], position_m: float | None, columns: int, thesis: bool,
+    blur: Array, rng: np.random.Generator,
+) -> tuple[Array, Array, Index]:  # fmt: skip
     """``fills``, ``others`` and ``places`` of :class:`Numbers`."""
-    population, beside, thesis = objects.population, objects.beside, objects.thesis
-    shape = (blur.size, objects.columns)
-    geometry = population.fill.geometry
+    shape, geometry = (blur.size, columns), population.fill.geometry
     if thesis or (geometry is None and population.fill.listed is None):
         fill = moments(population.fill, thesis)
         alone = fill.values[:, None]
@@ -260,8 +266,8 @@ def _drawn_fills(objects: Objects, blur: Array, rng: np.random.Generator) -> tup
             fills = fills_of_objects(population.fill, width)
             beside_fills = np.zeros((*fills.shape, len(beside)))
         else:
-            fills, beside_fills = _pixels_at_place(population, beside, objects.position_m, rng, width)
-        places[rows] = count + rng.integers(len(fills), size=(rows.size, objects.columns))
+            fills, beside_fills = _pixels_at_place(population, beside, position_m, rng, width)
+        places[rows] = count + rng.integers(len(fills), size=(rows.size, columns))
         own.append(fills)
         others.append(beside_fills)
         count += len(fills)
@@ -352,19 +358,6 @@ def _change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, dr
     return np.asarray(drawn.spectra[name] @ (weights * of_truth(e.seen.slope, v) * shade))
 
 
-@lru_cache(maxsize=64)  # populations; those of few draws, some 0.1 to 1 MB each
-def _few_numbers(objects: Objects) -> Numbers:
-    """The same numbers each time that a population is asked for.
-
-    >>> population = TargetSubject(name="plank", fill={"listed": [[0.5, 0.2], [0.4]]})
-    >>> _few_numbers(Objects(population, (), None, 3, False, (), 1, 1)).fills.tolist()
-    [[0.5, 0.2], [0.4, 0.0]]
-    >>> _few_numbers(Objects(population, (), None, 3, False, (), 1, 1)).absent.tolist()
-    [[False, False], [False, True]]
-    """
-    return drawn_numbers(objects, np.zeros(1))
-
-
 def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     """(what lies there, target, detector) -> expected score [1], of linear detectors in the first truth.
 
@@ -378,7 +371,8 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     for number, (t, _, population) in enumerate(e.stated.populations):
         material = e.material(t, first)
         lit = e.seen.light.rows(np.array([v])).surface(material.mean, material.beam, material.sky)[0][0, 0]
-        fill = e.fills(number).of(0).mean
+        fills = e.fills(number)
+        fill = float(fills.weights[0] @ fills.values[0])
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
     view = e.seen.light.row(v)
     seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))

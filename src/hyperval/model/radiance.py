@@ -27,7 +27,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache, partial
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -552,9 +552,7 @@ def light_of(world: World) -> Light:
     models, which = world.sensor_noise
     noise = None
     if models:
-        noise = models[0]
-        if len(models) > 1:
-            noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
+        noise = _on_arrays(stacked(models, len(stated.axis)), lambda x: x[which] if x.ndim == 3 else x)
         noise, fixed = with_signal(noise, factor("electrons")), noise.fixed_noise * factor("fixed_noise")
         noise = replace(noise, fixed_noise=fixed, gain=g, offset=offset, factor=factor("noise"))
     elm = processing.elm if isinstance(processing.elm, ElmPanels) or (radiant and processing.elm != "none") else None
@@ -649,12 +647,9 @@ class Background:
         stated, classes = world.stated, len(world.stated.classes)
 
         def on_bands() -> tuple[tuple[Array, ...], tuple[Law, ...], dict[Any, Any]]:
-            offsets = [None if law.offset is None else law.offset[bands] for law in stated.laws]
-            laws = (
-                law._replace(offset=offset, covariance=cut(law.covariance, bands))
-                for law, offset in zip(stated.laws, offsets, strict=True)
-            )
-            return tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes), tuple(laws), {}
+            covariances = tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes)
+            laws = (x._replace(offset=x.offset[bands], covariance=cut(x.covariance, bands)) for x in stated.laws)
+            return covariances, tuple(laws), {}
 
         covariances, laws, kept = stated.once(("background", bands.tobytes()), on_bands)
         means = world.surroundings[1]
@@ -792,24 +787,17 @@ class Material:
     error: Array | None = None
 
 
-class TargetPixels(NamedTuple):
-    """Pixels of which a target fills K parts f, as the detector sees them in U truths.
+def target_pixels(
+    seen: Seen, material: Material, fills: Array
+) -> tuple[Array, Array, tuple[Array, Array], Array | float]:
+    """Pixels of which a target fills K parts f (K,), as the detector sees them in U truths (3.7-3.12).
 
-    Attributes
-    ----------
-    means, noise : (U or 1, K, F) retrieved reflectance, and its noise variance
-    around : (U or 1, 1, F) D_B / k times the root of g_m kappa (3.11) of a pixel of host, and of one full of target
-    factor : (U, 1, F) light on the target over that in the open, 1 without shade
+    Returns
+    -------
+    Retrieved reflectance and its noise variance (U or 1, K, F); D_B / k times the root of g_m kappa (3.11) of a pixel
+    of host, and of one full of target, (U or 1, 1, F) each; light on the target over that in the open (U, 1, F), 1
+    without shade.
     """
-
-    means: Array
-    noise: Array
-    around: tuple[Array, Array]
-    factor: Array | float
-
-
-def target_pixels(seen: Seen, material: Material, fills: Array) -> TargetPixels:
-    """Target pixels at fills (K,), each with its own mean, noise and adjacency (3.7-3.12)."""
     light, of, number = seen.light, seen.of, material.host
     lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
     host = of.means[:, number : number + 1]
@@ -817,4 +805,4 @@ def target_pixels(seen: Seen, material: Material, fills: Array) -> TargetPixels:
     means = retrieved_reflectance(TwoPanelLine(seen.gain, seen.offset), level)
     weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / seen.gain
     around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
-    return TargetPixels(means, light.noise_variance(level) / seen.gain**2, around, factor)
+    return means, light.noise_variance(level) / seen.gain**2, around, factor

@@ -523,17 +523,6 @@ class RocScores:
     weights: Array
     host: Host | None = None
 
-    @property
-    def mean(self) -> Array:
-        """(n,) mean score of the target pixels."""
-        return np.asarray((self.weights * self.means).sum(axis=1))
-
-    @property
-    def sd(self) -> Array:
-        """(n,) standard deviation of that score, the spread of the fill included."""
-        away = self.means - self.mean[:, None]
-        return np.asarray(np.sqrt((self.weights * (self.sds**2 + away**2)).sum(axis=1)))
-
     def rows(self, index: Index) -> RocScores:
         """The evaluations that ``index`` names."""
         host = None if self.host is None else self.host.rows(index)
@@ -566,7 +555,8 @@ class RocScores:
         """How the target pixels score in some evaluations."""
         first, which = distinct([self.which[at], self.means[at], self.sds[at], self.weights[at]], at.size)
         some = self.rows(at[first])
-        distributions = score_distributions(some.mean, some.sd, some.target_density if densities else None)
+        moments = some.weights, some.means, some.sds
+        distributions = score_distributions(*moments, some.target_density if densities else None)
         return [distributions[i] for i in which]
 
     def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, Array]]:
@@ -575,9 +565,8 @@ class RocScores:
         """
         which, first, same = np.unique(self.which[at], return_index=True, return_inverse=True)
         some, c, x = self.rows(at[first]), self.classes.rows(which), thresholds[first]
-        mean = (c.fraction * c.mean).sum(axis=1)
-        sd = np.sqrt((c.fraction * (c.sd**2 + (c.mean - mean[:, None]) ** 2)).sum(axis=1))
-        distributions = score_distributions(mean, sd, some.background_density if densities else None)
+        density = some.background_density if densities else None
+        distributions = score_distributions(c.fraction, c.mean, c.sd, density)
         rows = self.classes.rows(np.repeat(which, x.shape[1]))
         preset = greatest_class_false_alarm(x.ravel(), rows).reshape(x.shape)
         return [(distributions[i], preset[i]) for i in same]
@@ -617,8 +606,12 @@ class RocScores:
 _GRID, _REACH = 201, 6.0
 
 
-def score_distributions(mean: Array, sd: Array, density: Callable[[Array], Array] | None) -> list[ScoreDistribution]:
-    """Moments of a score in n evaluations, and its density where that is wanted."""
+def score_distributions(
+    weights: Array, means: Array, sds: Array, density: Callable[[Array], Array] | None
+) -> list[ScoreDistribution]:
+    """Moments of a score of several laws (n, K) in n evaluations, and its density where that is wanted."""
+    mean = (weights * means).sum(axis=1)
+    sd = np.sqrt((weights * (sds**2 + (means - mean[:, None]) ** 2)).sum(axis=1))
     if density is None:
         return [ScoreDistribution(m, s) for m, s in zip(mean.tolist(), sd.tolist(), strict=True)]
     grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)

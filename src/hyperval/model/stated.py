@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+import scipy  # its parts are loaded where they are first named
 
 from hyperval import datasets
 from hyperval.atmosphere import AtmosphericState, atmospheric_terms
@@ -66,6 +66,19 @@ MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is c
 _ENVIRONMENT = (
     "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
 )  # fmt: skip
+
+
+class Keeps:
+    """What keeps what follows from it, once it was asked for."""
+
+    kept: dict[Any, Any]
+
+    def once(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What ``make`` gives, made the first time that ``key`` is asked for."""
+        if key not in self.kept:
+            self.kept[key] = make()
+        made: Made = self.kept[key]
+        return made
 
 
 @dataclass(frozen=True)
@@ -122,7 +135,7 @@ def mean_error_covariance(covariance: Array, n: int) -> Array:
     Few spectra know their own spread badly; with this +-1.96 u is the 95 % interval of the mean.
     Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
     """
-    wider = float(special.stdtrit(n - 1, 0.975)) / Z95
+    wider = float(scipy.special.stdtrit(n - 1, 0.975)) / Z95
     return np.asarray(wider**2 * covariance / n)
 
 
@@ -168,10 +181,8 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     if known.sum() < 2:
         return out
     if nominal is not None and wavelength_nm.size == len(nominal) and sampled_bands(wavelength_nm, nominal) is not None:
-        from scipy.interpolate import CubicSpline  # 10 MB
-
         at = np.clip(axis.centre_nm, wavelength_nm[known][0], wavelength_nm[known][-1])
-        moved = CubicSpline(wavelength_nm[known], values[known])(at)
+        moved = scipy.interpolate.CubicSpline(wavelength_nm[known], values[known])(at)
         return np.where(known, moved, np.nan)
     return band_average(wavelength_nm[known], values[known], axis, outside="nan")
 
@@ -180,10 +191,8 @@ def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralA
     """(B, B) error covariance of band averages from that of samples (n, n); 0 in bands they do not cover."""
     if wavelength_nm.size == len(axis) and sampled_bands(wavelength_nm, axis) is not None:
         return covariance
-    from scipy import sparse  # a band has a part in few of the samples
-
     weights, short = band_weights(wavelength_nm, axis)
-    few = sparse.csr_array(np.where(short[:, None], 0.0, weights))
+    few = scipy.sparse.csr_array(np.where(short[:, None], 0.0, weights))  # a band has a part in few of the samples
     return np.asarray((few @ (few @ covariance).T).T)
 
 
@@ -201,18 +210,18 @@ def band_error_covariance(
 
 
 @dataclass(frozen=True)
-class Sources:
+class Sources(Keeps):
     """Where spectra come from: the axis, statistics handed in, and how file names become paths.
 
     ``nominal`` are the bands as they are labelled, where they are not those of ``axis`` (a shifted spectrometer);
-    what was measured stands on them.  ``read`` holds the spectra of files that were read before.
+    what was measured stands on them.  ``kept`` holds the spectra of files that were read before.
     """
 
     axis: SpectralAxis
     measured: Mapping[str, ClassStatistics]
     resolve: Resolve
     nominal: SpectralAxis | None = None
-    read: Read = field(default_factory=dict, repr=False, compare=False)
+    kept: Read = field(default_factory=dict, repr=False, compare=False)
 
     def surface(self, surface: Surface) -> SurfaceStatistics:
         """Mean and covariance of one surface of the scene (rho_m, Sigma_m of 3.8-3.12).
@@ -262,11 +271,8 @@ class Sources:
 
     def _once(self, reader: Callable[..., Made], reference: str, **how: Any) -> Made:
         """What a file says, read the first time that it is asked for."""
-        key = (path := self.resolve(reference), *how.values())
-        if key not in self.read:
-            self.read[key] = reader(path, **how)
-        made: Made = self.read[key]
-        return made
+        path = self.resolve(reference)
+        return self.once((path, *how.values()), lambda: reader(path, **how))
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
         axis, zero, more = self.axis, np.zeros((len(self.axis), len(self.axis))), dict[str, Any]()
@@ -463,19 +469,6 @@ def _noted(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms
     return replace(terms, notes=(*unstated_notes(state), *engine_notes(state, terms)))
 
 
-class Keeps:
-    """What keeps what follows from it, once it was asked for."""
-
-    kept: dict[Any, Any]
-
-    def once(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What ``make`` gives, made the first time that ``key`` is asked for."""
-        if key not in self.kept:
-            self.kept[key] = make()
-        made: Made = self.kept[key]
-        return made
-
-
 @dataclass(eq=False)
 class Atmosphere(Keeps):
     """The atmosphere over a scenario, at its bands: terms of (3.7) in any of its states.
@@ -613,14 +606,14 @@ class Law(NamedTuple):
     ----------
     owner : number of the class
     weight : part of the class
-    offset : (B,) of its mean from that of the class; None: the class itself
+    offset : (B,) of its mean from that of the class
     covariance : (B, B)
     dof : degrees of freedom of a component; None: those of the class
     """
 
     owner: int
     weight: float
-    offset: Array | None
+    offset: Array
     covariance: Array
     dof: float | None
 
@@ -711,7 +704,7 @@ def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[L
     parts = surface.components
     if parts is None:
         scale = surface.tail_scale if c.tail_dof == "measured" else 1.0
-        return [Law(number, 1.0, None, scale * surface.covariance, None)]
+        return [Law(number, 1.0, np.zeros(len(surface.axis)), scale * surface.covariance, None)]
     dof = None if isinstance(c.tail_dof, float) else parts.dof
     laws = zip(parts.weights.tolist(), parts.offsets, parts.covariances, strict=True)
     return [Law(number, w, offset, covariance, dof) for w, offset, covariance in laws]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import difflib
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -325,11 +326,9 @@ def every_path(world: World) -> list[str]:
             continue
         for name in names[entry.of or "fill"] if "*" in pattern else [""]:
             path = pattern.replace("*", f"[{name}]")
-            try:
+            with suppress(UsageError):  # not in this scenario
                 value_at(world, path)
-            except UsageError:  # not in this scenario
-                continue
-            out.append(path)
+                out.append(path)
     return list(dict.fromkeys([*out, *numbers_of(stated.scenario)]))
 
 
@@ -454,11 +453,9 @@ class World:
     @cached_property
     def _recorded(self) -> tuple[Array, Array]:
         """(U or 1, S, B or 1) gain and offset on the reflectance of surfaces, where it is what is recorded."""
-        stated, scene = self.stated, self.stated.scenario.scene
+        scenario, scene = self.stated.scenario, self.stated.scenario.scene
         named = (*scene.classes, *scene.panels, *scene.sites, *scene.targets)
-        free = np.array([s.spectrum.measured is None for s in named])[None, :, None]
-        if stated.scenario.atmosphere is not None:
-            free = np.zeros_like(free)
+        free = np.array([scenario.atmosphere is None and s.spectrum.measured is None for s in named])[None, :, None]
         gain, offset = self.column("gain")[:, None, :], self.column("offset")[:, None, :]
         return np.where(free, gain, 1.0), np.where(free, offset, 0.0)
 
@@ -542,12 +539,10 @@ class World:
 
     def populations_at(self, u: int) -> list[tuple[str, TargetSubject]]:
         """The populations of target pixels with their fills in one truth, each with the name of its target."""
-        out = []
-        for number, (t, _, population) in enumerate(self.stated.populations):
-            models, which = self.fill_models(number)
-            fill = models[which[u]]
-            out.append((self.stated.targets[t].name, population.model_copy(update={"fill": fill})))
-        return out
+        stated = self.stated
+        fills = (models[which[u]] for models, which in map(self.fill_models, range(len(stated.populations))))
+        each = zip(stated.populations, fills, strict=True)
+        return [(stated.targets[t].name, p.model_copy(update={"fill": fill})) for (t, _, p), fill in each]
 
     @cached_property
     def pixel_fills(self) -> list[FillDistribution]:

@@ -23,7 +23,8 @@ from hyperval.errors import InputError, UsageError, needed, one_of, refusal, ref
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, cut_out
-from hyperval.model import PositiveDefinite, Sources, UnmixedSubject, fully_constrained, labelled, own_mean_sampling
+from hyperval.model import PositiveDefinite, Sources, fully_constrained, own_mean_sampling
+from hyperval.model.classification import Unmixed, UnmixedSubject, labelled
 from hyperval.model.filters import whitened
 from hyperval.observe.open import IMAGE, Place, number_rows
 from hyperval.paths import Resolve
@@ -317,9 +318,7 @@ class _Curves:
         lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
         order = np.lexsort((samples, lines))
         lines, samples = lines[order], samples[order]
-        values, usable = place.pixels_at(lines, samples)
-        pixels = values[:, bank.bands]
-        usable &= np.isfinite(pixels).all(axis=1)
+        pixels, usable = place.pixels_at(lines, samples, bank.bands)
         stratum = place.classes[lines, samples][usable]
         return own_mean_sampling(bank.detectors[key].weights[0], *bank.background, pixels[usable], stratum, n)
 
@@ -488,20 +487,6 @@ METHODS = {"equal": "fcls", "background": "fcls-weighted"}
 PLACES = 60  # of the background, at which the same sum is taken for its error
 
 
-@dataclass(frozen=True, eq=False)
-class Unmixed:
-    """Areas by (subject, method), and what the prediction needs for each subject.
-
-    ``bands`` (B,) were used; ``covariances``: method -> (F, F) weights of the fit, None for equal ones.
-    """
-
-    areas: Mapping[tuple[str, str], Abundance]
-    subjects: tuple[UnmixedSubject, ...]
-    bands: Mask
-    covariances: Mapping[str, Array | None]
-    pixel_area_m2: float
-
-
 class _Footprints(NamedTuple):
     """The footprint of an object: first on the object, then on places of the background.
 
@@ -532,8 +517,7 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
     """
     pixel_area, region = needed(place.pixel_area_m2, "areas.ground"), place.pixels_of(task.background)
     covariance = place.in_reflectance(place.statistics[task.background])[1][np.ix_(bands, bands)]
-    covariances = {METHODS[w]: None if w == "equal" else covariance for w in task.weights}
-    noise = {name: None if c is None else PositiveDefinite(c) for name, c in covariances.items()}
+    noise = {METHODS[w]: None if w == "equal" else PositiveDefinite(covariance) for w in task.weights}
     targets = {t.name: t for t in detection.targets}
     if lacking := [item.target for item in task.targets if item.target not in targets]:
         raise UsageError(f"unmixing: no detection target {lacking[0]!r}", expected=one_of(targets))
@@ -563,7 +547,7 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
                     item.endmembers, len(members), nominal, int(np.mean([f.ring for f in own])),
                 )
             )  # fmt: skip
-    return Unmixed(areas, tuple(subjects), bands, covariances, pixel_area)
+    return Unmixed(areas, tuple(subjects), bands, noise, pixel_area)
 
 
 def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite | None) -> ObjectSum:
@@ -592,9 +576,7 @@ def _footprints(
     # All read at once: each line once.
     flat = [np.ravel_multi_index(tuple(part.T), region.shape) for part in parts]
     every, index = np.unique(np.concatenate(flat), return_inverse=True)
-    values, usable = place.pixels_at(*np.divmod(every, region.shape[1]))
-    values = values[:, bands]
-    usable &= np.isfinite(values).all(axis=1)
+    values, usable = place.pixels_at(*np.divmod(every, region.shape[1]), bands)
     read = [values[at[usable[at]]] for at in np.split(index, np.cumsum([f.size for f in flat])[:-1])]
     if not len(read[1]):
         raise refusal("unmixing.ring", name=target.name, background=task.background, ring_pixels=task.ring_pixels)

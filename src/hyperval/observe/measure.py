@@ -22,9 +22,9 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.data import Array, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, TargetObject, all_pixels
-from hyperval.model import ClassLaw, class_features, feature_bands, measured_error
+from hyperval.model import ClassLaw, Unmixed, class_features, feature_bands, measured_error
 from hyperval.observe import sites
-from hyperval.observe.detect import BACKGROUND, Detected, Unmixed, detect, scored_part, target_groups, unmix
+from hyperval.observe.detect import BACKGROUND, Detected, detect, scored_part, target_groups, unmix
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels
@@ -543,8 +543,8 @@ class RegionLaws:
             region = c.spectrum.measured if c.covariance is None else c.covariance.measured
             if region is None or region not in self._statistics:
                 continue
-            mixes = c.mixture is not None and c.has_mixture
-            key = (region, c.mixture, c.tail_dof is not None) if mixes and c.mixture is not None else None
+            mixes = c.mixture if c.has_mixture else None
+            key = None if mixes is None else (region, mixes, c.tail_dof is not None)
             first = out.setdefault(region, (c, key))[1]
             if key is not None and first is None:
                 out[region] = (c, key)

@@ -191,10 +191,13 @@ class Place:
             return sample.mean, sample.covariance
         return self.line.reflectance(sample.mean), sample.covariance / np.outer(self.line.gain, self.line.gain)
 
-    def pixels_at(self, lines: Index, samples: Index) -> tuple[Array, Mask]:
-        """(n, B) values of pixels (n,), in reflectance with a line, and (n,) which of them hold data."""
+    def pixels_at(self, lines: Index, samples: Index, bands: Mask | slice = slice(None)) -> tuple[Array, Mask]:
+        """(n, b) values of pixels (n,), in reflectance with a line, and (n,) which of them hold data in the ``bands``;
+        without any, which hold data.
+        """
         values, usable = self.cube.marked_pixels((lines, samples))
-        return values if self.line is None else self.line.reflectance(values), usable
+        values = (values if self.line is None else self.line.reflectance(values))[:, bands]
+        return values, usable if isinstance(bands, slice) else usable & np.isfinite(values).all(axis=1)
 
     def valid_pixels(
         self, lines: Index, samples: Index, bands: npt.NDArray[Any] | None = None
@@ -494,16 +497,14 @@ class FinerGrid:
 
     Attributes
     ----------
-    line, sample : of the corner of its first cell, continuous pixel coordinates of the cube
-    line_step, sample_step : sides of a cell [pixels]
+    corner : (2,) line and sample of the corner of its first cell, continuous pixel coordinates of the cube
+    step : (2,) sides of a cell [pixels]
     blur : FWHM of the sensor's Gaussian along lines and along samples [pixels]
     shifts : (K, 2) equally likely displacements of the cells along lines and samples [pixels]
     """
 
-    line: float
-    sample: float
-    line_step: float
-    sample_step: float
+    corner: Array
+    step: Array
     blur: tuple[float, float] = (0.0, 0.0)
     shifts: Array = field(default_factory=lambda: np.zeros((1, 2)))
 
@@ -517,8 +518,7 @@ def window_fills(cells: Array | Mask, grid: FinerGrid, corner: tuple[int, int], 
     grid : where the first of them lies
     corner, size : first line and sample of the window, and its lines and samples
     """
-    y = grid.line + grid.line_step * np.arange(cells.shape[0] + 1)
-    x = grid.sample + grid.sample_step * np.arange(cells.shape[1] + 1)
+    y, x = (grid.corner[i] + grid.step[i] * np.arange(cells.shape[i] + 1) for i in (0, 1))
     part = cells.astype(float)
     out = np.empty((len(grid.shifts), *size))
     for k, (down, right) in enumerate(grid.shifts):
@@ -567,22 +567,22 @@ def image_targets(
         grid = replace(_grid(truth, raster, cube, str(path)), blur=both, shifts=registration_shifts(error))
         images = ((name, mask, mask) for name, mask in _cells(raster, path, truth.classes))
     else:
-        grid, error = FinerGrid(0.0, 0.0, 1.0, 1.0), 0.0
+        grid, error = FinerGrid(np.zeros(2), np.ones(2)), 0.0
         images = _abundances(truth, imagery.raster_of_size(path, cube), path)
     out: list[TargetObject] = []
     for material, cells, covered in images:
         listed = list(islice(patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
         refuse(len(listed) > MAX_OBJECTS, "finer.patches", str(path), most=MAX_OBJECTS, material=material)
         for name, window, inside in listed:
-            part, (down, right) = np.where(inside, cells[window], 0), (side.start for side in window)
-            there = replace(grid, line=grid.line + grid.line_step * down, sample=grid.sample + grid.sample_step * right)
+            part, first = np.where(inside, cells[window], 0), np.array([side.start for side in window])
+            there = replace(grid, corner=grid.corner + grid.step * first)
             corner, fills = _seen(name, part, there, cube.shape, str(path))
-            area = float(covered[window][inside].sum()) * grid.line_step * grid.sample_step * pixel_area
+            area = float(covered[window][inside].sum() * grid.step[0] * grid.step[1] * pixel_area)
             out.append(object_of_fills(name, material, fills, corner, cube.shape, area, str(path)))
     known = [(o.fills, o.part) for o in out if o.fills is not None]
     mean, spread = (np.concatenate([of(fills, axis=0)[part] for fills, part in known]) for of in (np.mean, np.std))
     if isinstance(truth, FinerTruth):
-        note = f"{len(out)} targets from {path.name}, {1 / grid.sample_step:.3g} times finer: {mean.size} pixels of "
+        note = f"{len(out)} targets from {path.name}, {1 / grid.step[1]:.3g} times finer: {mean.size} pixels of "
         note += f"fill {mean.min():.3g} to {mean.max():.3g}, mean {mean.mean():.3g}"
         if error:
             note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
@@ -600,8 +600,7 @@ def image_targets(
 def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGrid:
     """Place and size of the cells, by the map or as the campaign states them."""
     if truth.corner is not None and truth.times_finer is not None:
-        step = 1.0 / truth.times_finer
-        grid = FinerGrid(*truth.corner, step, step)
+        grid = FinerGrid(np.array(truth.corner), np.full(2, 1.0 / truth.times_finer))
     else:
         if raster.transform is None or cube.transform is None:
             raise refusal("finer.map", where)
@@ -610,9 +609,8 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGri
         to_pixels: Affine = ~cube.transform @ raster.transform
         aslant = max(abs(to_pixels.b) * raster.lines, abs(to_pixels.d) * raster.samples)
         refuse(aslant > _SQUARE_OFF or to_pixels.a <= 0 or to_pixels.e <= 0, "finer.aslant", where)
-        grid = FinerGrid(to_pixels.f, to_pixels.c, to_pixels.e, to_pixels.a)
-    if max(grid.line_step, grid.sample_step) > 0.5:
-        raise refusal("finer.cells", where, line_step=grid.line_step, sample_step=grid.sample_step)
+        grid = FinerGrid(np.array([to_pixels.f, to_pixels.c]), np.array([to_pixels.e, to_pixels.a]))
+    refuse(grid.step.max() > 0.5, "finer.cells", where, line_step=grid.step[0], sample_step=grid.step[1])
     return grid
 
 
@@ -669,8 +667,7 @@ def _seen(
     name: str, cells: Array | Mask, grid: FinerGrid, shape: tuple[int, int], where: str
 ) -> tuple[tuple[int, int], Array]:
     """Corner of the window of pixels that see some of the cells of a target, and their fills (K, h, w)."""
-    starts = np.array([grid.line, grid.sample])
-    ends = starts + np.array([grid.line_step, grid.sample_step]) * cells.shape
+    starts, ends = grid.corner, grid.corner + grid.step * cells.shape
     if np.any(starts < 0) or np.any(ends > shape):
         mend = "check where the finer image lies; a target that the cube cuts is taken out of it"
         raise outside_error(np.array([starts, ends])[:, ::-1], shape, where, f"the target {name!r}", mend)

@@ -301,13 +301,9 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
             parts[NOISE] = detector_covariance(mean, axis, detector, site.pixels)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
-    reflectance: dict[str, SpectralEstimate] = {}
-    if collection.empirical_line is not None:
-        flights = {site.subject: site.line for site in collection.spectra}
-        reflectance, more = _site_reflectance(collection.empirical_line, radiance, flights, axis, resolve)
-        notes += more
-    told = {"quantity": "radiance"}
-    return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=tuple(notes), provenance=told)
+    reflectance, more = _site_reflectance(collection, radiance, axis, resolve)
+    words, told = (*notes, *more), {"quantity": "radiance"}
+    return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=words, provenance=told)
 
 
 def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
@@ -330,19 +326,18 @@ def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str
 
 
 def _site_reflectance(
-    source: EmpiricalLineSource,
-    sites: Mapping[str, SpectralEstimate],
-    flights: Mapping[str, str | None],
-    axis: SpectralAxis,
-    resolve: Resolve,
+    collection: CollectionSection, sites: Mapping[str, SpectralEstimate], axis: SpectralAxis, resolve: Resolve
 ) -> tuple[dict[str, SpectralEstimate], list[str]]:
-    """Reflectance of every site by the line through the other panels of its flight line, and notes.
+    """Reflectance of every site by the line through the other panels of its flight line, and notes; none without one.
 
     A site is never on its own line, so that each reflectance is a prediction of what the ground has.  Two or more
     other panels make the line; a single one makes it with the path radiance that ``path_radiance`` states for the
     flight line, and the note marks it as a one-point line.  Sites of one flight share their calibration, which
     cancels, but for the part of it in which a stated path radiance has none.
     """
+    if (source := collection.empirical_line) is None:
+        return {}, []
+    flights = {site.subject: site.line for site in collection.spectra}
     paths = {entry.line: entry for entry in source.path_radiance}
     if lacking := [line for line in paths if line not in flights.values()]:
         what, known = f"path_radiance: no site of flight line {lacking[0]!r}", sorted(map(repr, set(flights.values())))

@@ -34,7 +34,7 @@ _TILE = 128
 _CACHE_MB = 64
 
 
-Write = Callable[[Stored], None]  # appends lines (lines, samples, B) in order
+Write = Callable[[int, Stored], None]  # lines (lines, samples, B) from a number on
 
 
 def write_reflectance(folder: Path, name: str, cube: Cube, elm: EmpiricalLine | None, form: Form) -> tuple[Path, str]:
@@ -63,8 +63,8 @@ def write_reflectance(folder: Path, name: str, cube: Cube, elm: EmpiricalLine | 
     watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines)
     outside = 0
     with _envi(path, cube, axis, what) if form == "envi" else _cog(path, cube, axis, what) as write:
-        for _, (block, misfits) in watch(_blocks(cube, elm, axis.good)):
-            write(block)
+        for lines, (block, misfits) in watch(_blocks(cube, elm, axis.good)):
+            write(lines.start, block)
             outside += misfits
     note = f"{path.name}: {what}; no data is {NO_DATA}; {int((~elm.usable).sum())} bands without a gain"
     if outside:
@@ -99,7 +99,7 @@ def _envi(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Wri
         path, lines=cube.lines, samples=cube.samples, bands=cube.bands, data_type=_INT16, interleave="bil",
         axis=axis, description=what, ignore_value=NO_DATA, extra=extra, **place,
     ) as writer:  # fmt: skip
-        yield writer.write
+        yield lambda _, block: writer.write(block)  # in order
 
 
 @contextmanager
@@ -128,13 +128,10 @@ def _cog(path: Path, cube: Cube, axis: SpectralAxis, what: str) -> Iterator[Writ
                             i + 1, ns="IMAGERY", CENTRAL_WAVELENGTH_UM=repr(centre / 1e3), FWHM_UM=repr(width / 1e3)
                         )
                         dataset.update_tags(i + 1, GOOD_BAND=str(int(axis.good[i])))
-                    line = 0
 
-                    def write(block: Stored) -> None:
-                        nonlocal line
+                    def write(line: int, block: Stored) -> None:
                         window = Window(0, line, cube.samples, len(block))
                         dataset.write(np.ascontiguousarray(block.transpose(2, 0, 1)), window=window)
-                        line += len(block)
 
                     yield write
                 rasterio.shutil.copy(
