@@ -191,7 +191,7 @@ def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
     found = {i.name for i in attribute.assumed_inputs(world)}
     assert {*case["among"]} <= found
     assert not {*case["absent"]} & found
-    level = next(c for c in attribute.rarer_candidates([world]) if c.name == "level of the spectrum of c0")
+    level = next(c for c in attribute.further_candidates([world]) if c.name == "level of the spectrum of c0")
     np.testing.assert_allclose(level.at(0, -4.0)[0]["surfaces.[c0].mean"], 0.16)  # 4 steps of 5 % less than 0.2
 
 

@@ -155,9 +155,18 @@ class Causes:
         return Reasoner({c: data.whiten(g) for c, g in self.columns.items()}, data.whiten(self.wide))
 
     def standing(self) -> tuple[dict[Candidate, Array], Posterior]:
-        """What explains the residuals."""
+        """What explains the residuals; where no single cause is enough, what is rarer too."""
         everything = np.arange(self.predicted.size)
-        return self.explained(self.residual, self.covariance, self.columns, everything, self.predicted, True)
+
+        def explained(columns: dict[Candidate, Array]) -> tuple[dict[Candidate, Array], Posterior]:
+            return self.explained(self.residual, self.covariance, columns, everything, self.predicted, True)
+
+        columns, found = explained(self.columns)
+        for more in self.rarer:
+            if found.first == NOTHING or (found.enough and len(found.best.causes) == 1):
+                break
+            columns, found = explained({**columns, **more()})
+        return columns, found
 
     def sides(self) -> dict[str, tuple[str, str, str]]:
         """Of each quantity the bands, what is observed and what is predicted, to six digits."""
