@@ -89,6 +89,7 @@ _OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
     ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 5.0, 20.0)),
     ("angstrom_exponent", "Angstrom exponent", "0.1 of the exponent", (-10.0, 10.0)),
 )
+HEIGHTS = ("sensor altitude", "ground height")
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
 
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperval.attribute.candidates import (
+    HEIGHTS,
     SINGLE_BANDS,
     Candidate,
     arms_of,
@@ -120,8 +121,8 @@ class Causes:
     predicted, values : both, with nothing moved
     of_spectra : errors that are linear in the spectra at a level (n,)
     of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
-    rarer : what is looked for where little else explains a change, one after the other: of many scenarios what few have
-        in ``columns``, which takes runs of the engine; then the rest
+    rarer : what is looked for where little else explains a change, one after the other: heights; of many scenarios what
+        few have in ``columns``, which takes runs of the engine; then the rest
     covariance : (n, n) of the vector, with everything that is budgeted
     columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
     ends : numbers with an input one unit up and down
@@ -155,17 +156,19 @@ class Causes:
         return Reasoner({c: data.whiten(g) for c, g in self.columns.items()}, data.whiten(self.wide))
 
     def standing(self) -> tuple[dict[Candidate, Array], Posterior]:
-        """What explains the residuals; where no single cause is enough, what is rarer too."""
+        """What explains the residuals; where no single cause is enough, a height, if that is."""
         everything = np.arange(self.predicted.size)
 
         def explained(columns: dict[Candidate, Array]) -> tuple[dict[Candidate, Array], Posterior]:
             return self.explained(self.residual, self.covariance, columns, everything, self.predicted, True)
 
+        def is_enough(found: Posterior) -> bool:
+            return found.first == NOTHING or (found.enough and len(found.best.causes) == 1)
+
         columns, found = explained(self.columns)
-        for more in self.rarer:
-            if found.first == NOTHING or (found.enough and len(found.best.causes) == 1):
-                break
-            columns, found = explained({**columns, **more()})
+        heights = {} if is_enough(found) else self.rarer[0]()
+        if heights and is_enough((wider := explained({**columns, **heights}))[1]):
+            return wider
         return columns, found
 
     def sides(self) -> dict[str, tuple[str, str, str]]:
@@ -500,7 +503,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     ...         lambda scenarios, truths, budgeted: iter([seen] * len(truths)), None, looked_for={"green plank": 0.3},
     ...     )
     ...     return causes_of(model, seen, [world] * lines, seen)
-    >>> [[c.name for c in causes(n).rarer[1]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
+    >>> [[c.name for c in causes(n).rarer[2]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
     >>> [one.labels[0] for one in causes(1).of_files()]
     ['green plank: that looked for', 'asphalt: that of grass']
@@ -602,7 +605,9 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
             out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])
         return out
 
-    asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in (rare, rarer)]
+    heights = [c for c in rarer if c.name in HEIGHTS]
+    parts = heights, rare, [c for c in rarer if c not in heights]
+    asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in parts]
     return Causes(
         stack, numbers, predicted, values, partial(of_spectra, arms=arms), of_files, asked, covariance,
         columns, ends, residual, wide, evaluate, mistaken, exchanged,
