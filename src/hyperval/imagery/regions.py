@@ -322,6 +322,12 @@ MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 MAX_CLASSES = 1000
+# What programs call the pixels of no class.
+_NO_CLASS = re.compile(
+    r"un[ck]?la[sb]|un(def|known|assign|spec|ident|used)|no(n|ne|t|thing)?\b|no[ _-]?(data|class|label|value)"
+    r"|back ?ground|bg\b|hintergrund|mask|ignore|fill|null|void|nan\b|0|$",
+    re.IGNORECASE,
+)
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
 REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
@@ -481,9 +487,9 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
 def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     """The classes of a raster of one band, or the bands of a raster of several; of the array ``grid.name_field``.
 
-    One band: a class for every whole number but 0 and the ignore value, under the class name of the header, else under
-    the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
-    under the band name.
+    One band: a class for every whole number but the ignore value, and 0 where no class has that name, under the class
+    name of the header, else under the file's name (a single class) or ``name-value``.  Several bands: what is not 0,
+    nor NaN, nor the ignore value, under the band name.
     """
     raster = raster_of_size(path, grid, grid.name_field)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
@@ -497,19 +503,29 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
         return
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
-    numbers = [int(v) for v in values if v != 0]
     listed = [name.strip() for name in about.entries.get("class names", "").rstrip(", \n").split(",")]
     classes = about.header.number("classes") if about.header is not None and listed != [""] else None
     told = {"count": len(listed), "classes": classes, "names": ", ".join(listed)}
     refuse(classes not in (None, len(listed)), "region.class_names", path, **told)
-    # What a program calls the pixels of no class.
-    left = int(np.sum(stored[0] == 0)) if not re.match(r"(un|no|back|mask|ignore|fill|0|$)", listed[0].lower()) else 0
-    note = [f"stands beside class 0, {listed[0]!r}, whose {left} pixels are taken as of no class"] if left else []
+    numbers, is_named = _classes(values, listed), 0 in values and not _NO_CLASS.match(listed[0])
+    taken = "a class as the others" if 0 in numbers else "taken as of no class: the map has higher numbers than names"
+    note = [f"is of a map whose class 0, {listed[0]!r}, is {taken}"] if is_named else []
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
-        name = listed[value] if 0 < value < len(listed) else ""
+        name = listed[value] if 0 <= value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
         yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value, *note]
+
+
+def _classes(values: Array, names: Sequence[str]) -> list[int]:
+    """The numbers of a map that are classes: 0 where a class bears that name, and the names reach to the highest.
+
+    >>> each = [""], ["Grass", "Soil", "Roof"], ["Unlabelled", "Soil", "Roof"], ["Grass", "Soil"]
+    >>> [_classes(np.array([0.0, 1.0, 2.0]), names) for names in each]
+    [[1, 2], [0, 1, 2], [1, 2], [1, 2]]
+    """
+    has_0 = not _NO_CLASS.match(names[0]) and values.max(initial=0) < len(names)
+    return [int(v) for v in values if v != 0 or has_0]
 
 
 def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
