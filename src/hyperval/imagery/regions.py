@@ -203,7 +203,8 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
         with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
             raster = arrays.open_matrix(path, str(kind), variable, shape)
     raster = raster or open_raster(path)
-    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
+    told = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape}
+    refuse(raster.size[:2] != shape, "image.size", path, **told)
     if raster.transform is not None and isinstance(position, Affine) and (raster.crs is None) == (image.crs is None):
         off = _pixels_off(raster, position, image.crs)
         refuse(off > _OFF_GRID, "image.elsewhere", path, off=off, own=raster.crs, crs=image.crs, name=path.name)
