@@ -323,6 +323,7 @@ MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 MAX_CLASSES = 1000
+_NO_NAME = re.compile(r"(band|b)?[ _-]?[0-9]+$|(red|green|blue|alpha)$", re.IGNORECASE)  # of a band that is a mask
 # What programs call the pixels of no class.
 _NO_CLASS = re.compile(
     r"un[ck]?la[sb]|un(def|known|assign|spec|ident|used)|no(n|ne|t|thing)?\b|no[ _-]?(data|class|label|value)"
@@ -490,17 +491,19 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
 
     One band: a class for every whole number but the ignore value, and 0 where no class has that name, under the class
     name of the header, else under the file's name (a single class) or ``name-value``.  Several bands: what is not 0,
-    nor NaN, nor the ignore value, under the band name.
+    nor NaN, nor the ignore value, under the band name; without names each holds one value beside 0.
     """
     raster = raster_of_size(path, grid, grid.name_field)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
-        names = about.band_names
-        if len(set(names)) != raster.bands:
-            names = tuple(f"band-{i + 1}" for i in range(raster.bands))
-        yield from ((name, where, [(stored[i] != 0) & valid[i]]) for i, name in enumerate(names))
+        names, masks = about.band_names, (stored != 0) & valid
+        names = names if len(set(names)) == raster.bands else tuple(f"band-{i + 1}" for i in range(raster.bands))
+        if all(map(_NO_NAME.match, names)):
+            several = any(np.unique(band[mask]).size > 1 for band, mask in zip(stored, masks, strict=True))
+            refuse(several, "region.colours", path, bands=raster.bands, name=path.name)
+        yield from ((name, where, [mask]) for name, mask in zip(names, masks, strict=True))
         return
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
