@@ -180,8 +180,8 @@ def test_what_a_mask_marks_as_no_data_is_no_region(tmp_path, fill, count):
     assert all(np.array_equal(region.mask, expected()) for region in found.values())
     place = {"transform": TRANSFORM @ TRANSFORM.translation(0, 5), "crs": UTM18}
     names = {"extra": {"classes": "2", "class names": "{none, grass, dry}"}}
-    for values, message, options in (
-        (np.ones((9, 12, 1)), "9 lines and 12", {}), (np.full((10, 12, 1), 1.5), "not class num", {}),
+    for values, message, options in ((np.arange(240.0).reshape(10, 12, 2), "2 bands without names, of several", {}),
+        (np.ones((9, 12, 1)), "9 lines and 12(?s:.*)--like", {}), (np.full((10, 12, 1), 1.5), "not class num", {}),
         (np.ones((10, 12, 1)), "5 pixels off the image", place), (np.ones((10, 12, 1)), "3 class names for 2", names),
     ):  # fmt: skip
         with pytest.raises(InputError, match=message):

@@ -24,9 +24,11 @@ from hyperval.errors import refusal, refuse
 from hyperval.imagery.description import Description, Raster, crs_of_wkt
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.storage import whole_file, write_text
+from hyperval.storage import number_of, whole_file, write_text
 
-_METRES = ("meters", "metres", "meter", "metre", "m")
+# Metres of the units of a map.
+_LENGTHS = dict.fromkeys(("meters", "metres", "meter", "metre", "m"), 1.0)
+_LENGTHS |= dict.fromkeys(("feet", "foot", "ft"), 0.3048) | {"us survey feet": 1200 / 3937}
 _DEGREES = ("degrees", "degree", "deg")
 # Names of datums, without blanks and signs: EPSG code of longitude and latitude, of UTM zone 0 north and south, and
 # the zones that EPSG lists.
@@ -66,7 +68,8 @@ def transform_of(header: EnviHeader) -> Affine | None:
         raise refusal("image.map_info", header.where("map info")) from None
     if not all(map(math.isfinite, (x_ref, y_ref, east, north, dx, dy, rotation))) or dx <= 0 or dy <= 0:
         raise refusal("image.map_sizes", header.where("map info"))
-    if parts[0].strip().lower() in ("arbitrary", "none") and (east, north, dx, dy) == (x_ref, y_ref, 1.0, 1.0):
+    of_pixels = dx == dy == 1.0 and (east, north) in ((x_ref, y_ref), (0.0, 0.0)) and _metres(parts) is None
+    if parts[0].strip().lower() in ("arbitrary", "none") and of_pixels:
         return None  # ENVI writes this for an image in pixel coordinates
     cos, sin = math.cos(rotation), math.sin(rotation)
     a, b, d, e = cos * dx, sin * dy, sin * dx, -cos * dy
@@ -85,7 +88,8 @@ def crs_of(header: EnviHeader) -> CRS | None:
     if stated is not None or not parts:
         return stated
     projection, units = parts[0].strip().lower(), _options(parts).get("units")
-    if units is not None and units.lower() not in (_DEGREES if projection.startswith("geographic") else _METRES):
+    degrees = projection.startswith("geographic")
+    if units is not None and not (units.lower() in _DEGREES if degrees else _metres(parts) == 1.0):
         return None  # a grid in feet is in no system of metres
     if projection.startswith("geographic lat"):
         codes = _datum(parts[7]) if len(parts) > 7 else None
@@ -106,8 +110,13 @@ def _datum(name: str) -> tuple[int, int, int | None, range] | None:
 
 def _options(parts: Sequence[str]) -> dict[str, str]:
     """The entries 'name=value' (or, as some programs write, 'name  value') behind the numbers of ``map info``."""
-    pairs = [re.split(r"\s*=\s*|\s+", p.strip(), maxsplit=1) for p in parts[7:]]
+    pairs = [re.split(r"\s*=\s*|\s+", p.strip(), maxsplit=1) for p in parts]
     return {pair[0].lower(): pair[1] for pair in pairs if len(pair) == 2}
+
+
+def _metres(parts: Sequence[str]) -> float | None:
+    """Metres of the unit that ``map info`` or ``pixel size`` states, which for UTM is the metre; None where unknown."""
+    return _LENGTHS.get(_options(parts).get("units", "m" if parts[0].strip().lower() == "utm" else "").lower())
 
 
 def pixel_sides_m(transform: Affine | None, area_m2: float) -> tuple[float, float]:
@@ -124,14 +133,20 @@ def pixel_sides_m(transform: Affine | None, area_m2: float) -> tuple[float, floa
 def pixel_area_m2(transform: Affine | None, crs: CRS | None, entries: Mapping[str, str]) -> float | None:
     """Ground area of a pixel [m2]; None when the map unit is unknown or an angle.
 
-    ``entries`` of a header, whose ``map info`` states the unit where no system is known.
+    ``entries`` of a header, whose ``map info`` states the unit where no system is known, and whose ``pixel size``
+    counts where there is no position.
+
+    >>> header, placed = {"pixel size": "2.0, 2.0, units=Meters"}, Affine.scale(2.0, -2.0)
+    >>> infos = [f"{known}, 1, 1, 5, 5, 2, 2" for known in ("Arbitrary", "UTM", "Custom, units=Feet")]
+    >>> pixel_area_m2(None, None, header), *(pixel_area_m2(placed, None, header | {"map info": i}) for i in infos)
+    (4.0, None, 4.0, 0.37161216)
     """
-    if transform is None:
-        return None
-    area = abs(transform.determinant)
-    if crs is not None:
-        return area * float(crs.linear_units_factor[1]) ** 2 if crs.is_projected else None
-    return area if _options(entries.get("map info", "").split(",")).get("units", "").lower() in _METRES else None
+    if transform is not None and crs is not None:
+        return abs(transform.determinant) * float(crs.linear_units_factor[1]) ** 2 if crs.is_projected else None
+    parts = entries.get("pixel size" if transform is None else "map info", "").split(",")
+    area = math.prod(map(number_of, parts[:2])) if transform is None else abs(transform.determinant)
+    unit = _metres(parts)
+    return area * unit**2 if unit is not None and area > 0 else None
 
 
 @dataclass(frozen=True, eq=False)

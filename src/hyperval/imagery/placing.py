@@ -434,6 +434,8 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         row("coordinate system", str(places.crs or "not known"), by if at == raster.path else at.name)
     elif a is None:
         row("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them")
+        if (area := pixel_area_m2(None, None, about.entries)) is not None:
+            row("pixel", f"{math.sqrt(area):.4g} m", origin("pixel size"))
     else:
         place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {a.a:g}, {a.e:g}"
         row("position", place, origin("map info"))

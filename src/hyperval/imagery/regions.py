@@ -203,7 +203,8 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
         with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
             raster = arrays.open_matrix(path, str(kind), variable, shape)
     raster = raster or open_raster(path)
-    refuse(raster.size[:2] != shape, "image.size", path, lines=raster.lines, samples=raster.samples, shape=shape)
+    told = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape}
+    refuse(raster.size[:2] != shape, "image.size", path, **told)
     if raster.transform is not None and isinstance(position, Affine) and (raster.crs is None) == (image.crs is None):
         off = _pixels_off(raster, position, image.crs)
         refuse(off > _OFF_GRID, "image.elsewhere", path, off=off, own=raster.crs, crs=image.crs, name=path.name)
@@ -321,6 +322,13 @@ MAX_BINARY_BYTES = 64 << 20
 MAX_BYTES = 256 << 20
 MAX_FEATURES = 100_000
 MAX_CLASSES = 1000
+_NO_NAME = re.compile(r"(band|b)?[ _-]?[0-9]+$|(red|green|blue|alpha)$", re.IGNORECASE)  # of a band that is a mask
+# What programs call the pixels of no class.
+_NO_CLASS = re.compile(
+    r"un[ck]?la[sb]|un(def|known|assign|spec|ident|used)|no(n|ne|t|thing)?\b|no[ _-]?(data|class|label|value)"
+    r"|back ?ground|bg\b|hintergrund|mask|ignore|fill|null|void|nan\b|0|$",
+    re.IGNORECASE,
+)
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
 REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
@@ -479,35 +487,47 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
 def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     """The classes of a raster of one band, or the bands of a raster of several; of the array ``grid.name_field``.
 
-    One band: a class for every whole number but 0 and the ignore value, under the class name of the header, else under
-    the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
-    under the band name.
+    One band: a class for every whole number but the ignore value, and 0 where no class has that name, under the class
+    name of the header, else under the file's name (a single class) or ``name-value``.  Several bands: what is not 0,
+    nor NaN, nor the ignore value, under the band name; without names each holds one value beside 0.
     """
     raster = raster_of_size(path, grid, grid.name_field)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
-        names = about.band_names
-        if len(set(names)) != raster.bands:
-            names = tuple(f"band-{i + 1}" for i in range(raster.bands))
-        yield from ((name, where, [(stored[i] != 0) & valid[i]]) for i, name in enumerate(names))
+        names, masks = about.band_names, (stored != 0) & valid
+        names = names if len(set(names)) == raster.bands else tuple(f"band-{i + 1}" for i in range(raster.bands))
+        if all(map(_NO_NAME.match, names)):
+            several = any(np.unique(band[mask]).size > 1 for band, mask in zip(stored, masks, strict=True))
+            refuse(several, "region.colours", path, bands=raster.bands, name=path.name)
+        yield from ((name, where, [mask]) for name, mask in zip(names, masks, strict=True))
         return
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
-    numbers = [int(v) for v in values if v != 0]
     listed = [name.strip() for name in about.entries.get("class names", "").rstrip(", \n").split(",")]
     classes = about.header.number("classes") if about.header is not None and listed != [""] else None
     told = {"count": len(listed), "classes": classes, "names": ", ".join(listed)}
     refuse(classes not in (None, len(listed)), "region.class_names", path, **told)
-    # What a program calls the pixels of no class.
-    left = int(np.sum(stored[0] == 0)) if not re.match(r"(un|no|back|mask|ignore|fill|0|$)", listed[0].lower()) else 0
-    note = [f"stands beside class 0, {listed[0]!r}, whose {left} pixels are taken as of no class"] if left else []
+    numbers, is_named = _classes(values, listed), 0 in values and not _NO_CLASS.match(listed[0])
+    taken = "a class as the others" if 0 in numbers else "taken as of no class: the map has higher numbers than names"
+    note = [f"is of a map whose class 0, {listed[0]!r}, is {taken}"] if is_named else []
     for value in numbers:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
-        name = listed[value] if 0 < value < len(listed) else ""
+        name = listed[value] if 0 <= value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
         yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value, *note]
+
+
+def _classes(values: Array, names: Sequence[str]) -> list[int]:
+    """The numbers of a map that are classes: 0 where a class bears that name, and the names reach to the highest.
+
+    >>> each = [""], ["Grass", "Soil", "Roof"], ["Unlabelled", "Soil", "Roof"], ["Grass", "Soil"]
+    >>> [_classes(np.array([0.0, 1.0, 2.0]), names) for names in each]
+    [[1, 2], [0, 1, 2], [1, 2], [1, 2]]
+    """
+    has_0 = not _NO_CLASS.match(names[0]) and values.max(initial=0) < len(names)
+    return [int(v) for v in values if v != 0 or has_0]
 
 
 def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:

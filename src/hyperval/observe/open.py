@@ -248,7 +248,8 @@ def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping
         notes.append(f"places on the map are found by the lookup table {table.raster.path.name}{size}")
     truth, area_m2 = collection.targets, table.pixel_area_m2 if table is not None else cube.pixel_area_m2
     if truth is not None and truth.pixel_size_m is not None:
-        refuse(table is not None or cube.pixel_area_m2 is not None, "place.position")
+        placed = cube.transform is not None and cube.pixel_area_m2 is not None
+        refuse(table is not None or placed, "place.position")
         area_m2 = truth.pixel_size_m**2
     site = _Site(cube, table, area_m2, resolve)
     regions: dict[str, Region] = {}
@@ -411,10 +412,7 @@ class _Site:
         """The target objects, and what is to be said of how they were drawn."""
         cube, table, area = self.cube, self.table, self.area_m2
         if truth.csv is not None:
-            if area is None and table is None and cube.crs is not None and cube.crs.is_geographic:
-                mend = "state targets.pixel_size_m"
-                raise UsageError("pixels in degrees have no ground size", where=truth.csv, mend=mend)
-            side, path = None if area is None else math.sqrt(area), self.resolve(truth.csv)
+            side = math.sqrt(needed(area, "target.pixel", path := self.resolve(truth.csv)))
             return imagery.read_targets(path, cube.shape, transform=table or cube.transform, pixel_size_m=side), []
         if (image := truth.finer or truth.abundances) is not None:
             return image_targets(image, cube, area, self.resolve)

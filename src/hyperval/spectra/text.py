@@ -23,6 +23,7 @@ from hyperval.storage import decoded
 from hyperval.units import only_wavelength_unit, power_unit
 
 MAX_TITLE = 1000
+_REMARK = "#;%/ \t"  # what a line of titles may begin with
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
 # No part of a pattern may begin in more than one place of what the part before it takes: a line of a million digits
@@ -72,7 +73,8 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     hyperval.errors.InputError: a.csv: 'std (%)' states another unit than the mean that it belongs to...
     """
     header, table, first_line = number_table(text, path)
-    titles, where, whole, spread = _titles(header, table.shape[1]), str(path), "\n".join(header), dict[int, int]()
+    where, whole = str(path), "\n".join(header)
+    titles = _titles(header, table.shape[1], where)
     if columns is not None:
         picked = [_column(c, titles, where) for c in columns]
         refuse(len(picked) not in (2, 3), "text.columns", where)
@@ -303,10 +305,20 @@ def is_number(text: str) -> bool:
     return bool(_NUMBER.match(text))
 
 
-def _titles(header: list[str], count: int) -> list[str]:
+def _titles(header: list[str], count: int, where: str) -> list[str]:
     """Titles of the columns from the last header line, its units behind those of the line above; "" without any.
 
     Where the last line does not fit, one further up does that begins with a title of wavelengths.
+
+    >>> [_titles([t], 3, "a.csv")[1:] for t in ('nm,"grass, dry",soil', 'nm;"a; b";c;;', "# wl, a, b, UT: , 18.3")]
+    [['grass, dry', 'soil'], ['a; b', 'c'], ['a', 'b']]
+    >>> _titles(["wavelength (nm),grass, dry,soil"], 3, "a.csv")
+    Traceback (most recent call last):
+    hyperval.errors.InputError: a.csv: 4 titles for 3 columns...
+
+    Raises
+    ------
+    InputError : the last line has titles, of wavelengths first, and not as many as there are columns.
     """
     if not header:
         return [""] * count
@@ -319,19 +331,28 @@ def _titles(header: list[str], count: int) -> list[str]:
         further = _split_titles(line, count)
         if _WAVE.match(further[0]):
             return further
+    found = len(_without_end(_parts_of(header[-1], _delimiter(header[-1]))))
+    unlike = found > count or (found > 1 and header[-1][0] not in _REMARK)
+    refuse(unlike and _FIRST_TITLE.match(header[-1]), "text.titles", where, titles=found, count=count)
     return titles
 
 
 def _split_titles(line: str, count: int) -> list[str]:
-    line = line.lstrip("#;%/ \t")
-    best: list[str] = []
-    for pattern in (";", "\t", ",", r"\s{2,}", r"\s+"):
-        parts = [p.strip().strip('"') for p in re.split(pattern, line)]
-        if len(parts) == count:
+    """The parts of a line that are as many as there are columns; others may follow behind an entry, "UT: , 18.3"."""
+    line = line.lstrip(_REMARK)
+    two, one, best = re.sub(r"\s{2,}", "\t", line), " ".join(line.split()), list[str]()
+    for delimiter, text in ((";", line), ("\t", line), (",", line), ("\t", two), (" ", one)):
+        parts = _without_end(_parts_of(text, delimiter), count)
+        if len(parts) == count and not (best and delimiter == " "):
             return parts
-        if len(parts) > count and pattern in (";", "\t", ",") and not best and _WAVE.search(parts[0]):
-            best = parts[:count]
-    return best or [""] * count
+        if len(parts) > count and not best and _WAVE.search(parts[0]):
+            best = parts
+    return best[:count] if best and best[count].endswith(":") else [""] * count
+
+
+def _parts_of(line: str, delimiter: str) -> list[str]:
+    """What stands between the delimiters of a line, those in quotes left."""
+    return [part.strip() for part in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
 
 
 def _column(wanted: str | int, titles: list[str], where: str) -> int:
