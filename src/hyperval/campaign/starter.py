@@ -40,7 +40,8 @@ _RING_PIXELS = 4.0
 _MOST_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
 _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
-_SCALES = (1.0, 0.01, 0.0001)  # reflectance, percent, and times 10000, which next to all whole numbers are
+_THOUSANDS = 0.001  # whose brighter images are as possible as dark ones times 10000
+_SCALES = (1.0, 0.01, _THOUSANDS, 0.0001)  # reflectance, percent, and times 10000, which most whole numbers are
 _WHOLE = {"name": "whole image", "whole_image": True}
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
@@ -255,20 +256,45 @@ class Draft:
     def _scale(self) -> None:
         """State the scale of an image whose header does not, or states one that was applied before.
 
-        Of reflectance, the larger that makes reflectances of the values; of radiance, the divisor that the header
-        states for a reflectance, as some programs write it for either.  Where none makes possible values, it is asked
-        for.
+        Of reflectance, that by which regions agree with the spectra of their names to a factor of two, else the largest
+        that makes reflectances of the values; of radiance, the divisor that the header states for a reflectance, as
+        some programs write it for either.  Where none makes possible values, or two are as usual, it is asked for.
         """
         if self.sources.scale is not None or FILL_IN in str(self.collection["cube"]):
             return
         entries, tried = self.raster.description.entries, dict[float, str]()
         if self.quantity == "reflectance":
-            tried = {scale: f"{scale:g}, the usual one that makes the values reflectances" for scale in _SCALES}
+            with suppress(HypervalError):
+                self.opened()
+                return
+            possible = {scale: ratios for scale in _SCALES if (ratios := self._to_spectra(scale)) is not None}
+            agreeing = [scale for scale, ratios in possible.items() if ratios and 0.5 <= np.median(ratios) <= 2.0]
+            usual = [scale for scale in list(possible)[:1] if scale != _THOUSANDS]
+            tried |= {scale: f"{scale:g}, the usual one that makes the values reflectances" for scale in usual}
+            tried = {scale: f"{scale:g}, by which it agrees with the field spectra" for scale in agreeing} or tried
         elif "reflectance scale factor" in entries and "data gain values" not in entries:
             factor = float(entries["reflectance scale factor"])  # the reader has found it a number
             why = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
             tried = {1.0 / factor: why}
         self._stated(self.collection["cube"], "scale", {scale: {"why": why} for scale, why in tried.items()})
+
+    def _to_spectra(self, scale: float) -> list[float] | None:
+        """How many times the reflectance of its spectrum each region has by a scale; None: no values of an image."""
+        cube, ratios = {**self.collection["cube"], "scale": scale}, list[float]()
+        try:
+            self.opened(cube=cube)
+        except HypervalError:
+            return None
+        for entry in self.collection["regions"] if self.sources.regions else ():
+            self._coordinates(entry, cube=cube, regions=[entry])
+        place = self.opened(cube=cube, regions=self.collection["regions"])
+        good, centre = place.cube.axis.good, place.cube.axis.centre_nm
+        for name in place.regions:
+            if (match := self.matching(name)) is not None:
+                own = np.interp(centre, match.record.wavelength_nm, match.record.values, np.nan, np.nan)
+                some = place.cube.spectra(drawn_pixels(place.region(name), _SOME, np.random.default_rng(0)))
+                ratios.append(float(np.nanmedian((some.mean(axis=0) / own)[good])))
+        return ratios
 
     def _coordinates(self, entry: Entry, **parts: Any) -> None:
         """State those of a file of regions where they are not those of its format."""
