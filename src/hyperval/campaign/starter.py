@@ -166,8 +166,8 @@ class Draft:
             "description": f"{what[0].upper()}{what[1:]}; drafted from its files, not yet reviewed.",
             "assumptions": [], "collection": self.collection,
         }  # fmt: skip
-        if numbered or quantity == "counts":
-            self._by_objects()
+        if numbered or (quantity == "counts" and sources.quantity is None):
+            self._by_objects("no wavelengths" if numbered else "no quantity")
         else:
             self._by_wavelength()
         guesses = [f"{'.'.join(at)}: {because}" for at, because in self.guesses.items()]
@@ -235,7 +235,10 @@ class Draft:
         flat = [region for region, match in matched.items() if match.flat]
         panels = [region for region in place.regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
         known = [panel for panel in panels if panel in matched]
-        if quantity == "radiance" and len(known) > 1:
+        if quantity == "counts" and len(known) < 2:
+            self._by_objects("no line")
+            return
+        if quantity != "reflectance" and len(known) > 1:
             entries = [{"region": panel, "spectrum": matched[panel].source} for panel in known]
             collection["empirical_line"] = {"panels": entries}
             self.guess("line", panels=", ".join(known))
@@ -458,11 +461,12 @@ class Draft:
 
     # Counts, or an image without wavelengths: a map of objects, and what they stand before ----------------------------
 
-    def _by_objects(self) -> None:
+    def _by_objects(self, why_by_number: str) -> None:
         collection = self.collection
         collection["cube"]["by_number"] = True
-        collection["regions"].insert(0, _WHOLE)
-        self.guess("no wavelengths" if self.raster.description.listed() is None else "no quantity")
+        collection.pop("targets", None)
+        collection["regions"] = [_WHOLE, *(one for one in collection["regions"] if one != _WHOLE)]
+        self.guess(why_by_number)
         detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
         self.content["detection"] = detection
         masks, why, others = self._object_masks()
