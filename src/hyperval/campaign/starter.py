@@ -153,6 +153,7 @@ class Draft:
         silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
         stated = "counts" if silent else about.quantity or told_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
+        refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         lines, samples, bands = self.raster.size
         cube: Entry = {"path": self.reference(sources.cube)}
         cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
