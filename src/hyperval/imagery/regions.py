@@ -481,9 +481,16 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
 def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     """The classes of a raster of one band, or the bands of a raster of several; of the array ``grid.name_field``.
 
-    One band: a class for every whole number but 0 and the ignore value, under the class name of the header, else under
-    the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor the ignore value,
-    under the band name.
+    One band: a class for every whole number but 0, -1 (beside others) and the ignore value, under the class name of the
+    header, else under the file's name (a single class) or ``name-value``.  Several bands: what is not 0, nor NaN, nor
+    the ignore value, under the band name.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     np.save(f"{folder}/gt.npy", [[-1, -1, 1], [2, 0, 1]])
+    ...     drawn = list(raster_regions(Path(folder) / "gt.npy", ImageGrid((2, 3))))
+    >>> [(name, int(parts[0].sum())) for name, _, parts in drawn]
+    [('gt-1', 2), ('gt-2', 1)]
     """
     raster = raster_of_size(path, grid, grid.name_field)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
@@ -497,7 +504,8 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
         return
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
-    numbers = [int(v) for v in values if v != 0]
+    marked = values[values != 0]
+    numbers = [int(v) for v in marked if v != -1 or marked.max() < 0]  # beside classes -1 is what has no label
     listed = [name.strip() for name in about.entries.get("class names", "").rstrip(", \n").split(",")]
     classes = about.header.number("classes") if about.header is not None and listed != [""] else None
     told = {"count": len(listed), "classes": classes, "names": ", ".join(listed)}
