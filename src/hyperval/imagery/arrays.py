@@ -49,6 +49,8 @@ _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNOR
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
 _TRUTH = re.compile(r"map|truth|gt|mask|label", re.IGNORECASE)
+_VALID = re.compile(r"valid", re.IGNORECASE)
+_PICTURE = re.compile(r"rgb", re.IGNORECASE)
 _NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
@@ -593,6 +595,26 @@ def _matrix_axes(shape: tuple[int, ...], waves: set[int], beside: set[tuple[int,
     return "ls"[:at] + "b" + "ls"[at:]
 
 
+def _likely(names: list[str], shapes: Mapping[str, tuple[int, ...]], is_map: bool) -> list[str]:
+    """Those of some arrays of a fitting shape that their names let stand for the map, or else the image.
+
+    Beside others no map is that of the coordinates or of what is valid, and no image a picture of three bands; of
+    several maps that is taken which alone is named as one.
+
+    >>> _likely(["hsi/Lat", "hsi/Lon", "hsi/valid_mask", "hsi/sceneLabels/labels"], {}, True)
+    ['hsi/sceneLabels/labels']
+    >>> _likely(["Data", "RGB"], {"Data": (40, 60, 64), "RGB": (40, 60, 3)}, False)
+    ['Data']
+    """
+    if not is_map:
+        return [n for n in names if not (_PICTURE.search(n) and 3 in shapes[n])] or names
+    short = {n: n.rpartition("/")[2] for n in names}
+    names = [n for n in names if not (_SAMPLE.match(short[n]) or _LINE.match(short[n]))] or names
+    names = [n for n in names if not _VALID.search(n)] or names
+    named = [n for n in names if _TRUTH.search(n)]
+    return named if len(named) == 1 else names
+
+
 @reader
 def open_matrix(
     path: Path, kind: str, variable: str | None = None, plane: tuple[int, int] | None = None
@@ -611,11 +633,12 @@ def open_matrix(
     named = {n: s for n, s in shapes.items() if variable in (None, n, called[n])}
     fits = [n for n, s in named.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
     fits = fits or [n for n, s in named.items() if plane and s in ((*plane, 1), (1, *plane))]  # a map all the same
-    fits = [n for n in fits if _TRUTH.search(n)] if plane and sum(bool(_TRUTH.search(n)) for n in fits) == 1 else fits
+    fits = _likely(fits, shapes, bool(plane))
     if not fits:
         listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
         wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
-        raise refusal("array.none", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
+        kind = "no_map" if plane else "none"
+        raise refusal(f"array.{kind}", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
     names = ", ".join(called[n] for n in fits)
     refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=names)
     name = fits[0]

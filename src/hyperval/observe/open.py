@@ -721,7 +721,7 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
     ------
     InputError : another size than the cube's, no such band, or a number that no pixel has.
     """
-    raster, first = imagery.raster_of_size(path, cube), 1 if source.band is None else source.band
+    raster, first = imagery.raster_of_size(path, cube, source.name_field), 1 if source.band is None else source.band
     return {name: Region(name, mask, str(path)) for name, mask in _cells(raster, path, source.classes, first)}
 
 
