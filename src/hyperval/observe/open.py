@@ -14,6 +14,7 @@ exact for cells whose sides run along those of the pixels.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -294,13 +295,14 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | Non
 
 @reader
 def number_rows(path: Path, what: str) -> tuple[Array, int]:
-    """Rows (n, columns) of a text table whose headings begin with #, and the line of the first."""
+    """Rows (n, columns) of a text table, and the line of the first; titles stand in one row, or begin with #."""
     checked_file(path, what=what, most=MAX_TABLE_BYTES)
     lines = [line.split("#")[0] for line in path.read_text("utf-8", errors="replace").splitlines()]
     start = next((number for number, line in enumerate(lines, start=1) if line.strip()), None)
     start = needed(start, "rows.none", path)
     header, rows, first = number_table("\n".join(lines), path)
-    refuse(header, "rows.heading", f"{path}:{start}")
+    titled = len(header) == 1 and re.search(r"(^|[\s,;])[-+.]?[0-9]", header[0]) is None  # no damaged row
+    refuse(header and not titled, "rows.heading", f"{path}:{start}")
     return rows, first
 
 
