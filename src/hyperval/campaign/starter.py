@@ -331,7 +331,9 @@ class Draft:
             file = self.reference(self.sources.targets)
             own: Entry = {"csv": file}
             head = head_of(self.sources.targets, 4096).partition(b"\n")[0].lower()
-            if self.sources.targets.suffix.lower() != ".csv" or b"material" not in head:  # no list of target centres
+            if self.sources.targets.suffix.lower() != ".csv" or not re.search(
+                b"material|targets_type", head
+            ):  # no list of target centres
                 every = {"material": "every region", "file": file}
                 whole = parts | {"targets": {"regions": [every], **truth}}
                 self._coordinates(every, **whole)

@@ -129,11 +129,13 @@ class LookupTable:
         return x, y
 
     @property
-    def metres_per_unit(self) -> float:
-        """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
+    def metres_per_unit(self) -> tuple[float, float]:
+        """Lengths of the unit of the map along x and y [m], of a degree in the middle; InputError where unknown."""
+        if self.crs is not None and self.crs.is_geographic:
+            return metres_per_degree(self.middle[1])
         cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
         cell = needed(cell, "place.unit", self.raster.path, what="the map is not in a known unit")
-        return math.sqrt(cell / abs(self.transform.determinant))
+        return (math.sqrt(cell / abs(self.transform.determinant)),) * 2
 
     def _read(self, first: int, count: int) -> tuple[Index, Index]:
         """Stored sample and line (count, samples) of some lines of the table."""

@@ -128,7 +128,7 @@ def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str) -> A
     return np.column_stack(~transform @ xy.T)
 
 
-def _reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Array:
+def reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Array:
     """(n, 2) map coordinates in ``target`` of points in ``source`` (longitude first)."""
     target = needed(target, "region.no_system", where)
     if source == target:
@@ -179,7 +179,7 @@ class ImageGrid:
                 return geometry
             if means != "map":
                 system = stated or CRS.from_epsg(4326)
-                geometry = shapely.transform(geometry, lambda xy: _reprojected(xy, system, crs, where))
+                geometry = shapely.transform(geometry, lambda xy: reprojected(xy, system, crs, where))
             if self.transform is not None and not isinstance(self.transform, Affine):
                 geometry = self.transform.divided(geometry, where)
             return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where))
@@ -220,7 +220,7 @@ def _pixels_off(raster: Raster, transform: Affine, crs: CRS | None) -> float:
     """
     corners = np.array([(x, y) for x in (0.0, raster.samples) for y in (0.0, raster.lines)])
     xy = np.column_stack(needed(raster.transform, "region.no_position") @ corners.T)
-    xy = xy if raster.crs is None else _reprojected(xy, raster.crs, crs, str(raster.path))
+    xy = xy if raster.crs is None else reprojected(xy, raster.crs, crs, str(raster.path))
     return float(np.abs(map_to_pixel(xy, transform, where=str(raster.path)) - corners).max())
 
 

@@ -414,7 +414,8 @@ class _Site:
                 mend = "state targets.pixel_size_m"
                 raise UsageError("pixels in degrees have no ground size", where=truth.csv, mend=mend)
             side, path = None if area is None else math.sqrt(area), self.resolve(truth.csv)
-            return imagery.read_targets(path, cube.shape, transform=table or cube.transform, pixel_size_m=side), []
+            placed = {"transform": table or cube.transform, "crs": cube.crs if table is None else table.crs}
+            return imagery.read_targets(path, cube.shape, **placed, pixel_size_m=side), []
         if (image := truth.finer or truth.abundances) is not None:
             return image_targets(image, cube, area, self.resolve)
         if truth.rasters is not None:
