@@ -32,7 +32,7 @@ from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.spectra import FieldSpectrum, in_window, read_records
+from hyperval.spectra import FieldSpectrum, in_window, read_records, read_spectrum
 from hyperval.storage import write_text
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
@@ -43,6 +43,7 @@ _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
 _THOUSANDS = 0.001  # whose brighter images are as possible as dark ones times 10000
 _SCALES = (1.0, 0.01, _THOUSANDS, 0.0001)  # reflectance, percent, and times 10000, which most whole numbers are
 _WHOLE = {"name": "whole image", "whole_image": True}
+_MOST_NAMED = 8
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
 _NAMED = {"radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])", "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])"}
@@ -171,6 +172,7 @@ class Draft:
             self._by_objects("no wavelengths" if numbered else "no quantity")
         else:
             self._by_wavelength()
+        self._unused()
         guesses = [f"{'.'.join(at)}: {because}" for at, because in self.guesses.items()]
         self.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
         return guesses
@@ -349,7 +351,7 @@ class Draft:
         """The reflectance spectra of the files, with the unit that each needs to be told."""
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
-            for file in filter(Path.is_file, sorted(path.iterdir())) if path.is_dir() else [path]:
+            for file in filter(Path.is_file, sorted(path.rglob("*"))) if path.is_dir() else [path]:
                 of_folder = () if file == path else (HypervalError,)  # of which only files that hold spectra count
                 with suppress(*of_folder):
                     out += _records(file, self.reference(file))
@@ -360,6 +362,17 @@ class Draft:
         words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
         fits = ([s for s in self.spectra if _words(s.name) and test(_words(s.name), words)] for test in tests)
         return next((own[0] for own in fits if len(own) == 1), None)
+
+    def _unused(self) -> None:
+        """Say which files of spectra stand nowhere in the campaign, and which folders hold none."""
+        told = str(self.content)
+        if FILL_IN in str(cube := self.collection["cube"]):
+            return  # of which nothing is drafted yet
+        files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
+        idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in told)
+        if idle:
+            names = [Path(file).name for file in idle]
+            self.guess("unused", names=", ".join(names[:_MOST_NAMED]) + ", ..." * (len(names) > _MOST_NAMED))
 
     # The model --------------------------------------------------------------------------------------------------------
 
@@ -534,11 +547,28 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
             records = read_records(path, reflectance_unit=unit)
             if unit is None or max(np.nanpercentile(one.values, 95) for one in records) <= 1.5:
                 told = {"reflectance_unit": unit} if unit else {}
+                if _replicated(records):
+                    told["record"] = "mean"
+                    records = [read_spectrum(path, reflectance_unit=unit, record="mean")]
                 if len(records) == 1:
                     return [RecordedSpectrum(path.stem, {"file": reference, **told}, records[0])]
                 return [RecordedSpectrum(r.name, {"file": reference, "record": r.name, **told}, r) for r in records]
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
+
+
+def _replicated(records: Sequence[FieldSpectrum]) -> bool:
+    """Whether records are columns without titles that repeat one spectrum: three or more of about one level.
+
+    >>> w = np.arange(400.0, 500.0)
+    >>> columns = [FieldSpectrum(f"column {n}", w, np.full(w.size, value)) for n, value in enumerate((0.2, 0.22, 0.19))]
+    >>> _replicated(columns), _replicated(columns[:2]), _replicated([*columns, FieldSpectrum("column 4", w, 0.0 * w)])
+    (True, False, False)
+    """
+    if len(records) < 3 or not all(one.name.startswith("column ") for one in records):
+        return False
+    levels = np.array([np.nanmean(one.values) for one in records])
+    return bool(np.all(np.abs(levels - levels.mean()) < 0.5 * levels.mean()))
 
 
 def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
