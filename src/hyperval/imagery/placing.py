@@ -442,10 +442,22 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     elif a is None:
         row("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them")
     else:
-        place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {a.a:g}, {a.e:g}"
+        place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {_steps(a)}"
         row("position", place, origin("map info"))
         row("coordinate system", str(raster.crs or "not known"), origin("coordinate system string", "map info"))
     return rows + [("assumed", note, "reader") for note in notes]
+
+
+def _steps(a: Affine) -> str:
+    """Steps of a pixel along sample and line on the map, and how far they are turned counter-clockwise.
+
+    >>> _steps(Affine.scale(2.0, -2.0)), _steps(Affine.rotation(75.0) @ Affine.scale(1.1, -1.1))
+    ('2, -2', '1.1, -1.1, turned by 75 degrees')
+    """
+    if not (a.b or a.d):
+        return f"{a.a:g}, {a.e:g}"
+    width, height = math.hypot(a.a, a.d), math.copysign(math.hypot(a.b, a.e), a.determinant)
+    return f"{width:g}, {height:g}, turned by {math.degrees(math.atan2(a.d, a.a)):.6g} degrees"
 
 
 def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
