@@ -138,12 +138,20 @@ def _tree(path: Path, engine: str | None) -> xr.DataTree:
 
 
 def _matrix(path: Path, name: str, kind: str) -> dict[str, Numbers]:
-    """Arrays of a variable of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped."""
+    """Arrays of a variable of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "x.mat", {"map": scipy.sparse.csc_array([[0.0, 2.0]])})
+    ...     _shapes(path, "MATLAB 5"), _matrix(path, "map", "MATLAB 5")["map"].tolist()
+    ({'map': (1, 2)}, [[0.0, 2.0]])
+    """
     with _readable(path, kind):
         if kind == "NumPy":
             return {name: np.load(path, mmap_mode="r", allow_pickle=False)}
         variable = name.split("/")[0]
-        return dict(_fields(variable, scipy.io.loadmat(path, variable_names=[variable])[variable]))
+        value = scipy.io.loadmat(path, variable_names=[variable])[variable]
+        return dict(_fields(variable, value.toarray() if scipy.sparse.issparse(value) else value))
 
 
 def _fields(name: str, value: Numbers) -> Iterator[tuple[str, Numbers]]:
@@ -560,7 +568,7 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     elif kind == "MATLAB 5":
         with _readable(path, kind):
             for name, shape, what in scipy.io.whosmat(path):
-                if re.match("u?int|single|double|logical", what):
+                if re.match("u?int|single|double|logical|sparse", what):
                     shapes[name] = shape
                 elif what == "struct":  # whose size is known when it is read
                     if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
