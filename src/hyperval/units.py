@@ -34,6 +34,13 @@ _SYMBOLS = {
     "sr": ("angle", 0, "steradian steradians ster str"),
 }
 _SPELLED = {word: symbol for symbol, (*_, words) in _SYMBOLS.items() for word in (symbol, *words.split())}
+# Units of radiance that have names of their own: of ITRES, and of infrared physics.
+_NAMED = {
+    "sru": RADIANCE_UNIT,
+    "flick": "W cm-2 sr-1 um-1",
+    "uflick": "uW cm-2 sr-1 um-1",
+    "microflick": "uW cm-2 sr-1 um-1",
+}
 _WATTS = {"power": 1, "area": -2, "wavelength": -1}
 # Quantity -> powers of the kinds of its unit, the power of ten of the internal unit, and what is expected.
 _QUANTITIES = {
@@ -48,6 +55,8 @@ def to_internal(unit: str, quantity: str) -> float:
 
     >>> to_internal("um", "wavelength"), to_internal("W m-2 sr-1 um-1", "radiance")
     (1000.0, 0.1)
+    >>> [to_internal(unit, "radiance") for unit in ("uW/cm^2*nm*sr", "W/m2 sr-1 um-1", "SRU", "µflick")]
+    [1.0, 0.1, 1.0, 0.001]
 
     Raises
     ------
@@ -117,8 +126,12 @@ def _known(unit: str, quantity: str) -> float | None:
 
 
 def _parts(unit: str) -> list[tuple[str, int]]:
-    """Symbols and powers of a unit: W/m^2/sr/um, W/(m2 sr um) and W m-2 sr-1 um-1 are one; none where not readable."""
-    text = re.sub(r"\b(?:square|sq\.?)\s*([a-z]+)", r"\g<1>2", unit.strip(), flags=re.IGNORECASE)
+    """Symbols and powers of a unit, none where not readable.
+
+    W/m^2/sr/um, W/(m2 sr um), W/m2 sr um and W m-2 sr-1 um-1 are one: what has no power of its own is divided by.
+    """
+    text = _NAMED.get(unit.strip().translate(_SIGNS).lower(), unit.strip())
+    text = re.sub(r"\b(?:square|sq\.?)\s*([a-z]+)", r"\g<1>2", text, flags=re.IGNORECASE)
     text = re.sub(r"\sper\s", "/", text, flags=re.IGNORECASE)
     text = text.replace("**", "^").translate(_SIGNS).replace("^", "")
     grouped = re.fullmatch(r"[^()/]+/\s*\([^()/]*\)", text) is not None  # W/(m2 sr um): all are divided by
@@ -128,7 +141,7 @@ def _parts(unit: str) -> list[tuple[str, int]]:
     words = [(word, 1) for word in numerator.split()]
     for divisor in divisors:
         first, *rest = divisor.split() or [""]
-        words += [(first, -1), *((word, -1 if grouped else 1) for word in rest)]
+        words += [(first, -1), *((word, -1 if grouped or "-" not in word else 1) for word in rest)]
     found = [(re.fullmatch(r"([A-Za-z]+)([+-]?\d)?", word), sign) for word, sign in words]
     parts = [(_SPELLED.get(m[1]) or _SPELLED.get(m[1].lower()), sign * int(m[2] or 1)) for m, sign in found if m]
     known = [(symbol, power) for symbol, power in parts if symbol is not None]

@@ -116,15 +116,15 @@ def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
     one = np.where(np.indices(scene[1].shape)[0] < 10, scene[1], 0).astype(bool)
     nan, nm = tmp_path / "nan.mat", np.linspace(450.0, 900.0, BANDS)
     assert is_met(written(nan, data, gt=one, valid=1 - one, wavelengths=nm), tmp_path / "new")  # of one object
-    most = written(tmp_path / "most.mat", data, map=1 - one), "-o", tmp_path / "most"
-    assert cli.run(["init", "--cube", *map(str, most)]) == 0
+    most = ["init", "--cube", str(written(tmp_path / "most.mat", data, map=1 - one)), "-o", str(tmp_path / "most")]
+    assert [cli.run([*most, "--quantity", quantity]) for quantity in ("radiance", "counts")] == [2, 0]
     assert "the map marks 99% of the image" in (tmp_path / "most" / "campaign.yaml").read_text()
 
 
 def test_without_a_map_anomalies_are_looked_for(tmp_path, scene):
     cube, folder = written(tmp_path / "scene.npy", scene[0]), tmp_path / "new"
-    assert cli.run(["init", "--cube", str(cube), "-o", str(folder)]) == 0
-    assert "detectors: [rx]" in (folder / "campaign.yaml").read_text()
+    assert cli.run(["init", "--cube", str(cube), "-o", str(folder), "--spectra", str(tmp_path)]) == 0
+    assert "detectors: [rx]" in (folder / "campaign.yaml").read_text().split(f"not used: {tmp_path.name};")[1]
     assert cli.run(["observe", str(folder / "campaign.yaml"), "-o", str(folder / "out")]) == 0
     assert (folder / "out" / "report.html").exists()
 

@@ -32,7 +32,7 @@ from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.spectra import FieldSpectrum, in_window, read_records
+from hyperval.spectra import FieldSpectrum, in_window, read_records, read_spectrum
 from hyperval.storage import write_text
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
@@ -40,8 +40,10 @@ _RING_PIXELS = 4.0
 _MOST_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
 _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
-_SCALES = (1.0, 0.01, 0.0001)  # reflectance, percent, and times 10000, which next to all whole numbers are
+_THOUSANDS = 0.001  # whose brighter images are as possible as dark ones times 10000
+_SCALES = (1.0, 0.01, _THOUSANDS, 0.0001)  # reflectance, percent, and times 10000, which most whole numbers are
 _WHOLE = {"name": "whole image", "whole_image": True}
+_MOST_NAMED = 8
 _FEW = 5  # pixels that tell no spread
 _SOME = 2000  # pixels that tell a mean
 _NAMED = {"radiance": r"radiance|(?<![a-z])(rdn|rad)(?![a-z])", "reflectance": r"refl|(?<![a-z])(rfl|ref)(?![a-z])"}
@@ -152,6 +154,7 @@ class Draft:
         silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
         stated = "counts" if silent else about.quantity or told_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
+        refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         lines, samples, bands = self.raster.size
         cube: Entry = {"path": self.reference(sources.cube)}
         cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
@@ -165,10 +168,11 @@ class Draft:
             "description": f"{what[0].upper()}{what[1:]}; drafted from its files, not yet reviewed.",
             "assumptions": [], "collection": self.collection,
         }  # fmt: skip
-        if numbered or quantity == "counts":
-            self._by_objects()
+        if numbered or (quantity == "counts" and sources.quantity is None):
+            self._by_objects("no wavelengths" if numbered else "no quantity")
         else:
             self._by_wavelength()
+        self._unused()
         guesses = [f"{'.'.join(at)}: {because}" for at, because in self.guesses.items()]
         self.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
         return guesses
@@ -234,7 +238,10 @@ class Draft:
         flat = [region for region, match in matched.items() if match.flat]
         panels = [region for region in place.regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
         known = [panel for panel in panels if panel in matched]
-        if quantity == "radiance" and len(known) > 1:
+        if quantity == "counts" and len(known) < 2:
+            self._by_objects("no line")
+            return
+        if quantity != "reflectance" and len(known) > 1:
             entries = [{"region": panel, "spectrum": matched[panel].source} for panel in known]
             collection["empirical_line"] = {"panels": entries}
             self.guess("line", panels=", ".join(known))
@@ -255,20 +262,45 @@ class Draft:
     def _scale(self) -> None:
         """State the scale of an image whose header does not, or states one that was applied before.
 
-        Of reflectance, the larger that makes reflectances of the values; of radiance, the divisor that the header
-        states for a reflectance, as some programs write it for either.  Where none makes possible values, it is asked
-        for.
+        Of reflectance, that by which regions agree with the spectra of their names to a factor of two, else the largest
+        that makes reflectances of the values; of radiance, the divisor that the header states for a reflectance, as
+        some programs write it for either.  Where none makes possible values, or two are as usual, it is asked for.
         """
         if self.sources.scale is not None or FILL_IN in str(self.collection["cube"]):
             return
         entries, tried = self.raster.description.entries, dict[float, str]()
         if self.quantity == "reflectance":
-            tried = {scale: f"{scale:g}, the usual one that makes the values reflectances" for scale in _SCALES}
+            with suppress(HypervalError):
+                self.opened()
+                return
+            possible = {scale: ratios for scale in _SCALES if (ratios := self._to_spectra(scale)) is not None}
+            agreeing = [scale for scale, ratios in possible.items() if ratios and 0.5 <= np.median(ratios) <= 2.0]
+            usual = [scale for scale in list(possible)[:1] if scale != _THOUSANDS]
+            tried |= {scale: f"{scale:g}, the usual one that makes the values reflectances" for scale in usual}
+            tried = {scale: f"{scale:g}, by which it agrees with the field spectra" for scale in agreeing} or tried
         elif "reflectance scale factor" in entries and "data gain values" not in entries:
             factor = float(entries["reflectance scale factor"])  # the reader has found it a number
             why = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
             tried = {1.0 / factor: why}
         self._stated(self.collection["cube"], "scale", {scale: {"why": why} for scale, why in tried.items()})
+
+    def _to_spectra(self, scale: float) -> list[float] | None:
+        """How many times the reflectance of its spectrum each region has by a scale; None: no values of an image."""
+        cube, ratios = {**self.collection["cube"], "scale": scale}, list[float]()
+        try:
+            self.opened(cube=cube)
+        except HypervalError:
+            return None
+        for entry in self.collection["regions"] if self.sources.regions else ():
+            self._coordinates(entry, cube=cube, regions=[entry])
+        place = self.opened(cube=cube, regions=self.collection["regions"])
+        good, centre = place.cube.axis.good, place.cube.axis.centre_nm
+        for name in place.regions:
+            if (match := self.matching(name)) is not None:
+                own = np.interp(centre, match.record.wavelength_nm, match.record.values, np.nan, np.nan)
+                some = place.cube.spectra(drawn_pixels(place.region(name), _SOME, np.random.default_rng(0)))
+                ratios.append(float(np.nanmedian((some.mean(axis=0) / own)[good])))
+        return ratios
 
     def _coordinates(self, entry: Entry, **parts: Any) -> None:
         """State those of a file of regions where they are not those of its format."""
@@ -301,7 +333,9 @@ class Draft:
             file = self.reference(self.sources.targets)
             own: Entry = {"csv": file}
             head = head_of(self.sources.targets, 4096).partition(b"\n")[0].lower()
-            if self.sources.targets.suffix.lower() != ".csv" or b"material" not in head:  # no list of target centres
+            if self.sources.targets.suffix.lower() != ".csv" or not re.search(
+                b"material|targets_type", head
+            ):  # no list of target centres
                 every = {"material": "every region", "file": file}
                 whole = parts | {"targets": {"regions": [every], **truth}}
                 self._coordinates(every, **whole)
@@ -317,7 +351,7 @@ class Draft:
         """The reflectance spectra of the files, with the unit that each needs to be told."""
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
-            for file in filter(Path.is_file, sorted(path.iterdir())) if path.is_dir() else [path]:
+            for file in filter(Path.is_file, sorted(path.rglob("*"))) if path.is_dir() else [path]:
                 of_folder = () if file == path else (HypervalError,)  # of which only files that hold spectra count
                 with suppress(*of_folder):
                     out += _records(file, self.reference(file))
@@ -328,6 +362,17 @@ class Draft:
         words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
         fits = ([s for s in self.spectra if _words(s.name) and test(_words(s.name), words)] for test in tests)
         return next((own[0] for own in fits if len(own) == 1), None)
+
+    def _unused(self) -> None:
+        """Say which files of spectra stand nowhere in the campaign, and which folders hold none."""
+        told = str(self.content)
+        if FILL_IN in str(cube := self.collection["cube"]):
+            return  # of which nothing is drafted yet
+        files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
+        idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in told)
+        if idle:
+            names = [Path(file).name for file in idle]
+            self.guess("unused", names=", ".join(names[:_MOST_NAMED]) + ", ..." * (len(names) > _MOST_NAMED))
 
     # The model --------------------------------------------------------------------------------------------------------
 
@@ -432,11 +477,12 @@ class Draft:
 
     # Counts, or an image without wavelengths: a map of objects, and what they stand before ----------------------------
 
-    def _by_objects(self) -> None:
+    def _by_objects(self, why_by_number: str) -> None:
         collection = self.collection
         collection["cube"]["by_number"] = True
-        collection["regions"].insert(0, _WHOLE)
-        self.guess("no wavelengths" if self.raster.description.listed() is None else "no quantity")
+        collection.pop("targets", None)
+        collection["regions"] = [_WHOLE, *(one for one in collection["regions"] if one != _WHOLE)]
+        self.guess(why_by_number)
         detection = {"background": ["scene"], "false_alarms": ["scene"], "bands": "good", "detectors": ["rx"]}
         self.content["detection"] = detection
         masks, why, others = self._object_masks()
@@ -501,11 +547,28 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
             records = read_records(path, reflectance_unit=unit)
             if unit is None or max(np.nanpercentile(one.values, 95) for one in records) <= 1.5:
                 told = {"reflectance_unit": unit} if unit else {}
+                if _replicated(records):
+                    told["record"] = "mean"
+                    records = [read_spectrum(path, reflectance_unit=unit, record="mean")]
                 if len(records) == 1:
                     return [RecordedSpectrum(path.stem, {"file": reference, **told}, records[0])]
                 return [RecordedSpectrum(r.name, {"file": reference, "record": r.name, **told}, r) for r in records]
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
+
+
+def _replicated(records: Sequence[FieldSpectrum]) -> bool:
+    """Whether records are columns without titles that repeat one spectrum: three or more of about one level.
+
+    >>> w = np.arange(400.0, 500.0)
+    >>> columns = [FieldSpectrum(f"column {n}", w, np.full(w.size, value)) for n, value in enumerate((0.2, 0.22, 0.19))]
+    >>> _replicated(columns), _replicated(columns[:2]), _replicated([*columns, FieldSpectrum("column 4", w, 0.0 * w)])
+    (True, False, False)
+    """
+    if len(records) < 3 or not all(one.name.startswith("column ") for one in records):
+        return False
+    levels = np.array([np.nanmean(one.values) for one in records])
+    return bool(np.all(np.abs(levels - levels.mean()) < 0.5 * levels.mean()))
 
 
 def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:

@@ -136,7 +136,7 @@ def compare_products(
     for subject, side in spectra.groups(observed, fitted_on).items():
         rows += named(spectra.compare_jointly(predicted, side), "radiance", subject, method)
     shown = "radiance" if observed.radiance else "reflectance"
-    rows += named(spectra.shifted_rows(observed), shown, spectra.ALL_SUBJECTS, method)
+    rows += named(spectra.shifted_rows(predicted, observed), shown, spectra.ALL_SUBJECTS, method)
     for quantity in SPREAD:
         for subject, *_ in _pairs(getattr(predicted, quantity), getattr(observed, quantity)):
             spread = covariance.compare_covariance(predicted, observed, subject, quantity)

@@ -36,7 +36,15 @@ from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
 from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
-from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty, common_shifts, snr_from_moments
+from hyperval.pixels import (
+    FEATURES,
+    RED_EDGE,
+    absorption_centre,
+    centre_uncertainty,
+    common_shifts,
+    snr_from_moments,
+    wavelength_shifts,
+)
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Outcome, Result, Role
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
@@ -513,11 +521,12 @@ def wavelength_rows(predicted: SpectralEstimate, observed: SpectralEstimate, axi
             yield row(name, centres[0] - centres[1], half=half, n=observed.n)
 
 
-def shifted_rows(observed: Products) -> Iterator[Result]:
+def shifted_rows(predicted: Products, observed: Products) -> Iterator[Result]:
     """Row ``wavelength_shift@FEATURE`` [nm], a criterion that is not met, of every feature that is not in its place.
 
     Every number of a spectrum depends on its wavelengths, and a shift may bring model and data together.  The level
-    of 5 % is shared among the features that the spectra show; where none is off by so much there is no row.
+    of 5 % is shared among the features that the spectra show; where none is off by so much there is no row.  What
+    rises elsewhere than plants by its own predicted reflectance, such as a dyed cloth, has no edge of theirs.
 
     Examples
     --------
@@ -526,10 +535,16 @@ def shifted_rows(observed: Products) -> Iterator[Result]:
     >>> def seen(shift):
     ...     plant = SpectralEstimate(0.05 + 0.4 / (1.0 + np.exp((717.0 + shift - w) / 8.0)), np.eye(w.size))
     ...     return ObservedProducts(SpectralAxis(w, 5.0), reflectance={"grass": plant})
-    >>> [(r.metric, round(r.value)) for shift in (0.0, 14.0) for r in shifted_rows(seen(shift))]
+    >>> [(r.metric, round(r.value)) for shift in (0.0, 14.0) for r in shifted_rows(seen(0.0), seen(shift))]
     [('wavelength_shift@red-edge-of-plants', 14)]
+    >>> list(shifted_rows(seen(15.0), seen(14.0)))
+    []
     """
-    spectra = observed.radiance or observed.reflectance
+    spectra = observed.radiance or dict(observed.reflectance)
+    for name, own in predicted.reflectance.items() if not observed.radiance else ():
+        edges = [s for s in wavelength_shifts(own.mean, predicted.axis, reflectance=True) if s.feature == RED_EDGE.name]
+        if any(edge.certain for edge in edges):
+            spectra = {subject: s for subject, s in spectra.items() if subject != name}
     found = common_shifts((s.mean for s in spectra.values()), observed.axis, reflectance=not observed.radiance)
     for shift, count in found:
         half = float(scipy.special.ndtri(1.0 - 0.025 / len(found))) * shift.uncertainty_nm

@@ -49,6 +49,8 @@ _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNOR
 _WIDTH = re.compile(r"fwhm|band_?width", re.IGNORECASE)
 _GOOD = re.compile(r"good|bbl", re.IGNORECASE)
 _TRUTH = re.compile(r"map|truth|gt|mask|label", re.IGNORECASE)
+_VALID = re.compile(r"valid", re.IGNORECASE)
+_PICTURE = re.compile(r"rgb", re.IGNORECASE)
 _NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
@@ -136,7 +138,14 @@ def _tree(path: Path, engine: str | None) -> xr.DataTree:
 
 
 def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
-    """The arrays of variables of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped."""
+    """The arrays of variables of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "x.mat", {"map": scipy.sparse.csc_array([[0.0, 2.0]])})
+    ...     _shapes(path, "MATLAB 5"), _matrix(path, "MATLAB 5", "map")["map"].tolist()
+    ({'map': (1, 2)}, [[0.0, 2.0]])
+    """
     with _readable(path, kind):
         if kind == "NumPy":
             return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False)}
@@ -145,8 +154,9 @@ def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
         return {name: array for variable in variables for name, array in _fields(variable, held[variable])}
 
 
-def _fields(name: str, value: Numbers) -> Iterator[tuple[str, Numbers]]:
+def _fields(name: str, value: Any) -> Iterator[tuple[str, Numbers]]:
     """The numeric arrays of a variable of MATLAB by name: itself, or field b of struct a as "a/b"."""
+    value = value.toarray() if scipy.sparse.issparse(value) else value
     if value.dtype.names and value.size == 1:
         for field_name in value.dtype.names:
             yield from _fields(f"{name}/{field_name}", np.asarray(value[field_name].flat[0]))
@@ -548,7 +558,7 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     elif kind == "MATLAB 5":
         with _readable(path, kind):
             for name, shape, what in scipy.io.whosmat(path):
-                if re.match("u?int|single|double|logical", what):
+                if re.match("u?int|single|double|logical|sparse", what):
                     shapes[name] = shape
                 elif what == "struct":  # whose size is known when it is read
                     if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
@@ -583,6 +593,26 @@ def _matrix_axes(shape: tuple[int, ...], waves: set[int], beside: set[tuple[int,
     return "ls"[:at] + "b" + "ls"[at:]
 
 
+def _likely(names: list[str], shapes: Mapping[str, tuple[int, ...]], is_map: bool) -> list[str]:
+    """Those of some arrays of a fitting shape that their names let stand for the map, or else the image.
+
+    Beside others no map is that of the coordinates or of what is valid, and no image a picture of three bands; of
+    several maps that is taken which alone is named as one.
+
+    >>> _likely(["hsi/Lat", "hsi/Lon", "hsi/valid_mask", "hsi/sceneLabels/labels"], {}, True)
+    ['hsi/sceneLabels/labels']
+    >>> _likely(["Data", "RGB"], {"Data": (40, 60, 64), "RGB": (40, 60, 3)}, False)
+    ['Data']
+    """
+    if not is_map:
+        return [n for n in names if not (_PICTURE.search(n) and 3 in shapes[n])] or names
+    short = {n: n.rpartition("/")[2] for n in names}
+    names = [n for n in names if not (_SAMPLE.match(short[n]) or _LINE.match(short[n]))] or names
+    names = [n for n in names if not _VALID.search(n)] or names
+    named = [n for n in names if _TRUTH.search(n)]
+    return named if len(named) == 1 else names
+
+
 @reader
 def open_matrix(
     path: Path, kind: str, variable: str | None = None, plane: tuple[int, int] | None = None
@@ -601,11 +631,12 @@ def open_matrix(
     named = {n: s for n, s in shapes.items() if variable in (None, n, called[n])}
     fits = [n for n, s in named.items() if (s == plane if plane else len(s) == 3 and 0 not in s)]
     fits = fits or [n for n, s in named.items() if plane and s in ((*plane, 1), (1, *plane))]  # a map all the same
-    fits = [n for n in fits if _TRUTH.search(n)] if plane and sum(bool(_TRUTH.search(n)) for n in fits) == 1 else fits
+    fits = _likely(fits, shapes, bool(plane))
     if not fits:
         listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
         wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
-        raise refusal("array.none", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
+        kind = "no_map" if plane else "none"
+        raise refusal(f"array.{kind}", path, listed=listed, wanted=wanted, named=f" named {variable}" * bool(variable))
     names = ", ".join(called[n] for n in fits)
     refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=names)
     name = fits[0]

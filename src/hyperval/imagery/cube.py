@@ -29,9 +29,10 @@ from hyperval.imagery.description import (
     Raster,
     Scale,
     equals,
+    fill_notes,
+    filled,
     given_bands,
     ignore_in_type,
-    some_lines,
 )
 from hyperval.imagery.envi import EnviRaster, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
@@ -57,7 +58,6 @@ PLAUSIBLE = {
     "radiance": (200.0, "(what multiplies the stored values) or unit:"),
 }  # fmt: skip
 _DARK = 0.01  # reflectance that nothing reaches in an image that was scaled twice
-_CHECKED_LINES, _CHECKED_SAMPLES = 16, 64
 _FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
 _MOST_LISTED = 5
 
@@ -71,7 +71,7 @@ class Block:
     first_line : 0-based number of the first line
     values : (lines, samples, B) in the cube's unit; NaN where the stored value is the ignore value
     valid : (lines, samples) False where a good band holds the ignore value or is not finite, or
-        where every band is stored as 0 (fill of a radiance or reflectance cube)
+        where every band is stored as 0 or as one negative number (fill of all but an "other" cube)
     """
 
     first_line: int
@@ -285,7 +285,7 @@ class Cube:
         """Which pixels (...) of stored numbers (B, ...) hold data.
 
         Those do not of which a ``needed`` band (B,), by default any, holds the ignore value or is not finite, or of
-        which every band is stored as 0, which is fill of any quantity but "other".
+        which every band holds one number that is fill of any quantity but "other".
         """
         usable, ignore = np.ones(stored.shape[1:], bool), self.ignore_value
         some = slice(None) if needed is None or needed.all() else needed
@@ -294,13 +294,7 @@ class Cube:
         if stored.dtype.kind == "f":
             usable &= np.isfinite(stored[some]).all(axis=0)
         if self.quantity != "other":
-            # Few pixels hold a 0 in each of three bands; only those are looked at in full.
-            dark = stored[-1] == 0
-            for band in (0, stored.shape[0] // 2):
-                if not dark.any():
-                    return usable
-                dark &= stored[band] == 0
-            usable[dark] &= stored[:, dark].any(axis=0)
+            usable &= ~filled(stored)
         return usable
 
 
@@ -314,9 +308,10 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     InputError : values that are too large for the quantity: a scale that was not stated.  Reflectances that the scale
         of the file makes of numbers that are reflectances as they stand: it was applied before.
     """
-    lines, samples = some_lines(cube.lines, _CHECKED_LINES), some_lines(cube.samples, _CHECKED_SAMPLES)
-    values = cube.pixels((np.repeat(lines, samples.size), np.tile(samples, lines.size)))
-    values = values[np.nan_to_num(values).any(axis=1)]  # without fill
+    stored = cube.raster.some_pixels()[:, cube.stored_band]
+    values = cube._scaled(stored, np.dtype(float))
+    values = values[np.nan_to_num(values).any(axis=1) & ~filled(stored.T)]
+    cube = replace(cube, notes=(*cube.notes, *fill_notes(stored, cube.ignore_value)))
     known = np.isfinite(values)
     some = np.asarray(known.any(axis=0))
     highest = np.max(values, axis=0, where=known, initial=-np.inf)

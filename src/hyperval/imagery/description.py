@@ -33,6 +33,7 @@ from hyperval.units import RADIANCE_UNIT, is_radiance, to_internal
 
 Bands = SpectralAxis | Literal["numbers"] | None
 
+_SEEN_LINES, _SEEN_SAMPLES = 16, 64
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
@@ -420,6 +421,11 @@ class Raster:
                     out[here, bands] = self._box(bands, *window)[:, rows[here] - top, cols[here] - left].T
         return out
 
+    def some_pixels(self) -> npt.NDArray[Any]:
+        """(n, bands) stored numbers of pixels that are spread evenly over the image."""
+        lines, samples = some_lines(self.lines, _SEEN_LINES), some_lines(self.samples, _SEEN_SAMPLES)
+        return self.read_pixels(np.repeat(lines, samples.size), np.tile(samples, lines.size))
+
     def _together(self, rows: Index, cols: Index) -> Sequence[Index]:
         """Which pixels are read together: those of lines that follow each other."""
         order = np.argsort(rows, kind="stable")
@@ -480,6 +486,41 @@ def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
     if float(ignore) == float(limits.max):  # as a float, the largest 64-bit number is the next power of two
         return dtype.type(limits.max)
     return dtype.type(int(ignore)) if limits.min <= int(ignore) <= limits.max else None
+
+
+def filled(stored: npt.NDArray[Any]) -> Mask:
+    """Which pixels (...) of stored numbers (B, ...) are fill: all bands hold one number that no surface gives them all.
+
+    That is 0; of three bands or more also a negative number, and the largest of a whole type of two bytes or more.
+
+    >>> filled(np.array([[0, -50, -50, 32767, 7], [0, -50, -49, 32767, 7], [0, -50, -50, 32767, 7]], "i2")).tolist()
+    [True, True, False, True, False]
+    >>> filled(np.array([[0, -1], [0, -1]])).tolist()
+    [True, False]
+    """
+    last = stored[-1]
+    fill = np.asarray(last == 0 if len(stored) < 3 else last <= 0)
+    if stored.dtype.kind in "iu" and stored.dtype.itemsize > 1 and len(stored) > 2:
+        fill |= last == np.iinfo(stored.dtype).max
+    for band in (0, len(stored) // 2):  # few pixels are alike in three bands; only those are looked at in full
+        if not fill.any():
+            return fill
+        fill &= stored[band] == last
+    fill[fill] = (stored[:, fill] == last[fill]).all(axis=0)
+    return fill
+
+
+def fill_notes(stored: npt.NDArray[Any], ignore: float | None) -> list[str]:
+    """What is to be said of the fill that nothing states among pixels (n, B): how many pixels hold which number.
+
+    >>> fill_notes(np.full((4, 3), -50) * [[1], [1], [0], [1]], -9999.0)
+    ['warning: 3 of 4 pixels seen hold -50 in every band: taken for no data, which nothing states']
+    """
+    numbers, counts = np.unique(stored[filled(stored.T), -1], return_counts=True)
+    told = {f"{number:g}": count for number, count in zip(numbers.tolist(), counts, strict=True)}
+    known = ("0", "" if ignore is None else f"{ignore:g}")
+    what = "in every band: taken for no data, which nothing states"
+    return [f"warning: {n} of {len(stored)} pixels seen hold {of} {what}" for of, n in told.items() if of not in known]
 
 
 _WORDS = "imagery/acquisition.yaml"

@@ -29,7 +29,7 @@ from shapely.geometry.base import BaseGeometry
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
-from hyperval.imagery.description import Raster, some_lines
+from hyperval.imagery.description import Raster, fill_notes, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, median_angle, table_in
 from hyperval.spectra.axis import wavelengths_in_nm
@@ -130,11 +130,13 @@ class LookupTable:
         return x, y
 
     @property
-    def metres_per_unit(self) -> float:
-        """Length of the unit of the map [m]; raises InputError where it is an angle or unknown."""
+    def metres_per_unit(self) -> tuple[float, float]:
+        """Lengths of the unit of the map along x and y [m], of a degree in the middle; InputError where unknown."""
+        if self.crs is not None and self.crs.is_geographic:
+            return metres_per_degree(self.middle[1])
         cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
         cell = needed(cell, "place.unit", self.raster.path, what="the map is not in a known unit")
-        return math.sqrt(cell / abs(self.transform.determinant))
+        return (math.sqrt(cell / abs(self.transform.determinant)),) * 2
 
     def _read(self, first: int, count: int) -> tuple[Index, Index]:
         """Stored sample and line (count, samples) of some lines of the table."""
@@ -420,6 +422,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         except HypervalError as error:
             row(f"scale of {quantity}", f"not known: {error.what}", error.mend or "")
     ignore, a = about.no_data(), raster.transform
+    notes += fill_notes(raster.some_pixels(), ignore)
     ignore = about.ignored if ignore is None else ignore
     row("no data", "none" if ignore is None else f"{ignore:g}",
         "nothing states one" if ignore is None else origin("data ignore value"))  # fmt: skip
@@ -437,10 +440,22 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         if (area := pixel_area_m2(None, None, about.entries)) is not None:
             row("pixel", f"{math.sqrt(area):.4g} m", origin("pixel size"))
     else:
-        place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {a.a:g}, {a.e:g}"
+        place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {_steps(a)}"
         row("position", place, origin("map info"))
         row("coordinate system", str(raster.crs or "not known"), origin("coordinate system string", "map info"))
     return rows + [("assumed", note, "reader") for note in notes]
+
+
+def _steps(a: Affine) -> str:
+    """Steps of a pixel along sample and line on the map, and how far they are turned counter-clockwise.
+
+    >>> _steps(Affine.scale(2.0, -2.0)), _steps(Affine.rotation(75.0) @ Affine.scale(1.1, -1.1))
+    ('2, -2', '1.1, -1.1, turned by 75 degrees')
+    """
+    if not (a.b or a.d):
+        return f"{a.a:g}, {a.e:g}"
+    width, height = math.hypot(a.a, a.d), math.copysign(math.hypot(a.b, a.e), a.determinant)
+    return f"{width:g}, {height:g}, turned by {math.degrees(math.atan2(a.d, a.a)):.6g} degrees"
 
 
 def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:

@@ -128,7 +128,7 @@ def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str) -> A
     return np.column_stack(~transform @ xy.T)
 
 
-def _reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Array:
+def reprojected(xy: Array, source: CRS, target: CRS | None, where: str) -> Array:
     """(n, 2) map coordinates in ``target`` of points in ``source`` (longitude first)."""
     target = needed(target, "region.no_system", where)
     if source == target:
@@ -179,7 +179,7 @@ class ImageGrid:
                 return geometry
             if means != "map":
                 system = stated or CRS.from_epsg(4326)
-                geometry = shapely.transform(geometry, lambda xy: _reprojected(xy, system, crs, where))
+                geometry = shapely.transform(geometry, lambda xy: reprojected(xy, system, crs, where))
             if self.transform is not None and not isinstance(self.transform, Affine):
                 geometry = self.transform.divided(geometry, where)
             return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where))
@@ -221,7 +221,7 @@ def _pixels_off(raster: Raster, transform: Affine, crs: CRS | None) -> float:
     """
     corners = np.array([(x, y) for x in (0.0, raster.samples) for y in (0.0, raster.lines)])
     xy = np.column_stack(needed(raster.transform, "region.no_position") @ corners.T)
-    xy = xy if raster.crs is None else _reprojected(xy, raster.crs, crs, str(raster.path))
+    xy = xy if raster.crs is None else reprojected(xy, raster.crs, crs, str(raster.path))
     return float(np.abs(map_to_pixel(xy, transform, where=str(raster.path)) - corners).max())
 
 
@@ -487,9 +487,16 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
 def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     """The classes of a raster of one band, or the bands of a raster of several; of the array ``grid.name_field``.
 
-    One band: a class for every whole number but the ignore value, and 0 where no class has that name, under the class
-    name of the header, else under the file's name (a single class) or ``name-value``.  Several bands: what is not 0,
-    nor NaN, nor the ignore value, under the band name; without names each holds one value beside 0.
+    One band: a class for every whole number but the ignore value, -1 beside others, and 0 where no class has that name,
+    under the class name of the header, else under the file's name (a single class) or ``name-value``.  Several bands:
+    what is not 0, nor NaN, nor the ignore value, under the band name; without names each holds one value beside 0.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     np.save(f"{folder}/gt.npy", [[-1, -1, 1], [2, 0, 1]])
+    ...     drawn = list(raster_regions(Path(folder) / "gt.npy", ImageGrid((2, 3))))
+    >>> [(name, int(parts[0].sum())) for name, _, parts in drawn]
+    [('gt-1', 2), ('gt-2', 1)]
     """
     raster = raster_of_size(path, grid, grid.name_field)
     stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
@@ -520,14 +527,15 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
 
 
 def _classes(values: Array, names: Sequence[str]) -> list[int]:
-    """The numbers of a map that are classes: 0 where a class bears that name, and the names reach to the highest.
+    """The numbers of a map that are classes: 0 where a class bears that name, and the names reach to the highest; -1
+    where nothing is above 0, beside which it is what has no label.
 
     >>> each = [""], ["Grass", "Soil", "Roof"], ["Unlabelled", "Soil", "Roof"], ["Grass", "Soil"]
     >>> [_classes(np.array([0.0, 1.0, 2.0]), names) for names in each]
     [[1, 2], [0, 1, 2], [1, 2], [1, 2]]
     """
     has_0 = not _NO_CLASS.match(names[0]) and values.max(initial=0) < len(names)
-    return [int(v) for v in values if v != 0 or has_0]
+    return [int(v) for v in values if (v != 0 or has_0) and (v != -1 or values.max() <= 0)]
 
 
 def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:

@@ -91,8 +91,17 @@ def open_tiff(path: Path, header: Path | str | None) -> TiffRaster:
 
 
 def _checked_type(dataset: Any, path: Path) -> np.dtype:
-    """The type of the values; InputError for what cannot be read by blocks of lines as plain numbers."""
+    """The type of the values; InputError for what cannot be read by blocks of lines as plain numbers.
+
+    >>> from types import SimpleNamespace
+    >>> _checked_type(SimpleNamespace(height=9, width=9, count=1, subdatasets=["page"] * 40), Path("x.tif"))
+    Traceback (most recent call last):
+    hyperval.errors.InputError: x.tif: 40 pages of one band each
+      expected: an image of which every band is one of the same page
+      to fix it: make bands of its pages, in Python: np.save('x.npy', np.moveaxis(tifffile.imread('x.tif'), 0, -1))
+    """
     lines, samples, count = dataset.height, dataset.width, dataset.count
+    refuse(count == 1 and dataset.subdatasets, "tiff.pages", path, pages=len(dataset.subdatasets), name=path.name)
     refuse(count > MAX_BANDS, "tiff.bands", path, count=count, most=MAX_BANDS)
     names = set(dataset.dtypes)
     refuse(len(names) != 1 or not np.issubdtype(np.dtype(names.pop()), np.number), "tiff.types", path)

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 from affine import Affine
+from rasterio.crs import CRS
 
 from hyperval.data import Array, Mask
 from hyperval.errors import reader, refusal, refuse
@@ -23,7 +24,13 @@ from hyperval.storage import number_of
 
 # First line and sample of a window, and a mask within it.
 Placed = tuple[tuple[int, int], Mask]
-_PLACES = {("row0", "col0"): 0.5, ("row1", "col1"): -0.5, ("line", "sample"): 0.0, ("easting", "northing"): None}
+_ON_MAP = ("easting", "northing")
+_LONLAT = (("lon", "lat"), ("longitude", "latitude"))
+_PLACES = {("row0", "col0"): 0.5, ("row1", "col1"): -0.5, ("line", "sample"): 0.0, _ON_MAP: None}
+_PLACES |= dict.fromkeys(_LONLAT)
+# How the list of MUUFL Gulfport calls its columns.
+_CALLED = {"targets_utmx": "easting", "targets_utmy": "northing", "targets_type": "material", "targets_size": "side_m",
+           "targets_id": "name"}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,17 +109,22 @@ def cut_out(mask: Mask) -> Placed:
 
 @reader
 def read_targets(
-    path: Path | str, shape: tuple[int, int], *, transform: Position = None, pixel_size_m: float | None = None
+    path: Path | str,
+    shape: tuple[int, int],
+    *,
+    transform: Position = None,
+    crs: CRS | None = None,
+    pixel_size_m: float | None = None,
 ) -> list[TargetObject]:
     """Targets of a CSV list.
 
     Columns: ``material``; ``name`` (default: material and line); the place of the centre as ``row0,col0``
     or ``row1,col1`` (whole or fractional pixel numbers, an integer meaning the pixel centre), ``line,sample``
-    (continuous, (0.5, 0.5) the centre of the first pixel) or ``easting,northing`` (the cube's map system, or that
-    of its lookup table); ``side_m`` or ``width_m`` with ``length_m``; optionally ``shape`` (``square``,
-    ``rectangle``, or ``circle`` and ``ellipse``, whose side, width and length are diameters), ``area_m2``,
-    ``heading_deg`` (of the length, clockwise from the direction of decreasing line; from grid north for
-    ``easting,northing``) and ``position_uncertainty_m``, which widens the mask.
+    (continuous, (0.5, 0.5) the centre of the first pixel), ``easting,northing`` (the cube's map system, or that
+    of its lookup table: ``crs``) or ``lon,lat`` (WGS 84); ``side_m`` or ``width_m`` with ``length_m``; optionally
+    ``shape`` (``square``, ``rectangle``, or ``circle`` and ``ellipse``, whose side, width and length are diameters),
+    ``area_m2``, ``heading_deg`` (of the length, clockwise from the direction of decreasing line; from grid north on a
+    map) and ``position_uncertainty_m``, which widens the mask.
     The mask holds every pixel that the target's outline touches.  Where no size is known the uncertainty of the
     position stands alone: the mask holds every pixel whose centre is that near to the centre of the target's pixel.
 
@@ -120,13 +132,24 @@ def read_targets(
     ----------
     pixel_size_m : ground size of a pixel; None takes the unit of the transform for metres
 
+    >>> from tempfile import NamedTemporaryFile
+    >>> utm, at = CRS.from_epsg(32618), Affine(1.0, 0.0, 500000.0, 0.0, -1.0, 4427800.0)
+    >>> for row in ("lon,lat,material,side_m\\n-75,40,felt,2", "targets_utmx,targets_utmy,targets_type,targets_size,"
+    ...             "\\n500000.5,4427757,felt,2,"):
+    ...     with NamedTemporaryFile("w", suffix=".csv") as file:
+    ...         print(row, file=file, flush=True)
+    ...         read_targets(file.name, (90, 9), transform=at @ Affine.translation(-4, 0), crs=utm)[0].centre_pixel
+    (42, 4)
+    (43, 4)
+
     Raises
     ------
     InputError : missing columns, numbers that are none, a shape that is none or that its sizes contradict, targets
         outside the image.
     """
     path = checked_file(path, what="target list")
-    fields, rows = read_table(path, {"name", "material", "shape", *_NUMERIC})
+    fields, rows = read_table(path, {"name", "material", "shape", *_NUMERIC, *_CALLED})
+    fields = [_CALLED.get(name, name) for name in fields]
     place = next((p for p in _PLACES if p[0] in fields and p[1] in fields), None)
     if place is None or "material" not in fields:
         places = "; ".join(",".join(p) for p in _PLACES)
@@ -137,7 +160,8 @@ def read_targets(
         pixel_m = math.sqrt(abs(ground or 0.0))
     refuse(not pixel_m > 0, "target.pixel", path)
     out: dict[str, TargetObject] = {}
-    for line, row in rows:
+    for line, cells in rows:
+        row = dict(zip(fields, cells.values(), strict=True))
         where, material = f"{path}:{line}", row["material"]
         name = row.get("name") or f"{material} {line - 1}"
         refuse(not material or name in out, "target.name", where)
@@ -150,7 +174,11 @@ def read_targets(
         figure = _FIGURES[word]
         if math.isnan(area) and width > 0:
             area = width * length * (math.pi / 4 if figure is _DISC else 1.0)
-        centre, corners = _position(number, place, transform, pixel_m, figure * (length, width), where)
+        if place in _LONLAT:
+            xy = np.array([[number[key] for key in place]])
+            number |= zip(_ON_MAP, roi.reprojected(xy, CRS.from_epsg(4326), crs, where)[0].tolist(), strict=True)
+        own = _ON_MAP if place in _LONLAT else place
+        centre, corners = _position(number, own, transform, pixel_m, figure * (length, width), where)
         if not roi.inside_image(corners, shape).all():
             mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
             raise roi.outside_error(corners, shape, where, f"the target {name!r}", mend)
@@ -194,9 +222,9 @@ def _position(
     if (shift := _PLACES[place]) is not None:
         x, y = second + shift, first + shift
         return (x, y), _outline((x, y), sides, pixel_m, heading)
-    unit_m = pixel_m / math.sqrt(abs(transform.determinant)) if isinstance(transform, Affine) else 1.0
-    unit_m = transform.metres_per_unit if isinstance(transform, LookupTable) else unit_m
-    around = _outline((0.0, 0.0), sides, unit_m, heading) * (1.0, -1.0)  # lines run down, northings up
+    one = pixel_m / math.sqrt(abs(transform.determinant)) if isinstance(transform, Affine) else 1.0
+    unit_m = transform.metres_per_unit if isinstance(transform, LookupTable) else (one, one)
+    around = _outline((0.0, 0.0), sides, 1.0, heading) / unit_m * (1.0, -1.0)  # lines run down, northings up
     on_map = np.array([first, second]) + np.vstack([(0.0, 0.0), around])
     (x, y), *corners = roi.map_to_pixel(on_map, transform, where=where)
     return (x, y), np.array(corners)

@@ -14,6 +14,7 @@ exact for cells whose sides run along those of the pixels.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -298,13 +299,14 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | Non
 
 @reader
 def number_rows(path: Path, what: str) -> tuple[Array, int]:
-    """Rows (n, columns) of a text table whose headings begin with #, and the line of the first."""
+    """Rows (n, columns) of a text table, and the line of the first; titles stand in one row, or begin with #."""
     checked_file(path, what=what, most=MAX_TABLE_BYTES)
     lines = [line.split("#")[0] for line in path.read_text("utf-8", errors="replace").splitlines()]
     start = next((number for number, line in enumerate(lines, start=1) if line.strip()), None)
     start = needed(start, "rows.none", path)
     header, rows, first = number_table("\n".join(lines), path)
-    refuse(header, "rows.heading", f"{path}:{start}")
+    titled = len(header) == 1 and re.search(r"(^|[\s,;])[-+.]?[0-9]", header[0]) is None  # no damaged row
+    refuse(header and not titled, "rows.heading", f"{path}:{start}")
     return rows, first
 
 
@@ -413,7 +415,8 @@ class _Site:
         cube, table, area = self.cube, self.table, self.area_m2
         if truth.csv is not None:
             side = math.sqrt(needed(area, "target.pixel", path := self.resolve(truth.csv)))
-            return imagery.read_targets(path, cube.shape, transform=table or cube.transform, pixel_size_m=side), []
+            placed = {"transform": table or cube.transform, "crs": cube.crs if table is None else table.crs}
+            return imagery.read_targets(path, cube.shape, **placed, pixel_size_m=side), []
         if (image := truth.finer or truth.abundances) is not None:
             return image_targets(image, cube, area, self.resolve)
         if truth.rasters is not None:
@@ -718,7 +721,7 @@ def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, 
     ------
     InputError : another size than the cube's, no such band, or a number that no pixel has.
     """
-    raster, first = imagery.raster_of_size(path, cube), 1 if source.band is None else source.band
+    raster, first = imagery.raster_of_size(path, cube, source.name_field), 1 if source.band is None else source.band
     return {name: Region(name, mask, str(path)) for name, mask in _cells(raster, path, source.classes, first)}
 
 

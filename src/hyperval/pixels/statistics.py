@@ -122,6 +122,17 @@ def stream(
     bands : (B,) that are handed out, all by default
     needed : (B,) that must hold data in a usable pixel, all by default
     watch : wraps the iterator over the parts of the pass, for a progress bar
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import open_cube, write_cube
+    >>> from hyperval.spectra.axis import SpectralAxis
+    >>> values, axis = np.random.default_rng(0).integers(1, 9, (32, 16, 5)), SpectralAxis(np.arange(500.0, 505.0), 1.0)
+    >>> values[..., 4] = 0  # a band that holds no data is left out
+    >>> with TemporaryDirectory() as folder:
+    ...     cube = open_cube(write_cube(f"{folder}/x.img", values, axis=axis, ignore_value=0), quantity="counts")
+    ...     means = list(stream(cube, lambda blocks: [np.array(x).mean(axis=1) for _, x, _ in blocks]))
+    >>> np.allclose(np.mean(np.concatenate(means), axis=0), values[..., :4].mean(axis=(0, 1)))
+    True
     """
     step = min(max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
     chosen = np.flatnonzero(np.ones(cube.bands, bool) if bands is None else bands)
@@ -130,11 +141,11 @@ def stream(
     count, most = chosen.size, step * cube.samples
 
     def blocks(firsts: range) -> Iterator[StoredBlock]:
-        buffer, memory = _memory(cube.bands * most, cube.dtype), _memory(count * most, np.float64)
+        buffer, memory = _memory(cube.raster.bands * most, cube.dtype), _memory(count * most, np.float64)
         for first in firsts:
             lines = min(step, cube.lines - first)
             pixels = lines * cube.samples
-            stored, usable = cube.read_stored(first, lines, needed, buffer[: cube.bands * pixels])
+            stored, usable = cube.read_stored(first, lines, needed, buffer)
             # In the order of the file: by pixel where the bands of a pixel lie side by side.
             by_pixel = stored.strides[0] < stored.strides[2]
             flat = memory[: count * pixels]
