@@ -192,11 +192,6 @@ def test_a_covariance_of_few_directions_has_no_other_components():
     np.testing.assert_allclose(along.scores(np.array([[[2.0, 1.0, 0.0]]]))[:, 0, 0] ** 2, [1.0, 1.0])
 
 
-def test_limits_of_draws_are_the_third_from_each_end_of_119():
-    low, high = pixels.band_limits(np.random.default_rng(0).permutation(119).astype(float) + 1)
-    assert (low, high) == (3.0, 117.0)  # a further draw is below 3 of 120 places, or above: 6/120 = 0.05
-
-
 def test_independent_pixels_behind_a_variance_are_those_of_the_squared_correlation():
     # Blurred noise, sd w: rho = exp(-h^2/(4 w^2)).  Over 12 fields of 4,096 pixels the number is known to some 3 %.
     rng = np.random.default_rng(9)

@@ -35,7 +35,7 @@ from hyperval.figures.spec import (
     single,
 )
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
-from hyperval.pixels import EigenDirections, band_limits, exceedance_of_distance
+from hyperval.pixels import EigenDirections, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable
 from hyperval.run import ScoreMap
@@ -239,8 +239,8 @@ def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) ->
 
     def view(subject: str) -> Panels:
         spread = spreads[subject]
-        measured, drawn = spread.measured.eigenvalues, spread.band.eigenvalues
-        mean, (low, high), number = drawn.mean(axis=0), band_limits(drawn), np.arange(1.0, measured.size + 1)
+        measured, (mean, low, high) = spread.measured.eigenvalues, spread.eigenvalues
+        number = np.arange(1.0, measured.size + 1)
         expected = {"y": mean, "low": low, "high": high}
         above = (
             predicted_mark("line", {"x": number, **expected}, "predicted, mean and 95 % of samples", marker="circle"),

@@ -605,9 +605,13 @@ def noise_part(
 
 
 # With m draws the r-th least and r-th greatest, r = 0.025 (m + 1), bound a further draw with probability 0.95,
-# exactly.
-DRAWS = 119
-_RANK = 3
+# exactly.  Draws of one seed are the same in every campaign, and so is the error of their ranks: 1,999 leave 0.06
+# standard deviations of it, 119 would 0.25.
+DRAWS = 1999
+FEWEST_DRAWS = 119
+_LARGEST_WORK = 5e8  # draws times directions cubed; beyond it there are fewer draws
+_DISTANCE_DRAWS = 399  # whose mean and spread are used
+_LEAST_SHIFT = 0.05  # standard deviations of an eigenvalue by which directions that are not drawn would move it
 # Directions with less than this part of the greatest eigenvalue are rounding error.
 SMALLEST_PART = 1e-12
 # Fewer independent pixels for each direction than this: the determinant of the sample says little.
@@ -642,31 +646,35 @@ class Statistics(NamedTuple):
     ----------
     eigenvalues : (K,) leading eigenvalues of S
     total : trace of S
-    distance : Bhattacharyya distance of two normal laws of equal mean with Sigma and S; NaN where S is of less
-        than full rank
     angles_deg : (A,) largest principal angle of the first eigenvectors of Sigma and S, in spaces of growing size
     """
 
     eigenvalues: Array
     total: Array
-    distance: Array
     angles_deg: Array
 
 
 def statistics_of_covariance(
-    directions: EigenDirections, factor: Array, count: int, spaces: tuple[int, ...], *, full_rank: bool = True
+    directions: EigenDirections, factor: Array, count: int, spaces: tuple[int, ...]
 ) -> Statistics:
     """The statistics of S = V D^1/2 F F^T D^1/2 V^T with F (P, m) in the predicted ``directions``.
 
     ``count`` leading eigenvalues, and the angles of ``spaces``, by the Gram matrix (m, m) of D^1/2 F.
     """
-    (size, pixels), most = factor.shape, max(spaces, default=0)
-    scaled = np.sqrt(directions.values)[:, None] * np.pad(factor, [(0, 0), (0, max(count - pixels, 0))])
-    values, turned = (x[..., ::-1] for x in np.linalg.eigh(scaled.T @ scaled))
-    overlap = scaled[:most] @ turned[:, :most] / np.sqrt(np.maximum(values[:most], 1e-300))
-    distance = np.nan if not full_rank else covariance_distance(factor @ factor.T) if pixels >= size else np.inf
-    total = np.vdot(scaled, scaled)
-    return Statistics(values[:count], np.asarray(total), np.asarray(distance), principal_angles_deg(overlap, spaces))
+    eigenvalues, angles = _leading(directions.values, factor, count, spaces)
+    return Statistics(eigenvalues, np.asarray(np.sum(directions.values[:, None] * factor**2)), angles)
+
+
+def _leading(
+    variances: Array, factor: Array, count: int, spaces: tuple[int, ...], rest: float = 0.0
+) -> tuple[Array, Array]:
+    """(..., K) eigenvalues and (..., A) angles [deg] of factors (..., P, m); ``rest`` is added to every eigenvalue."""
+    most, lacking = max(spaces, default=0), max(count - factor.shape[-1], 0)
+    scaled = np.sqrt(variances)[:, None] * np.pad(factor, [(0, 0)] * (factor.ndim - 1) + [(0, lacking)])
+    values, turned = (x[..., ::-1] for x in np.linalg.eigh(np.swapaxes(scaled, -1, -2) @ scaled))
+    values = values[..., :count] + rest
+    overlap = scaled[..., :most, :] @ turned[..., :most] / np.sqrt(np.maximum(values[..., None, :most], 1e-300))
+    return values, principal_angles_deg(overlap, spaces)
 
 
 def covariance_distance(whitened: npt.ArrayLike) -> float:
@@ -702,9 +710,13 @@ def kurtosis_parameter(tail_dof: float) -> float:
 
 
 def band_limits(drawn: Array) -> tuple[Array, Array]:
-    """Least and greatest value that a further draw keeps to with probability 0.95."""
-    ordered = np.sort(drawn, axis=0)
-    return ordered[_RANK - 1], ordered[-_RANK]
+    """Least and greatest value that a further draw keeps to with probability 0.95.
+
+    >>> tuple(float(end) for end in band_limits(np.arange(119.0) + 1.0))  # below 3 of 120 places, or above: 6/120
+    (3.0, 117.0)
+    """
+    ordered, rank = np.sort(drawn, axis=0), round(0.025 * (len(drawn) + 1))
+    return ordered[rank - 1], ordered[-rank]
 
 
 def sampling_band(
@@ -717,20 +729,65 @@ def sampling_band(
     kurtosis: float = 0.0,
     draws: int = DRAWS,
 ) -> Statistics:
-    """What samples of the predicted covariance show by chance alone.
+    """What samples of the predicted covariance show by chance alone; each statistic by draws of its own.
+
+    The trace is the sum of chi-squares that it is.  Eigenvalues and angles are those of the leading directions, to
+    which the others add their mean, lambda_j/n_j each, and to second order lambda_j^2/(n lambda_K): as many are
+    drawn as leave that below a twentieth of a standard deviation.
 
     Parameters
     ----------
     independent : degrees of freedom, one number or (P,) by direction
     count : leading eigenvalues K
     spaces : the k of the principal angles
+    draws : at most; fewer where many directions are drawn
+
+    Examples
+    --------
+    The total of 30 equal variances known from 400 pixels has the standard deviation sqrt(2/(30 * 400)):
+
+    >>> flat = EigenDirections(np.eye(30), np.ones(30))
+    >>> band = sampling_band(flat, 400.0, 2, (1,), np.random.default_rng(1))
+    >>> [round(float((x - 30.0) / 30.0 / np.sqrt(2.0 / 12000.0)), 1) for x in band_limits(band.total)]
+    [-2.1, 1.9]
+
+    A leading eigenvalue that stands alone has sqrt(2/n), however few directions are drawn:
+
+    >>> falling = EigenDirections(np.eye(30), 4.0 ** -np.arange(30.0))
+    >>> ends = band_limits(sampling_band(falling, 2000.0, 1, (1,), np.random.default_rng(1)).eigenvalues[:, 0])
+    >>> [round(float((x - 1.0) / np.sqrt(2.0 / 2000.0)), 1) for x in ends]
+    [-1.9, 2.0]
     """
-    size = directions.values.size
-    full = full_rank(independent, size)
+    values, size = directions.values, directions.values.size
+    n = np.broadcast_to(np.asarray(independent, dtype=float), (size,))
+    own = n / (1.0 + kurtosis)
+    beyond = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)
+    unseen = beyond <= _LEAST_SHIFT * values[count - 1] ** 2 * np.sqrt(2.0 * own.min())
+    kept = max(int(unseen.argmax()), count)
+    most = round(0.025 * _LARGEST_WORK / kept**3) * 40 - 1
+    draws = min(draws, max(most, FEWEST_DRAWS))
     with single_blas_thread():
-        factors = (drawn_factor(size, independent, rng, kurtosis) for _ in range(draws))
-        sampled = [statistics_of_covariance(directions, f, count, spaces, full_rank=full) for f in factors]
-    return Statistics(*(np.stack(part) for part in zip(*sampled, strict=True)))
+        factors = np.stack([drawn_factor(kept, n[:kept], rng, kurtosis) for _ in range(draws)])
+        eigenvalues, angles = _leading(values[:kept], factors, count, spaces, float(np.sum(values[kept:] / own[kept:])))
+    common = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
+    total = common * ((rng.chisquare(own, (draws, size)) / own) @ values)
+    return Statistics(eigenvalues, total, angles)
+
+
+def distance_band(
+    size: int, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float = 0.0
+) -> tuple[float, float, float]:
+    """What :func:`covariance_distance` of a sample shows by chance alone: its mean, and the 95 % limits of a draw.
+
+    Limits are those of a chi-square with the mean and the variance of 399 draws, which the sum of (w - 1)^2/16 over
+    all pairs of directions is in many pixels.
+    """
+    with single_blas_thread():
+        drawn = (drawn_factor(size, independent, rng, kurtosis) for _ in range(_DISTANCE_DRAWS))
+        found = np.array([covariance_distance(f @ f.T) for f in drawn])
+    mean, shape = float(found.mean()), float(found.mean() ** 2 / found.var())
+    low, high = mean / shape * special.gammaincinv(shape, [0.025, 0.975])
+    return mean, float(low), float(high)
 
 
 def full_rank(independent: npt.ArrayLike, size: int) -> bool:
