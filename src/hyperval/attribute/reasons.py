@@ -747,6 +747,9 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     ('', '')
     >>> next(_posterior_rows(replace(since, group=ALL, chi_square=40.0, p_value=0.47))).reason
     'nothing to explain: reduced chi-square 1 of 40 residuals (p = 0.47)'
+    >>> lawn = replace(since, group="lawn", p_value=1e-9)
+    >>> [str(next(_posterior_rows(replace(since, group=ALL, p_value=p, parts=(lawn,)))).outcome) for p in (1e-9, 0.47)]
+    ['disagrees', 'none']
     >>> from hyperval.attribute.posterior import effect_of
     >>> one = np.eye(2)[:, :1]
     >>> a, b = (effect_of(Candidate(name, "sensor", "1 %", False), one).fit(9.0 * one[:, 0]) for name in "ab")
@@ -758,7 +761,7 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     # The test of all products together concludes too, and informs.
     words = r.remark + UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
     whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
-    if r.group != SINCE and (r.too_wide or not r.passes):
+    if r.group != SINCE and (r.too_wide or r.p_value < r.level):
         whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
     tests = [whole, row("p_value", r.p_value, n=r.dof)]
     if r.best.causes:
