@@ -306,16 +306,28 @@ class Pair:
         return self.a.outcome != self.b.outcome if self.a and self.b else self.gates
 
     @property
-    def size(self) -> float:
-        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal.
+    def half_width(self) -> float:
+        """Of the wider interval; NaN where neither has one.
 
         An interval of next to no width counts as a thousandth of the value: rounding is no news.
+
+        >>> a, b = (Result("c", "radiance", "s", "m", "p_value_full", value) for value in (0.84, 1.5e-4))
+        >>> Pair(a, b).half_width, round(Pair(a, b).size, 4)  # sorted by size, which is no number of half intervals
+        (nan, 0.9998)
         """
+        halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b) if r]
+        return max((max(h, _LEAST_WIDTH * self._value) for h in halves if h > 0), default=math.nan)
+
+    @property
+    def _value(self) -> float:
+        return max(abs(r.value) for r in (self.a, self.b) if r)
+
+    @property
+    def size(self) -> float:
+        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal."""
         if not self.a or not self.b or not self.difference:
             return 0.0
-        halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b)]
-        value = max(abs(self.a.value), abs(self.b.value))
-        scale = max((max(h, _LEAST_WIDTH * value) for h in halves if h > 0), default=value)
+        scale = self._value if math.isnan(self.half_width) else self.half_width
         return abs(self.difference) / scale if scale > 0 else 0.0
 
 
