@@ -77,6 +77,7 @@ class Cause(StrEnum):
     NO_OBSERVATION = "not measured"
     NO_DATA = "data not on this machine"
     NO_BANDS = "no comparable band"
+    TEXTURE = "texture of the region counts as noise"
     NO_UNCERTAINTY = "no stated uncertainty"
     CIRCULAR = "one side was derived from the other"
     FEW_PIXELS = "too few pixels"

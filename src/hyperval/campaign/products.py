@@ -27,12 +27,13 @@ from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objec
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
 from hyperval.compare import compare_products, judged, told_apart, would_decide
+from hyperval.compare.spectra import LEAST_OF_NOISE, snr_beside_texture
 from hyperval.config import twice
 from hyperval.data import NUMERICAL_DETECTORS, Mask
 from hyperval.datasets import InputLog
 from hyperval.errors import needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
-from hyperval.pixels import average_roc, compact_parts, snr_from_moments, with_shared_pixels
+from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
 from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
 from hyperval.progress import bars
 from hyperval.results import Outcome, Result
@@ -129,16 +130,12 @@ def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
 
 
 LEAST_APART = 0.01  # of the greatest reflectance: spectra that lie nearer are of one surface
-LEAST_OF_NOISE = 0.9  # of the sensor's signal-to-noise ratio, which texture takes beyond what its estimate allows for
 
 
 def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
     """Warnings where texture is in a measured signal-to-noise ratio, and not in the predicted one."""
     for region in side.campaign.collection.snr_regions:
-        seen, noise = prediction.radiance.get(region), prediction.snr.get(region)
-        if seen is None or noise is None or seen.pixel_covariance is None:
-            continue
-        part = float(np.nanmedian(snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean))
+        part = snr_beside_texture(prediction, region)
         if part < LEAST_OF_NOISE:
             words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
             yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
@@ -400,11 +397,16 @@ def undecided_by(job: Job) -> list[tuple[Result, str]]:
         return undecided(side, outcomes(side, prediction), prediction)
 
 
-def asked_again(side: Collected) -> tuple[ScenarioModel, Products, list[model.World]]:
+def asked_again(side: Collected, prediction: Products) -> tuple[ScenarioModel, Products, list[model.World]]:
     """What attribution asks: the scenarios with something moved, and the collection, measured again; then what was
-    measured, and what each scenario states.
+    measured, and what each scenario states.  A signal-to-noise ratio that is in part texture is not asked about.
     """
-    observation = side.observed.observation
+
+    def of_noise(seen: Products) -> Products:
+        kept = {s: e for s, e in seen.snr.items() if snr_beside_texture(prediction, s) >= LEAST_OF_NOISE}
+        return replace(seen, snr=kept)
+
+    observation = of_noise(side.observed.observation)
     # Where every object is one pixel, the scores of pixels say the same.
     whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
     draws = OBJECT_DRAWS if whole else False
@@ -448,7 +450,8 @@ def asked_again(side: Collected) -> tuple[ScenarioModel, Products, list[model.Wo
             place = opened() if bands_are_off else before.place
             same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
             before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
-        return observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation
+        again = observe.observe(campaign.collection, detection, side.inputs.resolve, before=before)
+        return of_noise(again.observation)
 
     looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())
     asked = ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)

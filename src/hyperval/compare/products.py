@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.compare import covariance, detection, spectra
-from hyperval.compare.rows import named, row, said, scientific, skipped
+from hyperval.compare.rows import named, row, said, scientific, skipped, without
 from hyperval.errors import refuse
 from hyperval.model.intervals import Z95
 from hyperval.pixels import ANOMALY_LEVELS, LEAST_EXPECTED_ALARMS, nearest_point
@@ -117,7 +117,9 @@ def compare_products(
         for key, p, o in _pairs(getattr(predicted, field), getattr(observed, field)):
             subject, name = (key, method) if isinstance(key, str) else (key[0], "/".join(key[1:]))
             rows = compare(p, o, **options) if p is not None and o is not None else absent(field, subject, p, o)
-            yield from named(rows, field, subject, name)
+            part = spectra.snr_beside_texture(predicted, subject) if field == "snr" and o is not None else 1.0
+            textured = part < spectra.LEAST_OF_NOISE
+            yield from named(without("texture.snr", part=part) if textured else rows, field, subject, name)
 
     def absent(product: str, subject: str, p: Any, o: Any) -> list[Result]:
         """The row of what a side lacks; of a curve with what that side has in its place: detectors, else subjects."""

@@ -36,7 +36,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
 from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
-from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty, common_shifts
+from hyperval.pixels import FEATURES, absorption_centre, centre_uncertainty, common_shifts, snr_from_moments
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Outcome, Result, Role
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
@@ -542,6 +542,27 @@ ROUNDING = 1e-9
 NUMERICAL = 6e-8
 # Of what a source states of its values: about 95 % of a normal law.
 STATED_COVERAGE = 2.0
+
+
+LEAST_OF_NOISE = 0.9  # of the sensor's signal-to-noise ratio, which texture takes beyond what its estimate allows for
+
+
+def snr_beside_texture(predicted: Products, subject: str) -> float:
+    """Part of the sensor's SNR that its estimate from an image is expected to show, as texture counts as noise there.
+
+    Below ``LEAST_OF_NOISE`` what is measured is not what is predicted.  1 where no spread is predicted.
+
+    >>> axis, flat = SpectralAxis(np.arange(500.0, 900.0, 100.0), 10.0), np.full(4, 100.0)
+    >>> class_, panel = (SpectralEstimate(flat, np.eye(4), c) for c in (26.0 * np.eye(4), None))
+    >>> snr = {s: SpectralEstimate(flat, np.eye(4)) for s in ("field", "panel")}
+    >>> products = Products(axis, radiance={"field": class_, "panel": panel}, snr=snr)
+    >>> [round(snr_beside_texture(products, s), 2) for s in ("field", "panel")]
+    [0.2, 1.0]
+    """
+    seen, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
+    if seen is None or noise is None or seen.pixel_covariance is None:
+        return 1.0
+    return float(np.nanmedian(snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean))
 
 
 def compare_spectra(
