@@ -193,10 +193,10 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
     parts = np.zeros((len(sources), w.size))  # variance by source; the last may be everything without its own place
     for source, u in estimate.budget.items():
         parts[sources.index(source) if source in sources else -1] += np.square(np.asarray(u, float))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        total = np.sqrt(parts.sum(axis=0))
-        # Variances add, uncertainties do not: each source takes its share of the variance in the height.
-        heights = np.nan_to_num(100.0 * total / np.abs(estimate.mean) * parts / parts.sum(axis=0))
+    # Variances add, uncertainties do not: each source takes its share of the variance in the height.
+    total, heights = parts.sum(axis=0), np.zeros_like(parts)
+    lit = (np.abs(estimate.mean) > 0.0) & (total > 0.0)  # a dead band has no part of its radiance
+    heights[:, lit] = 100.0 / np.abs(estimate.mean[lit]) * parts[:, lit] / np.sqrt(total[lit])
     edges = np.concatenate([np.zeros((1, w.size)), np.cumsum(heights, axis=0)])
     marks = [
         Mark("area", {"x": w, "low": low, "high": high}, source, colour, alpha=1.0)
@@ -207,10 +207,21 @@ def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str
 
 
 def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
-    """Sources by their largest median share of the variance, the small ones taken together."""
+    """Sources by their largest median share of the variance, the small ones taken together.
+
+    >>> dead = SpectralEstimate(np.zeros(2), np.eye(2), budget={"noise": np.ones(2), "gain": np.ones(2)})
+    >>> lit = SpectralEstimate(np.array([0.0, 4.0]), np.eye(2), budget={"noise": np.ones(2), "gain": np.full(2, 2.0)})
+    >>> _ranked_sources([dead]), _ranked_sources([dead, lit])
+    (['gain', 'noise'], ['gain', 'noise'])
+    >>> view = _stack(SpectralAxis([500.0, 600.0], 5.0), lit, ["gain"], "lawn")
+    >>> [mark.columns["high"].round(1).tolist() for mark in view.parts[0].marks]
+    [[0.0, 55.9]]
+    """
     weight: dict[str, float] = {}
     for estimate in estimates:
-        squares = {s: float(np.nanmedian(np.square(u) / np.square(estimate.mean))) for s, u in estimate.budget.items()}
+        lit = np.abs(estimate.mean) > 0.0
+        parts = {s: np.square(np.asarray(u)[lit] / estimate.mean[lit]) for s, u in estimate.budget.items()}
+        squares = {s: float(np.nanmedian(part)) if lit.any() else 0.0 for s, part in parts.items()}
         total = sum(squares.values()) or 1.0
         weight |= {source: max(weight.get(source, 0.0), square / total) for source, square in squares.items()}
     ranked = sorted(weight, key=lambda s: (-weight[s], s))
