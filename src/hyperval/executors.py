@@ -20,9 +20,10 @@ import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from itertools import islice
@@ -311,7 +312,7 @@ class Workers:
         assert self.executor is not None  # noqa: S101
         if isinstance(self.executor, TaskPool):
             return self.executor.submit(WorkerTask(function, piece)).future
-        return self.executor.submit(_elsewhere, function, piece)
+        return self.executor.submit(_elsewhere, function, piece, command_line())
 
 
 # What all pieces need, packed: itself, or the file that processes of this machine read it from.
@@ -432,8 +433,24 @@ def in_order(
 
 @bars(False)
 @single_blas_thread()
-def _elsewhere(function: Callable[[T], R], piece: T) -> R:
-    return function(piece)
+def _elsewhere(function: Callable[[T], R], piece: T, command: Sequence[str] = ()) -> R:
+    given = _command.set(command)
+    try:
+        return function(piece)
+    finally:
+        _command.reset(given)
+
+
+_command: ContextVar[Sequence[str]] = ContextVar("command", default=())  # of a piece that another machine runs
+
+
+def command_line() -> list[str]:
+    """What the user typed, on whichever machine a piece of it runs.
+
+    >>> _elsewhere(lambda _: command_line(), None, ["hyperval", "validate"])
+    ['hyperval', 'validate']
+    """
+    return list(_command.get() or sys.argv)
 
 
 def _dask(address: str) -> Iterator[Workers]:

@@ -112,6 +112,7 @@ def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
         yield from _of_filters(side, scenario) if prediction is not None else ()
+        yield from _of_fractions(side.campaign.detection, place, scenario)
         named, state = f"scenario {scenario.name!r}", scenario.atmosphere
         if state is not None and state.time_utc is not None:
             yield from time_notes(place.cube.raster.description.entries, parse_utc(str(state.time_utc)), scenario.name)
@@ -139,6 +140,35 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
         if part < LEAST_OF_NOISE:
             words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
             yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
+
+
+ALL_OF_IT = 0.95  # of the background: regions that hold less of it do not tell what it is made of
+MAX_FRACTION = 0.02  # by which P_FA at 0.1 is some 3 % off where classes differ much
+
+
+def _of_fractions(detection: Detection | None, place: observe.Place, scenario: Scenario) -> Iterator[str]:
+    """A warning where the pixels that false alarms are counted on are another mixture of classes than is stated.
+
+    >>> from types import SimpleNamespace as Of
+    >>> at = {"scene": np.arange(10) > 1, "field": np.arange(10) > 4, "court": np.arange(10) < 5}
+    >>> place = Of(regions=at, pixels_of=lambda name: at[name])
+    >>> classes = [Of(name="field", fraction=0.5), Of(name="court", fraction=0.5)]
+    >>> stated = Of(name="x", scene=Of(fractions="stated", classes=classes))
+    >>> next(_of_fractions(Of(false_alarms=["scene"]), place, stated))[9:84]
+    "'field' is 0.625 of the pixels that false alarms are counted on (no target,"
+    """
+    classes = scenario.scene.classes
+    if detection is None or scenario.scene.fractions != "stated" or any(c.name not in place.regions for c in classes):
+        return
+    counted = place.pixels_of(*detection.false_alarms)
+    shares = [float(np.mean(place.pixels_of(c.name)[counted])) for c in classes] if counted.any() else []
+    if sum(shares) < ALL_OF_IT:
+        return
+    share, one = max(zip(shares, classes, strict=True), key=lambda item: abs(item[0] - item[1].fraction))
+    if abs(share - one.fraction) > MAX_FRACTION:
+        where = "of the pixels that false alarms are counted on (no target, guard or region that is left out)"
+        stated = f"{one.fraction:.3g} of the scene in {scenario.name!r}: scene.fractions: measured takes those"
+        yield f"warning: {one.name!r} is {share:.3g} {where}, and {stated}"
 
 
 def _of_filters(side: Collected, scenario: Scenario) -> Iterator[str]:

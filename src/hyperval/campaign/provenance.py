@@ -6,7 +6,6 @@ import importlib.metadata
 import platform
 import re
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -17,6 +16,7 @@ from pydantic import BaseModel
 
 import hyperval
 from hyperval.datasets import InputLog
+from hyperval.executors import command_line
 from hyperval.products import Products
 from hyperval.scenario import Scenario
 
@@ -57,7 +57,7 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
 
     Two runs into different folders have the same provenance.
     """
-    program, *given = [*(sys.argv if arguments is None else arguments)] or [""]
+    program, *given = [*(command_line() if arguments is None else arguments)] or [""]
     out, skip = [Path(program).name] if program else [], False
     for word in given:
         path = Path(word)

@@ -149,8 +149,8 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
     measured = pixels.statistics_of_covariance(directions, factor, count, spaces)
     full, lacks = pixels.full_rank(independent, size), factor.shape[1] < size
     distance = math.nan if not full else math.inf if lacks else pixels.covariance_distance(factor @ factor.T)
-    law = directions.values.tobytes(), independent.tobytes(), spaces, kurtosis
-    bands_of = [_band(*law, k) for k in (min(count, EIGENVALUES), count)]  # a figure's first ones are those of rows
+    of = directions.values.tobytes(), independent.tobytes(), spaces, kurtosis
+    bands_of = [_band(*of, k) for k in (min(count, EIGENVALUES), count)]  # a figure's first ones are those of rows
     limits = [np.stack([x.eigenvalues.mean(axis=0), *pixels.band_limits(x.eigenvalues)]) for x in bands_of]
     drawn, fewest = np.hstack([limits[0], limits[1][:, EIGENVALUES:]]), float(independent.min()) + 1.0
     both = (p, o), bands, (first, second)
