@@ -373,6 +373,7 @@ def open_raster(
     data = Path(path)
     if data.suffix.lower() == ".zarr":
         return arrays.open_labelled(checked_folder(data), variable, engine)
+    refuse(data.is_dir(), "image.folder", data)
     data = checked_file(path, what="image file")
     if engine is not None:
         return arrays.open_labelled(data, variable, engine)

@@ -35,6 +35,7 @@ Bands = SpectralAxis | Literal["numbers"] | None
 
 _SEEN_LINES, _SEEN_SAMPLES = 16, 64
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
+_SUNLIT_NM = 3000.0  # beyond which what surfaces emit is no longer little beside what they reflect
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
 _SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writes it
@@ -190,6 +191,9 @@ class Description:
         given_unit : the unit where the file states none; must agree with the file otherwise
         sort_bands : sort bands whose wavelengths do not increase (two detectors that overlap)
 
+        >>> Description(bands=ListedBands(np.array([8.0, 8.1]), np.full(2, 0.1), "um")).band_table(None, "x").notes
+        ('warning: no band below 8000 nm: the model has reflected sunlight, no emission',)
+
         Raises
         ------
         InputError : no wavelengths, a wrong count, not finite, not increasing, two the same, widths not positive, or
@@ -225,6 +229,8 @@ class Description:
         order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
+        if centre.min() > _SUNLIT_NM:
+            notes.append(f"warning: no band below {centre.min():g} nm: the model has reflected sunlight, no emission")
         if width is None:
             width, apart = _spacing_by_detector(centre)
             notes.append(spacing_note("the file lists no fwhm", np.sort(centre[apart])))

@@ -199,6 +199,17 @@ class LocationTable(LookupTable):
 
     A place is found by a plane through the coordinates of the 7 x 7 pixels around the nearest one; an InputError is one
     that no pixel lies near.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import open_raster, write_cube
+    >>> rng, (line, sample) = np.random.default_rng(1), np.indices((20, 20)) + 0.5
+    >>> uneven = np.stack([sample, -line], -1) + 500.0 + rng.normal(0.0, 0.2, (20, 20, 2))
+    >>> with TemporaryDirectory() as folder:
+    ...     table = location_table(open_raster(write_cube(f"{folder}/igm", uneven, data_type=5)), (20, 20))
+    ...     offsets = rng.uniform(3.0, 16.0, (400, 2))
+    ...     found = table.to_pixel([500.0, 500.0] + offsets * [1, -1], where="")
+    >>> bool(np.abs(found - offsets).max() < 0.5)
+    True
     """
 
     def _areas(self) -> Iterator[float | None]:
@@ -245,19 +256,21 @@ class LocationTable(LookupTable):
     def _place(self, xy: Array, where: str) -> Array:
         tree, nodes, scale = self._coarse
         line, sample = (int(v) for v in nodes[tree.query(xy * scale)[1]])
+        before = line, sample
         for _ in range(_STEPS):
             fit = self._fit(line, sample)
             if fit is None:
                 break
             place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], xy - fit[0])
             near = tuple(int(v) for v in np.clip(np.floor(place[::-1]), 0, np.array(self.shape) - 1))
-            if near == (line, sample):
+            if near in ((line, sample), before):  # or at the edge of two, each of which says that it lies in the other
                 beyond = max(place[0] - self.shape[1], place[1] - self.shape[0], -place[0], -place[1])
                 if beyond <= _FARTHEST:
                     return np.asarray(place)
                 break
-            line, sample = near
-        raise refusal("place.nowhere", where, place=f"({xy[0]:.6g}, {xy[1]:.6g})", what="the image")
+            before, (line, sample) = (line, sample), near
+        what = f"the image, whose places are in {self.crs or 'an unknown system'}"
+        raise refusal("place.nowhere", where, place=f"({xy[0]:.6g}, {xy[1]:.6g})", what=what)
 
     def _fit(self, line: int, sample: int) -> tuple[Array, Array] | None:
         """Map coordinates of a pixel's centre, and (2, 2) their change with sample and line; None without any."""
