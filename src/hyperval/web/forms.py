@@ -27,7 +27,7 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of
+from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, mistakes_of
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -223,7 +223,8 @@ class Form:
             node, kind=kind, value=text, choices=choices, unit=schema.get("unit", ""),
             limits=next((words for m in members if (words := _limits(m))), ""),
             default="" if default is None or isinstance(default, dict) else _text(default),
-            is_changed=value != begun and not (_blank(value) and _blank(begun)),
+            # Where nothing is said a form cannot tell it from a field that is left alone.
+            is_changed=value != begun and not all(one in (None, "", [], (), {}) for one in (value, begun)),
         )  # fmt: skip
 
     def _row(self, item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
@@ -314,11 +315,6 @@ def _limits(schema: Schema) -> str:
     return ", ".join(f"{said} {schema[key]:g}" for key, said in words.items() if key in schema)
 
 
-def _blank(value: Any) -> bool:
-    """Whether nothing is said: a form cannot tell it from a field that is left alone."""
-    return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
-
-
 def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     """Number of the first member that a value may be one of, from 1; 0 where there is none."""
     if value is None:
@@ -372,7 +368,6 @@ _MOST_DEPTH = 24
 _MOST_ITEMS = 5000  # of a list of numbers
 _MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
 _MOST_VALUES = 20_000
-_MOST_MISTAKES = 40
 
 
 @lru_cache(maxsize=1)
@@ -414,7 +409,7 @@ def of_bounded_size(data: Any, at: str = "") -> Any:
     many = f"with it there are more than {_MOST_VALUES:,} values"
     told = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
     mistakes = (FieldMistake(".".join(place), words) for place, words in told if words)
-    if listed := list(islice(mistakes, _MOST_MISTAKES)):
+    if listed := list(islice(mistakes, MOST_MISTAKES)):
         raise Refused(422, listed)
     return data
 

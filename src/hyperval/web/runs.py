@@ -130,8 +130,7 @@ def charts(request: Request, run: OwnRun, beside: str | None = None) -> Response
     if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
         raise Refused(409, "charts are of predictions that have finished")
     name, store = view_name(f"charts-{other.id}" if other else "charts"), store_of(request)
-    path = store.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None)
-    return FileResponse(path, media_type="application/json")
+    return FileResponse(store.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None))
 
 
 @pages.get("/runs/{run_id}/files/{name:path}")
@@ -291,8 +290,7 @@ def map_data(request: Request, run: OwnRun, name: str) -> Response:
     """A score map, 16 bits a pixel, with the measured curves that go with it."""
     if name not in maps_of(store_of(request).place(run.id)):
         raise Refused(404, [FieldMistake("name", "this run has no such score map")])
-    path = store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name)
-    return FileResponse(path, media_type="application/json")
+    return FileResponse(store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name))
 
 
 @pages.get("/runs/{run_id}/pixel.json")
@@ -308,5 +306,4 @@ def pixel_data(
     arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
     if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
         store_of(request).view(run, COLLECTION, COLLECTION, path=str(known.path))
-    path = store_of(request).view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments)
-    return FileResponse(path, media_type="application/json")
+    return FileResponse(store_of(request).view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments))
