@@ -16,7 +16,6 @@ import tempfile
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import groupby
 from pathlib import Path
 from types import FrameType, SimpleNamespace
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
@@ -98,8 +97,7 @@ def say_verdicts(output: Path) -> None:
     """
     outcomes = hyperval.results.Outcome
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
-    for name, group in groupby(rows, lambda row: row.campaign):
-        own = list(group)
+    for name, own in hyperval.figures.grouped(rows, lambda row: row.campaign).items():
         if any(row.outcome is not outcomes.SKIPPED for row in own):  # else the reason, below, says all
             note(f"{name}: {hyperval.report.first_screen(own).words}")
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):

@@ -43,8 +43,7 @@ class RunAnswer(WebRun):
 def answer_of(request: Request, run: WebRun) -> RunAnswer:
     """A run as the API tells of it."""
     store = store_of(request)
-    files = files_of(store.place(run.id), run)
-    return RunAnswer(**run.model_dump(), **store.progress(run), files=files)
+    return RunAnswer(**run.model_dump(), **store.progress(run), files=files_of(store.place(run.id), run))
 
 
 def run_of(request: Request, run_id: str) -> WebRun:
@@ -135,16 +134,15 @@ def charts(request: Request, run: OwnRun, beside: str | None = None) -> Response
 
 @pages.get("/runs/{run_id}/files/{name:path}")
 @api.get("/runs/{run_id}/files/{name:path}", response_class=Response, response_model=None)
-def file(request: Request, run_id: str, name: str) -> Response:
+def file(request: Request, run: OwnRun, name: str) -> Response:
     """A file of a run, such as results.csv, products.nc or scenario.yaml."""
-    run = run_of(request, run_id)  # the files of a prediction are written when the first is asked for
     place = store_of(request).place(run.id)
     if not _NAME.fullmatch(name) or ".." in name:
         raise Refused(404, "this run has no such file")
     if name == "campaign.zip":
         raise Refused(410, "campaign.yaml stands in its place: the files that were sent go into collection/ beside it")
     path = place / name if name in _SOURCES.values() else place / "results" / name
-    if path.parent != place and run.kind == "prediction":
+    if path.parent != place and run.kind == "prediction":  # whose files are written when the first is asked for
         store_of(request).view(run, "files", "results/results.csv")
     # What a command wrote is reached by a link of the store's own; no other leads out of the run.
     if not path.is_file() or not any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results")):
