@@ -15,7 +15,7 @@ from web_server import REFUSED
 
 from hyperval.cli import app as command
 from hyperval.scenario import Scenario, load_scenario
-from hyperval.web import needs, plain, predefined, scenario_form, view_name, walk
+from hyperval.web import form_data, form_nodes, needs, plain, predefined, view_name, walk
 from small_campaign import undrawn
 
 EASY = {"name": "yellow-planks-asphalt"}
@@ -39,12 +39,12 @@ def test_form_of_a_scenario_holds_the_scenario(client, server, name):
     given: dict[str, list[str]] = {}
     for key, value in sent_of(page):
         given.setdefault(key, []).append(value)
-    sent = Scenario.model_validate({"schema": 1, **scenario_form().data(given)})
+    sent = Scenario.model_validate({"schema": 1, **form_data(given)})
     assert sent.model_dump() == predefined()[name].model_dump()
 
 
 def test_form_tells_section_title_unit_limits_and_default():
-    sections = scenario_form().nodes({})
+    sections = form_nodes({})
     assert [s.title.partition(",")[0] for s in sections[:5]] == ["Name", "Scene", "Atmosphere", "Sensor", "Processing"]
     nodes = {n.path: n for n in walk(sections)}
     water = nodes["atmosphere.water_vapour_g_cm2"]
@@ -53,7 +53,7 @@ def test_form_tells_section_title_unit_limits_and_default():
 
 
 def test_rest_of_a_form_is_folded_and_opened_by_a_mistake(client, server):
-    nodes = {n.path: n for n in walk(scenario_form().nodes(plain(load_scenario("yellow-planks-asphalt"))))}
+    nodes = {n.path: n for n in walk(form_nodes(plain(load_scenario("yellow-planks-asphalt"))))}
     assert nodes["scene.classes.0.fraction"].is_shown
     assert nodes["scene.classes.0"].is_open
     assert not nodes["scene.classes.0.gain"].is_shown

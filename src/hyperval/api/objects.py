@@ -789,7 +789,6 @@ def _job(campaign: campaigns.Job | Path | str, *, compares: bool = True) -> Any:
 
 def _study(folder: Path) -> Study:
     check_hdf5(folder / "table.nc")
-    with xr.open_dataset(folder / "table.nc", engine="h5netcdf") as data:
-        table = data.load()
+    table = xr.load_dataset(folder / "table.nc", engine="h5netcdf")
     run = Run.open(folder)
     return Study(table=table, results=Results(run.table), provenance=run.provenance)

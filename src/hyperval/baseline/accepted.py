@@ -482,7 +482,7 @@ def _against(run: RunNumbers, folder: Path) -> RunNumbers:
 
 def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
     """A folder of results: one page for each campaign and sensor, and one that joins them."""
-    reports = []
+    reports, folders = [], file_stems(run.owner for run in runs)
     for run in runs:
         path = run.path(baselines)
         inputs = [{"reference": path.name, "sha256": sha256_of(path)}] if path.is_file() else []
@@ -493,11 +493,9 @@ def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
             kind="Accepted numbers of",
             sentence=accepted_words(run.rows) if run.before else next(row.reason for row in run.rows),
         ))  # fmt: skip
-    folders = file_stems(report.campaign for report in reports)
-    for report in reports:
-        inner = folder / folders[report.campaign]
+        inner = folder / folders[run.owner]
         inner.mkdir(exist_ok=True)
-        write_outputs(report, inner)
+        write_outputs(reports[-1], inner)
     write_index(reports, folder, "Accepted numbers")
 
 

@@ -16,7 +16,6 @@ import tempfile
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from itertools import groupby
 from pathlib import Path
 from types import FrameType, SimpleNamespace
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
@@ -98,16 +97,13 @@ def say_verdicts(output: Path) -> None:
     """
     outcomes = hyperval.results.Outcome
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
-    for name, group in groupby(rows, lambda row: row.campaign):
-        own = list(group)
+    for name, own in hyperval.figures.grouped(rows, lambda row: row.campaign).items():
         if any(row.outcome is not outcomes.SKIPPED for row in own):  # else the reason, below, says all
             note(f"{name}: {hyperval.report.first_screen(own).words}")
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
-        concerned: dict[str, list[hyperval.results.Result]] = {}
-        for row in rows:
-            if row.outcome is outcome and row.reason:  # those that differ in measured numbers alone are one
-                concerned.setdefault(re.sub(r"(?<= )[\d.]+\b", "", row.reason), []).append(row)
-        for alike in concerned.values():
+        told = (row for row in rows if row.outcome is outcome and row.reason)
+        # Those that differ in measured numbers alone are one.
+        for alike in hyperval.figures.grouped(told, lambda row: re.sub(r"(?<= )[\d.]+\b", "", row.reason)).values():
             more = len({row.reason for row in alike}) - 1
             names = ", ".join(dict.fromkeys(row.campaign for row in alike))
             line = f"{names}: {outcome}: {alike[0].reason}" + (f" (and {more} more like it)" if more else "")
@@ -168,13 +164,11 @@ def check(
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
     compared = [row for run in runs if run.before for row in run.rows if everything or row.reason]
     print_table(header, list(map(_cells, compared)))
-    skipped: dict[str, list[str]] = {}
     for run in runs:
         _tell(run, folder)
-        if run.skipped is not None:
-            skipped.setdefault(run.skipped, []).append(run.owner)
-    for reason, owners in skipped.items():
-        note(f"{', '.join(owners)}: skipped: {reason}")
+    for reason, alike in hyperval.figures.grouped(runs, lambda run: run.skipped).items():
+        if reason is not None:
+            note(f"{', '.join(run.owner for run in alike)}: skipped: {reason}")
     return finished(baseline.rows_of(runs).exit_code(), output)
 
 
@@ -517,7 +511,14 @@ def validate(
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:
-        return _dry_run(campaigns, output)
+        items = campaign.dry_run(campaigns, output)
+        header = ("campaign", "kind", "state", "what", "detail")
+        print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in campaign.overview(items)])
+        for line in campaign.summary(items):
+            note(line)
+        if any(i.state == campaign.WRONG for i in items):
+            return UsageError.exit_code
+        return InputError.exit_code if any(i.lacking for i in items) else 0
     output = needed(output, "validate.output")
     code = campaign.validate(campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note)
     if junit is not None:
@@ -531,17 +532,6 @@ def validate(
 def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], output: Output) -> int:
     """Write a simulated collection with its truth."""
     return finished(hyperval.simulate.simulate_to_folder(scene, output), output)
-
-
-def _dry_run(campaigns: list[Path], finished: Path | None) -> int:
-    items = campaign.dry_run(campaigns, finished)
-    header = ("campaign", "kind", "state", "what", "detail")
-    print_table(header, [(i.campaign, i.kind, i.state, i.what, i.detail) for i in campaign.overview(items)])
-    for line in campaign.summary(items):
-        note(line)
-    if any(i.state == campaign.WRONG for i in items):
-        return UsageError.exit_code
-    return InputError.exit_code if any(i.lacking for i in items) else 0
 
 
 sensor_app = typer.Typer(help="Sensors: those of the package, and new ones.", no_args_is_help=True)

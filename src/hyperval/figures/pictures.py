@@ -50,8 +50,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     rgb = np.asarray(quicklook.rgb)
     view = shown_window(rgb.shape[:2], quicklook.regions)
     step = max(1, math.ceil(max(_size(view)) / _MOST_PIXELS))
-    picture = rgb[view][::step, ::step]
-    whole = Image.fromarray(np.ascontiguousarray(picture))
+    whole = Image.fromarray(np.ascontiguousarray(rgb[view][::step, ::step]))
     few = whole.quantize(_OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
     bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"

@@ -161,8 +161,7 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     parts = [_part(own, most) for own, most in zip(shown, room, strict=True)]
     # One legend for all: marks of the first plot without a number.
     names = {mark.label: mark for part in parts for mark in part.marks}
-    nothing = np.array([np.nan])
-    legend = [replace(mark, columns=dict.fromkeys(mark.columns, nothing), words=()) for mark in names.values()]
+    legend = [replace(mark, columns=dict.fromkeys(mark.columns, (math.nan,)), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
     kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"

@@ -144,7 +144,13 @@ _NUMBERS = (("Numbers", tuple(Evidence)),)  # beside the accepted ones
 def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     """The page of one campaign, scenario or collection."""
     rows, sides = list(run.table), run.pair
-    spectra = _worst_first(first_figures(sides, run.table), rows)
+
+    def rank(chart: Figure) -> tuple[int, ...]:
+        """Products whose gates say worse come before the others; of one rank, by informational comparisons."""
+        planned = _made(rows, chart.section)
+        return tuple(WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
+
+    spectra = sorted(first_figures(sides, run.table), key=rank)
     many = many_objects_figure(run.score_maps, sides)
     first = [*spectra, *filter(None, [many])]
     charts, further = first[:_MOST_OPEN_FIGURES], first[_MOST_OPEN_FIGURES:]
@@ -157,6 +163,8 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest and screen.worst else None
     statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
+    unmade = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
+    undone = grouped(unmade, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
     # What shows the most comes first: the scene and the first score map.
     images = ((d.name, d.content, d.kind) for d in sorted(drawings, key=lambda d: d.name not in PICTURES))
     return page(
@@ -174,7 +182,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         budget=[chart for chart in folded if chart.name == _BUDGET],
         parts=_sections(drawings, folded, shown),
         of_reasons=_REASONS,
-        undone=_undone(rows),
+        undone={key: list(map(row_name, own)) for key, own in undone.items()},
         facts=flat({k: v for k, v in run.provenance.items() if k != "inputs"}),
         metrics=explained(row.metric for row in rows if row.planned),
     )  # fmt: skip
@@ -286,23 +294,6 @@ def stated_time() -> datetime | None:
     text = os.environ.get("SOURCE_DATE_EPOCH", "")
     refuse(text and not text.isdigit(), "results.date", text=text)
     return datetime.fromtimestamp(int(text), UTC) if text else None
-
-
-def _undone(rows: Sequence[Result]) -> dict[tuple[Outcome, str, str], list[str]]:
-    """Planned rows that were not made, those of one outcome, product and cause together with their names."""
-    undone = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
-    groups = grouped(undone, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
-    return {key: list(map(row_name, own)) for key, own in groups.items()}
-
-
-def _worst_first(charts: Sequence[Figure], rows: Sequence[Result]) -> list[Figure]:
-    """Charts of products whose gates say worse before the others; of one rank, by informational comparisons."""
-
-    def rank(chart: Figure) -> tuple[int, ...]:
-        planned = _made(rows, chart.section)
-        return tuple(WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
-
-    return sorted(charts, key=rank)
 
 
 def _made(rows: Sequence[Result], product: str) -> list[Result]:

@@ -61,6 +61,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     charts = _charts(a, b) if moved or changed else []
     alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
+    left, right = flat(a.provenance), flat(b.provenance)
     labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
     return page(
         "pair.html.j2", charts,
@@ -72,7 +73,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
         same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
         identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
-        inputs=provenance_differences(a, b),
+        inputs=[(k, left.get(k, "–"), right.get(k, "–")) for k in left | right if left.get(k) != right.get(k)],
         charts=charts,
         figures=_figures(a, b, alike),
         alike=alike,
@@ -85,13 +86,6 @@ def _names(a: Path, b: Path) -> tuple[str, str]:
     first, second = a.resolve().parts, b.resolve().parts
     most = next((n for n in range(1, max(len(first), len(second))) if first[-n:] != second[-n:]), 1)
     return "/".join(first[-most:]), "/".join(second[-most:])
-
-
-def provenance_differences(a: Run, b: Run) -> list[tuple[str, str, str]]:
-    """Entries of the provenance that differ: key, in A, in B."""
-    left, right = flat(a.provenance), flat(b.provenance)
-    keys = dict.fromkeys([*left, *right])
-    return [(k, left.get(k, "–"), right.get(k, "–")) for k in keys if left.get(k) != right.get(k)]
 
 
 def _charts(a: Run, b: Run) -> list[Figure]:

@@ -279,11 +279,9 @@ def number_text(value: float, spread: float = math.nan) -> str:
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         text = f"{value:.3g}"
     elif 0 < spread < math.inf:
-        text = f"{value:.{min(max(1 - math.floor(math.log10(spread)), 0), 6)}f}"
+        text = f"{value:z.{min(max(1 - math.floor(math.log10(spread)), 0), 6)}f}"
     else:
-        text = f"{value:.4g}" if abs(value) < 1000 else f"{value:.0f}"
-    if float(text) == 0.0:
-        text = text.removeprefix("-")
+        text = f"{value:z.4g}" if abs(value) < 1000 else f"{value:.0f}"
     return text.replace("-", "−")
 
 

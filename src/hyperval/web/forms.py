@@ -27,7 +27,7 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of
+from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, mistakes_of
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -55,6 +55,7 @@ _SECTIONS = {
     "Sensor": ("sensor", "sensor_changes", "sensor_operation"), "Processing": ("processing", "formulation"),
     "Uncertainty of the inputs": ("uncertainty",),
 }  # fmt: skip
+_SCHEMA = Scenario.model_json_schema(by_alias=True)
 _MOST_MARKED = 5
 _MOST_OPEN = 3  # rows that stand unfolded
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
@@ -113,150 +114,155 @@ class Node:
             yield self
 
 
-class Form:
-    """The form of a scenario; files that lie on the server are no part of it."""
+def form_nodes(
+    data: Mapping[str, Any] | None = None,
+    begun: Mapping[str, Any] | None = None,
+    sensors: tuple[str, ...] = (),
+) -> tuple[Node, ...]:
+    """The parts of the form of a scenario, filled in with ``data``; files that lie on the server are no part of it.
 
-    def __init__(self) -> None:
-        self.schema = Scenario.model_json_schema(by_alias=True)
+    Parameters
+    ----------
+    begun : data that the form began with
+    sensors : names that may stand there besides those of the library
+    """
+    nodes = {node.path: node for node in _group(_SCHEMA, "", data, begun)}
+    known = dict.fromkeys((*nodes["sensor"].choices, *sensors))
+    nodes["sensor"] = replace(nodes["sensor"], choices=tuple(known))
+    sections = []
+    for title, entries in _SECTIONS.items():
+        first, *others = [nodes.pop(name) for name in entries]
+        if first.kind != "group":
+            first = Node("group", "", title, children=(first,))
+        sections.append(replace(first, title=title, children=(*first.children, *others), is_open=_is_open(first.path)))
+    return (*nodes.values(), *sections)
 
-    def nodes(
-        self,
-        data: Mapping[str, Any] | None = None,
-        begun: Mapping[str, Any] | None = None,
-        sensors: tuple[str, ...] = (),
-    ) -> tuple[Node, ...]:
-        """The parts of the form, filled in with ``data``.
 
-        Parameters
-        ----------
-        begun : data that the form began with
-        sensors : names that may stand there besides those of the library
-        """
-        nodes = {node.path: node for node in self._group(self.schema, "", data, begun)}
-        known = dict.fromkeys((*nodes["sensor"].choices, *sensors))
-        nodes["sensor"] = replace(nodes["sensor"], choices=tuple(known))
-        sections = []
-        for title, entries in _SECTIONS.items():
-            first, *others = [nodes.pop(name) for name in entries]
-            if first.kind != "group":
-                first = Node("group", "", title, children=(first,))
-            is_open = _is_open(first.path)
-            sections.append(replace(first, title=title, children=(*first.children, *others), is_open=is_open))
-        return (*nodes.values(), *sections)
+def form_data(given: Given) -> dict[str, Any]:
+    """The nested data of a form as it was sent."""
+    return _read_group(_SCHEMA, "", given)
 
-    def data(self, given: Given) -> dict[str, Any]:
-        """The nested data of a form as it was sent."""
-        return self._read_group(self.schema, "", given)
 
-    def _members(self, schema: Schema) -> list[Schema]:
-        """What may stand there, ``null`` left out."""
-        return [m for m in self._expanded(schema) if m.get("type") != "null"]
+def _members(schema: Schema) -> list[Schema]:
+    """What may stand there, ``null`` left out."""
+    return [m for m in _expanded(schema) if m.get("type") != "null"]
 
-    def _expanded(self, schema: Schema) -> list[Schema]:
-        if "$ref" in schema:
-            schema = {**self.schema["$defs"][schema["$ref"].rsplit("/", 1)[-1]], **schema}
-        return [m for part in schema["anyOf"] for m in self._expanded(part)] if "anyOf" in schema else [schema]
 
-    def _entries(self, schema: Schema, path: str) -> Iterator[tuple[str, str, Schema]]:
-        """Name, path and schema of every entry of a group."""
-        for name, part in schema.get("properties", {}).items():
-            own = f"{path}.{name}" if path else name
-            if not _LEFT_OUT.fullmatch(own):
-                yield name, own, part
+def _expanded(schema: Schema) -> list[Schema]:
+    if "$ref" in schema:
+        schema = {**_SCHEMA["$defs"][schema["$ref"].rsplit("/", 1)[-1]], **schema}
+    return [m for part in schema["anyOf"] for m in _expanded(part)] if "anyOf" in schema else [schema]
 
-    # From schema and data to a form.
 
-    def _group(self, schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]:
-        data, begun = (one if isinstance(one, Mapping) else {} for one in (data, begun))
-        needed = schema.get("required", ())
-        nodes: list[Node] = []
-        for name, own, part in self._entries(schema, path):
-            node = self._node(part, own, data.get(name), begun.get(name), name in needed)
-            if node.kind == "group" and own.endswith((".spectrum", ".fill")):  # what is shown joins its neighbours
-                nodes += [child for child in node.children if child.is_shown]
-                node = replace(node, children=tuple(c for c in node.children if not c.is_shown), is_shown=False)
-            nodes.append(node)
-        return tuple(nodes)
+def _entries(schema: Schema, path: str) -> Iterator[tuple[str, str, Schema]]:
+    """Name, path and schema of every entry of a group."""
+    for name, part in schema.get("properties", {}).items():
+        own = f"{path}.{name}" if path else name
+        if not _LEFT_OUT.fullmatch(own):
+            yield name, own, part
 
-    def _node(self, schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
-        members = self._members(schema)
-        kinds = [_kind(m) for m in members]
-        hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
-        is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
-        node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
-        if len(kinds) == 1 or "group" not in kinds:
-            return self._filled(node, schema, members, value, begun)
-        chosen, first = (_chosen(members, kinds, one) for one in (value, begun))
-        children = []
-        for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
-            title = _CAPITAL.sub(" ", str(member["title"])).lower() if kind == "group" else node.title
-            own, was = value if number == chosen else None, begun if number == first else None
-            children.append(self._filled(replace(node, title=title, hint=""), member, [member], own, was))
-        return replace(node, kind="variants", children=tuple(children), chosen=chosen, is_changed=chosen != first)
 
-    def _filled(self, node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
-        """What stands under a title: the entries of a group, rows, or a field, with what is given."""
-        kinds, path = [_kind(m) for m in members], node.path
-        if kinds == ["group"]:
-            children = self._group(members[0], path, value, begun)
-            is_shown = node.is_shown or any(child.is_shown for child in children)
-            is_open = (bool(value) or node.is_needed) and _is_open(path)
-            hint = node.hint or str(members[0].get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
-            return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
-        if kinds == ["rows"]:
-            rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
-            item, few = self._members(members[0]["items"])[0], len(rows) <= _MOST_OPEN
-            each = enumerate(zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)]))
-            children = tuple(self._row(item, f"{path}.{i}", row, was, few) for i, (row, was) in each)
-            return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
-        kind, known = _one_kind(kinds), _choices(path)
-        choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
-        if known and kind in ("text", "yaml"):
-            kind, choices = ("choice" if kind == "text" else "several"), known
-        text: Any = "" if value is None else _text(value)
-        if kind == "several":
-            text = [str(v) for v in value] if isinstance(value, list | tuple) else []
-        elif kind == "choice" and text and text not in choices:
-            choices = (*choices, text)
-        default = schema.get("default")
-        return replace(
-            node, kind=kind, value=text, choices=choices, unit=schema.get("unit", ""),
-            limits=next((words for m in members if (words := _limits(m))), ""),
-            default="" if default is None or isinstance(default, dict) else _text(default),
-            is_changed=value != begun and not (_blank(value) and _blank(begun)),
-        )  # fmt: skip
+# From schema and data to a form.
 
-    def _row(self, item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
-        given = row if isinstance(row, Mapping) else {}
-        title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
-        is_open = (is_few and _is_open(path)) or not given
-        return Node("group", path, title, children=self._group(item, path, given, begun), is_open=is_open)
 
-    # From a filled form to data.
+def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]:
+    data, begun = (one if isinstance(one, Mapping) else {} for one in (data, begun))
+    needed = schema.get("required", ())
+    nodes: list[Node] = []
+    for name, own, part in _entries(schema, path):
+        node = _node(part, own, data.get(name), begun.get(name), name in needed)
+        if node.kind == "group" and own.endswith((".spectrum", ".fill")):  # what is shown joins its neighbours
+            nodes += [child for child in node.children if child.is_shown]
+            node = replace(node, children=tuple(c for c in node.children if not c.is_shown), is_shown=False)
+        nodes.append(node)
+    return tuple(nodes)
 
-    def _read_group(self, schema: Schema, path: str, given: Given) -> dict[str, Any]:
-        read = {name: self._read(self._members(part), own, given) for name, own, part in self._entries(schema, path)}
-        return {name: value for name, value in read.items() if value is not None}
 
-    def _read(self, members: list[Schema], path: str, given: Given) -> Any:
-        kinds = [_kind(m) for m in members]
-        if kinds == ["group"]:
-            return self._read_group(members[0], path, given) or None
-        if "group" in kinds:
-            number = _count(given, f"{path}?", len(members))
-            if number and kinds[number - 1] == "group":  # which counts where nothing stands in it, too
-                return self._read_group(members[number - 1], path, given)
-            return self._read([members[number - 1]], path, given) if number else None
-        is_list = f"{path}#" in given
-        if kinds == ["rows"]:
-            item = self._members(members[0]["items"])[0]
-            places = [f"{path}.{i}" for i in range(_count(given, f"{path}#", MOST_ROWS))]
-            rows = [self._read_group(item, place, given) for place in places if f"{place}!" not in given]
-            return rows if is_list else None
-        values = [v.strip() for v in given.get(path, []) if v.strip()]
-        if _choices(path) and _one_kind(kinds) == "yaml":
-            return values or ([] if is_list else None)
-        return _value(values[0], kinds) if values else None
+def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
+    members = _members(schema)
+    kinds = [_kind(m) for m in members]
+    hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
+    is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
+    node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
+    if len(kinds) == 1 or "group" not in kinds:
+        return _filled(node, schema, members, value, begun)
+    chosen, first = (_chosen(members, kinds, one) for one in (value, begun))
+    children = []
+    for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
+        title = _CAPITAL.sub(" ", str(member["title"])).lower() if kind == "group" else node.title
+        own, was = value if number == chosen else None, begun if number == first else None
+        children.append(_filled(replace(node, title=title, hint=""), member, [member], own, was))
+    return replace(node, kind="variants", children=tuple(children), chosen=chosen, is_changed=chosen != first)
+
+
+def _filled(node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
+    """What stands under a title: the entries of a group, rows, or a field, with what is given."""
+    kinds, path = [_kind(m) for m in members], node.path
+    if kinds == ["group"]:
+        children = _group(members[0], path, value, begun)
+        is_shown = node.is_shown or any(child.is_shown for child in children)
+        is_open = (bool(value) or node.is_needed) and _is_open(path)
+        hint = node.hint or str(members[0].get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
+        return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
+    if kinds == ["rows"]:
+        rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
+        item, few = _members(members[0]["items"])[0], len(rows) <= _MOST_OPEN
+        each = enumerate(zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)]))
+        children = tuple(_row(item, f"{path}.{i}", row, was, few) for i, (row, was) in each)
+        return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
+    kind, known = _one_kind(kinds), _choices(path)
+    choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
+    if known and kind in ("text", "yaml"):
+        kind, choices = ("choice" if kind == "text" else "several"), known
+    text: Any = "" if value is None else _text(value)
+    if kind == "several":
+        text = [str(v) for v in value] if isinstance(value, list | tuple) else []
+    elif kind == "choice" and text and text not in choices:
+        choices = (*choices, text)
+    default = schema.get("default")
+    return replace(
+        node, kind=kind, value=text, choices=choices, unit=schema.get("unit", ""),
+        limits=next((words for m in members if (words := _limits(m))), ""),
+        default="" if default is None or isinstance(default, dict) else _text(default),
+        # Where nothing is said a form cannot tell it from a field that is left alone.
+        is_changed=value != begun and not all(one in (None, "", [], (), {}) for one in (value, begun)),
+    )  # fmt: skip
+
+
+def _row(item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
+    given = row if isinstance(row, Mapping) else {}
+    title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
+    is_open = (is_few and _is_open(path)) or not given
+    return Node("group", path, title, children=_group(item, path, given, begun), is_open=is_open)
+
+
+# From a filled form to data.
+
+
+def _read_group(schema: Schema, path: str, given: Given) -> dict[str, Any]:
+    read = {name: _read(_members(part), own, given) for name, own, part in _entries(schema, path)}
+    return {name: value for name, value in read.items() if value is not None}
+
+
+def _read(members: list[Schema], path: str, given: Given) -> Any:
+    kinds = [_kind(m) for m in members]
+    if kinds == ["group"]:
+        return _read_group(members[0], path, given) or None
+    if "group" in kinds:
+        number = _count(given, f"{path}?", len(members))
+        if number and kinds[number - 1] == "group":  # which counts where nothing stands in it, too
+            return _read_group(members[number - 1], path, given)
+        return _read([members[number - 1]], path, given) if number else None
+    is_list = f"{path}#" in given
+    if kinds == ["rows"]:
+        item = _members(members[0]["items"])[0]
+        places = [f"{path}.{i}" for i in range(_count(given, f"{path}#", MOST_ROWS))]
+        rows = [_read_group(item, place, given) for place in places if f"{place}!" not in given]
+        return rows if is_list else None
+    values = [v.strip() for v in given.get(path, []) if v.strip()]
+    if _choices(path) and _one_kind(kinds) == "yaml":
+        return values or ([] if is_list else None)
+    return _value(values[0], kinds) if values else None
 
 
 def _is_open(path: str) -> bool:
@@ -314,11 +320,6 @@ def _limits(schema: Schema) -> str:
     return ", ".join(f"{said} {schema[key]:g}" for key, said in words.items() if key in schema)
 
 
-def _blank(value: Any) -> bool:
-    """Whether nothing is said: a form cannot tell it from a field that is left alone."""
-    return value is None or (isinstance(value, str | list | tuple | Mapping) and not value)
-
-
 def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     """Number of the first member that a value may be one of, from 1; 0 where there is none."""
     if value is None:
@@ -372,13 +373,6 @@ _MOST_DEPTH = 24
 _MOST_ITEMS = 5000  # of a list of numbers
 _MOST_ENTRIES = 100  # of a list of groups, which are checked one by one
 _MOST_VALUES = 20_000
-_MOST_MISTAKES = 40
-
-
-@lru_cache(maxsize=1)
-def scenario_form() -> Form:
-    """The form of a scenario, whose schema is made once."""
-    return Form()
 
 
 def plain(stated: Scenario | StudyFile) -> dict[str, Any]:
@@ -414,7 +408,7 @@ def of_bounded_size(data: Any, at: str = "") -> Any:
     many = f"with it there are more than {_MOST_VALUES:,} values"
     told = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
     mistakes = (FieldMistake(".".join(place), words) for place, words in told if words)
-    if listed := list(islice(mistakes, _MOST_MISTAKES)):
+    if listed := list(islice(mistakes, MOST_MISTAKES)):
         raise Refused(422, listed)
     return data
 

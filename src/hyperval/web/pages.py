@@ -8,21 +8,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
-from importlib import resources
-from pathlib import Path
 from typing import Any, Literal
 
 import jinja2
 from fastapi import APIRouter, Request
 from markupsafe import Markup
 from pydantic import BaseModel
-from starlette.responses import HTMLResponse, Response
+from starlette.responses import FileResponse, HTMLResponse, Response
 
 import hyperval
 from hyperval.config import schema_text
-from hyperval.report.html import CHARTS, LIBRARY, script, strict_templates
+from hyperval.report.html import CHARTS, LIBRARY, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
+from hyperval.storage import installed_file
 from hyperval.web.forms import Node
 from hyperval.web.refusal import FieldMistake, Refused
 from hyperval.web.store import Runs
@@ -45,8 +44,10 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 pages = APIRouter(include_in_schema=False)
 api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-_REPORT = ("style.css", "page.js")
-_SCRIPTS = dict(zip(("bokeh.js", "bokeh-api.js", "charts.js"), (*LIBRARY, CHARTS), strict=True))
+_STATIC = {file.name: file for file in installed_file("hyperval.web", "static").iterdir() if file.suffix in _TYPES}
+_STATIC |= {name: installed_file("hyperval.report", "templates", name) for name in ("style.css", "page.js")}
+_DRAWING = zip(("bokeh.js", "bokeh-api.js", "charts.js"), (*LIBRARY, CHARTS), strict=True)
+_STATIC |= {name: installed_file(*place) for name, place in _DRAWING}
 
 
 @lru_cache(maxsize=1)
@@ -91,24 +92,13 @@ def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: st
     return Markup(macros.parts(nodes))  # noqa: S704 - made of escaped parts
 
 
-@lru_cache(maxsize=16)
-def _static(name: str) -> bytes | None:
-    if name in _SCRIPTS:
-        return script(_SCRIPTS[name])
-    package = ("hyperval.report", "templates") if name in _REPORT else ("hyperval.web", "static")
-    file = resources.files(package[0]) / package[1] / name
-    return file.read_bytes() if file.is_file() else None
-
-
 @pages.get("/static/{name}")
 def static(name: str) -> Response:
     """A script, style or picture of the application, or of the packages that it draws with."""
-    kind = _TYPES.get(Path(name).suffix)
-    content = _static(name) if kind and "/" not in name and "\\" not in name and not name.startswith(".") else None
-    if content is None:
+    if name not in _STATIC:
         raise Refused(404, "there is no such file")
     headers = {"cache-control": "public, max-age=3600"}
-    return Response(content, media_type=kind, headers=headers)
+    return FileResponse(_STATIC[name], media_type=_TYPES[_STATIC[name].suffix], headers=headers)
 
 
 @pages.get("/{kind}.schema.json")

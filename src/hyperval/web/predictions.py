@@ -36,12 +36,13 @@ from hyperval.web.forms import (
     SURFACES,
     Node,
     checked_scenario,
+    form_data,
+    form_nodes,
     marked,
     needs,
     of_bounded_size,
     plain,
     predefined,
-    scenario_form,
     yaml_text,
 )
 from hyperval.web.pages import api, form_parts, owner_of, page, pages, store_of
@@ -66,7 +67,7 @@ def warm() -> None:
         needs(scenario)
         if scenario.sensor is not None:
             load_sensor(scenario.sensor)
-        form_parts(scenario_form().nodes(plain(scenario)), {})
+        form_parts(form_nodes(plain(scenario)), {})
 
 
 @pages.get("/")
@@ -103,8 +104,8 @@ async def predict_post(request: Request) -> Response:
 def _posted(request: Request, given: dict[str, list[str]]) -> Response:
     begun = given.get("begun", [""])[0]
     if given.get("action", ["run"])[0] != "run":
-        return _form(request, scenario_form().data(with_action(given)), begun)
-    data = {"schema": 1} | scenario_form().data(given)
+        return _form(request, form_data(with_action(given)), begun)
+    data = {"schema": 1} | form_data(given)
     try:
         ordered = order_prediction(request, data)
     except Refused as refusal:
@@ -154,7 +155,7 @@ def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Seq
     """The form, and what differs in it from the scenario that it began with."""
     own, first = Uploads(request), _first(request, begun)
     begun = begun if first else ""
-    nodes = scenario_form().nodes(data, first, own.names("sensors"))
+    nodes = form_nodes(data, first, own.names("sensors"))
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
     return page(
@@ -229,22 +230,18 @@ def predictions(
     request: Request, order: PredictionOrder, wait: float = Query(10.0, ge=0, le=60, description="seconds, at most")
 ) -> RunAnswer:
     """Predict a scenario, and wait for the numbers."""
-    return run(request, order_prediction(request, _scenario_of(order)).id, wait)
-
-
-def _scenario_of(order: PredictionOrder) -> dict[str, Any]:
     if (order.name is None) == (order.scenario is None):
         raise Refused(422, [FieldMistake("name", "give either name or scenario")])
     scenario = order.scenario or predefined().get(order.name or "")
     if scenario is None:
         raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
     try:
-        return plain(with_settings(scenario, order.settings) if order.settings else scenario)
+        data = plain(with_settings(scenario, order.settings) if order.settings else scenario)
     except UsageError as error:
-        cause = error.__cause__
-        if isinstance(cause, ValidationError):
+        if isinstance(cause := error.__cause__, ValidationError):
             raise Refused(422, mistakes_of(cause, plain(scenario))) from error
         raise Refused(422, [FieldMistake("settings", said(error)[:500])]) from error
+    return run(request, order_prediction(request, data).id, wait)
 
 
 _MOST_STATES = 40

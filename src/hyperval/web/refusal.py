@@ -15,7 +15,7 @@ from hyperval.config import spelled
 from hyperval.errors import HypervalError
 
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
-_MOST = 40  # mistakes of one request
+MOST_MISTAKES = 40  # of one request
 _WORDS = {
     "finite_number": "is not a finite number",
     "float_parsing": "is not a number, such as 0.5",
@@ -112,4 +112,4 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     """Every mistake of ``data`` with its field, each once."""
     every = error.errors(include_url=False)
-    return list(dict.fromkeys(mistake_of(item, field_name(item["loc"], data)) for item in every))[:_MOST]
+    return list(dict.fromkeys(mistake_of(item, field_name(item["loc"], data)) for item in every))[:MOST_MISTAKES]

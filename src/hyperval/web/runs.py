@@ -43,8 +43,7 @@ class RunAnswer(WebRun):
 def answer_of(request: Request, run: WebRun) -> RunAnswer:
     """A run as the API tells of it."""
     store = store_of(request)
-    files = files_of(store.place(run.id), run)
-    return RunAnswer(**run.model_dump(), **store.progress(run), files=files)
+    return RunAnswer(**run.model_dump(), **store.progress(run), files=files_of(store.place(run.id), run))
 
 
 def run_of(request: Request, run_id: str) -> WebRun:
@@ -130,22 +129,20 @@ def charts(request: Request, run: OwnRun, beside: str | None = None) -> Response
     if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
         raise Refused(409, "charts are of predictions that have finished")
     name, store = view_name(f"charts-{other.id}" if other else "charts"), store_of(request)
-    path = store.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None)
-    return FileResponse(path, media_type="application/json")
+    return FileResponse(store.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None))
 
 
 @pages.get("/runs/{run_id}/files/{name:path}")
 @api.get("/runs/{run_id}/files/{name:path}", response_class=Response, response_model=None)
-def file(request: Request, run_id: str, name: str) -> Response:
+def file(request: Request, run: OwnRun, name: str) -> Response:
     """A file of a run, such as results.csv, products.nc or scenario.yaml."""
-    run = run_of(request, run_id)  # the files of a prediction are written when the first is asked for
     place = store_of(request).place(run.id)
     if not _NAME.fullmatch(name) or ".." in name:
         raise Refused(404, "this run has no such file")
     if name == "campaign.zip":
         raise Refused(410, "campaign.yaml stands in its place: the files that were sent go into collection/ beside it")
     path = place / name if name in _SOURCES.values() else place / "results" / name
-    if path.parent != place and run.kind == "prediction":
+    if path.parent != place and run.kind == "prediction":  # whose files are written when the first is asked for
         store_of(request).view(run, "files", "results/results.csv")
     # What a command wrote is reached by a link of the store's own; no other leads out of the run.
     if not path.is_file() or not any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results")):
@@ -291,8 +288,7 @@ def map_data(request: Request, run: OwnRun, name: str) -> Response:
     """A score map, 16 bits a pixel, with the measured curves that go with it."""
     if name not in maps_of(store_of(request).place(run.id)):
         raise Refused(404, [FieldMistake("name", "this run has no such score map")])
-    path = store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name)
-    return FileResponse(path, media_type="application/json")
+    return FileResponse(store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name))
 
 
 @pages.get("/runs/{run_id}/pixel.json")
@@ -308,5 +304,4 @@ def pixel_data(
     arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
     if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
         store_of(request).view(run, COLLECTION, COLLECTION, path=str(known.path))
-    path = store_of(request).view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments)
-    return FileResponse(path, media_type="application/json")
+    return FileResponse(store_of(request).view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments))

@@ -98,8 +98,7 @@ def _number(value: Any) -> float | None:
 
 @lru_cache(maxsize=8)
 def _predicted(folder: str) -> api.Prediction:
-    scenario = load_model(Scenario, Path(folder) / "scenario.yaml")
-    return api.predict(scenario)
+    return api.predict(load_model(Scenario, Path(folder) / "scenario.yaml"))
 
 
 def draw(folder: str, earlier: str | None = None) -> None:
@@ -161,10 +160,9 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
 
 
-def sensor(path: str) -> dict[str, Any]:
-    """What a sensor file says, where it is one."""
-    known = load_sensor(path)
-    return {"name": known.name, "bands": len(known.axis)}
+def sensor(path: str) -> None:
+    """Read a sensor file, which is refused where it is none."""
+    load_sensor(path)
 
 
 def score_map(folder: str, name: str) -> None:
