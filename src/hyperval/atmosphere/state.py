@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -234,12 +234,11 @@ class AerosolMix(Model):
     oceanic: Share = Field(0.0, description="oceanic particles, volume share 0-1")
     soot: Share = Field(0.0, description="soot, volume share 0-1")
 
-    @model_validator(mode="after")
-    def _sums_to_one(self) -> AerosolMix:
-        total = self.dust + self.water_soluble + self.oceanic + self.soot
-        if abs(total - 1.0) > 1e-6:
-            raise ValueError(f"dust + water_soluble + oceanic + soot must be 1, not {total:g}")
-        return self
+    refused: ClassVar = {
+        "dust + water_soluble + oceanic + soot must be 1, not {:g}": lambda m: (
+            abs((total := m.dust + m.water_soluble + m.oceanic + m.soot) - 1.0) > 1e-6 and [total]
+        )
+    }
 
 
 def _number(description: str, **limits: Any) -> Any:

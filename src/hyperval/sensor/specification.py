@@ -323,9 +323,6 @@ def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
     itself; C_R is independent between bands.  Measured noise is binned through its electrons; c adds in
     quadrature, exact where a and c do not change within a bin.
     """
-    if count == 1:
-        return noise
-
     parts = _groups(noise.electrons_per_radiance, count)
     g = parts.sum(axis=1)  # (3.13)
 
