@@ -37,7 +37,7 @@ from hyperval.errors import UsageError, refuse
 
 _GRAVITY = 9.81  # m s-2
 _AIR_DENSITY_STP = 1.2928  # kg m-3 at 273.15 K and 1013.25 hPa
-_STP_K, _STP_HPA = 273.15, 1013.25
+STP_K, STP_HPA = 273.15, 1013.25
 OZONE_G_CM2_PER_ATM_CM = 2.1415e-3  # 48.0 g mol-1 / 22414 cm3 mol-1
 
 
@@ -72,7 +72,7 @@ def column_g_cm2(profile: Profile, density_g_m3: Array, above_km: float) -> floa
     The hydrostatic form is used, not the integral of the density over altitude, because the solver
     integrates absorption over pressure; the rounded table makes the two differ by about 1 %.
     """
-    air = _AIR_DENSITY_STP * (profile.pressure_hpa / _STP_HPA) * (_STP_K / profile.temperature_k)  # kg m-3
+    air = _AIR_DENSITY_STP * (profile.pressure_hpa / STP_HPA) * (STP_K / profile.temperature_k)  # kg m-3
     mixing = density_g_m3 * 1e-3 / air
     bottom_hpa = pressure_at(profile, above_km)
     inside = profile.altitude_km > above_km

@@ -282,9 +282,6 @@ class SensorOperation(Model):
     column: float | None = Field(None, description="sample, from 0, at which the smile is taken; None: the middle")
 
 
-AS_BUILT = SensorOperation()
-
-
 def averaged_noise(noise: NoiseModel, operation: SensorOperation) -> NoiseModel:
     """The noise of co-added frames and spatial bins (3.15)-(3.19).
 
@@ -439,7 +436,7 @@ class Sensor:
         ------
         UsageError : a column outside the track, an arm that the sensor does not have, bands that change places.
         """
-        op = operation or AS_BUILT
+        op = operation or SensorOperation()
         shift = np.zeros(len(nominal))
         for item in self.specification.spectral_calibration:
             low, high = item.range_nm or (0.0, np.inf)

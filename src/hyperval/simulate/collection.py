@@ -89,7 +89,6 @@ def load_inputs(scene: SceneFile, beside: Path, engine: Engine | None = None) ->
 # Above this many electrons a Poisson count is drawn from the normal law of the same mean and
 # variance: its skewness, 1/sqrt(N), is then under 0.032.
 NORMAL_ABOVE_ELECTRONS = 1000.0
-INT16_LIMITS = (-32768, 32767)
 
 
 @dataclass(frozen=True)
@@ -170,9 +169,9 @@ class Detector:
     def stored(self, measured: Field) -> tuple[npt.NDArray[np.int16], int]:
         """(samples, B) integers of the file and how many of them had to be clipped."""
         counts = np.rint(measured * np.float32(self.counts_per_radiance))
-        low, high = INT16_LIMITS
-        clipped = int(np.count_nonzero((counts < low) | (counts > high)))
-        return np.clip(counts, low, high).astype("<i2"), clipped
+        whole = np.iinfo(np.int16)
+        clipped = int(np.count_nonzero((counts < whole.min) | (counts > whole.max)))
+        return np.clip(counts, whole.min, whole.max).astype("<i2"), clipped
 
 
 def detector(inputs: SimulationInputs, average_reflectance: Array, counts_per_radiance: float) -> Detector:
