@@ -31,17 +31,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import Full, SimpleQueue
 from types import FrameType
-from typing import Any, NoReturn, Protocol, TypeVar
+from typing import Any, NoReturn, Protocol
 
 import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are counted
 from threadpoolctl import ThreadpoolController
 
-from hyperval.errors import HypervalError, refusal, refuse
+from hyperval.errors import HypervalError, R, T, refusal, refuse
 from hyperval.progress import bars, set_listener
 from hyperval.storage import scratch_folder
 
-T = TypeVar("T")
-R = TypeVar("R")
 Perform = Callable[[Any, Any], Any]
 Prepare = Callable[[], object]
 _RENEWALS = 3  # of a process that died with a piece

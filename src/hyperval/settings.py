@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import BaseModel
 
-from hyperval.config import validate
+from hyperval.config import M, validate
 from hyperval.errors import UsageError, refusal, refuse
-
-M = TypeVar("M", bound=BaseModel)
 
 _LABELS = ("name", "subject", "region")
 

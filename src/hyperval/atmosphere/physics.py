@@ -128,12 +128,12 @@ def amounts(state: AtmosphericState) -> tuple[Array, Array]:
     From the sun to the ground, and from there to the sensor as well.
     """
     profile = scaled_profile(state.model, state.ground_altitude_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
-    weighted = profile.water_g_m3 * profile.pressure_hpa / _STP_HPA
+    weighted = profile.water_g_m3 * profile.pressure_hpa / visibility.STP_HPA
 
     def above(km: float) -> Array:
         if km >= visibility.SPACE_KM:
             return np.zeros((3, 2))
-        air = pressure_at(profile, km) / _STP_HPA
+        air = pressure_at(profile, km) / visibility.STP_HPA
         water, ozone = visibility.gas_columns(profile, km)
         return np.array([[air, 0.5 * air**2], [water, column_g_cm2(profile, weighted, km)], [ozone, ozone]])
 
@@ -154,7 +154,6 @@ def _strong_line(amount: float, greatest: float) -> float:
 
 
 OXYGEN: Final = 0.2095  # mole fraction in dry air
-_STP_K, _STP_HPA = 273.15, 1013.25
 _STEP_KM = 0.05
 _CM_PER_KM = 1e5
 
@@ -199,7 +198,7 @@ def collision_column(profile: Profile, bottom_km: float, top_km: float = np.inf)
     top = min(top_km, float(profile.altitude_km[-1]))
     z = np.linspace(bottom_km, top, int(np.ceil((top - bottom_km) / _STEP_KM)) + 1)
     temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
-    air = (pressure_at(profile, z) / _STP_HPA) * (_STP_K / temperature)  # amagat
+    air = (pressure_at(profile, z) / visibility.STP_HPA) * (visibility.STP_K / temperature)  # amagat
     return float(OXYGEN * np.trapezoid(air**2, z) * _CM_PER_KM)
 
 

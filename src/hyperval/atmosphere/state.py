@@ -24,7 +24,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import resources
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,7 @@ from hyperval.errors import UsageError, refuse
 
 _GRAVITY = 9.81  # m s-2
 _AIR_DENSITY_STP = 1.2928  # kg m-3 at 273.15 K and 1013.25 hPa
-_STP_K, _STP_HPA = 273.15, 1013.25
+STP_K, STP_HPA = 273.15, 1013.25
 OZONE_G_CM2_PER_ATM_CM = 2.1415e-3  # 48.0 g mol-1 / 22414 cm3 mol-1
 
 
@@ -72,7 +72,7 @@ def column_g_cm2(profile: Profile, density_g_m3: Array, above_km: float) -> floa
     The hydrostatic form is used, not the integral of the density over altitude, because the solver
     integrates absorption over pressure; the rounded table makes the two differ by about 1 %.
     """
-    air = _AIR_DENSITY_STP * (profile.pressure_hpa / _STP_HPA) * (_STP_K / profile.temperature_k)  # kg m-3
+    air = _AIR_DENSITY_STP * (profile.pressure_hpa / STP_HPA) * (STP_K / profile.temperature_k)  # kg m-3
     mixing = density_g_m3 * 1e-3 / air
     bottom_hpa = pressure_at(profile, above_km)
     inside = profile.altitude_km > above_km
@@ -234,12 +234,11 @@ class AerosolMix(Model):
     oceanic: Share = Field(0.0, description="oceanic particles, volume share 0-1")
     soot: Share = Field(0.0, description="soot, volume share 0-1")
 
-    @model_validator(mode="after")
-    def _sums_to_one(self) -> AerosolMix:
-        total = self.dust + self.water_soluble + self.oceanic + self.soot
-        if abs(total - 1.0) > 1e-6:
-            raise ValueError(f"dust + water_soluble + oceanic + soot must be 1, not {total:g}")
-        return self
+    refused: ClassVar = {
+        "dust + water_soluble + oceanic + soot must be 1, not {:g}": lambda m: (
+            abs((total := m.dust + m.water_soluble + m.oceanic + m.soot) - 1.0) > 1e-6 and [total]
+        )
+    }
 
 
 def _number(description: str, **limits: Any) -> Any:

@@ -768,6 +768,8 @@ def benchmark(
     ------
     UsageError, InputError : campaign files or extensions that are not right; nothing is written.
     """
+    from hyperval.figures.print import drawings_of
+
     load_extensions(extensions)
     jobs, programs = jobs_of(*paths), tuple(Path(p).resolve() for p in extensions)
     with whole_folder(output) as folder, workers(worker_count(len(jobs)), scheduler) as where:
@@ -775,22 +777,17 @@ def benchmark(
         run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores))
         results = in_order(where, run, jobs, ahead=max(1, len(jobs)))
         done = list(track(results, "campaigns", len(jobs), show=False if here else None))
-        _write(done, extensions, seed, folder)
+        record: dict[str, Any] = {
+            "command": command_without_output(),
+            "seed": seed,
+            "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
+            "campaigns": {d.name: d.provenance for d in done},
+        }
+        figures, simulated = benchmark_figures(done), {d.name for d in done if d.simulated}
+        drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
+        rows = ResultTable(row for d in done for row in d.rows)
+        Run(rows, record).write(folder, benchmark_page(done, figures), drawings)
     return next((d.exit_code for d in done if d.exit_code is not None), 0)
-
-
-def _write(done: Sequence[Benchmarked], extensions: Sequence[Path], seed: int, folder: Path) -> None:
-    from hyperval.figures.print import drawings_of
-
-    record: dict[str, Any] = {
-        "command": command_without_output(),
-        "seed": seed,
-        "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
-        "campaigns": {d.name: d.provenance for d in done},
-    }
-    figures, simulated = benchmark_figures(done), {d.name for d in done if d.simulated}
-    drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
-    Run(ResultTable(row for d in done for row in d.rows), record).write(folder, benchmark_page(done, figures), drawings)
 
 
 _MOST_SUBJECTS = 30

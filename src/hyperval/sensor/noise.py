@@ -14,16 +14,15 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy import constants
 
 from hyperval.data import Array
 from hyperval.errors import UsageError, refusal
 from hyperval.spectra.axis import SIGMA_PER_FWHM
 
-PLANCK_J_S = 6.62607015e-34  # exact, SI 2019
-LIGHT_M_S = 299792458.0  # exact
 # With L in mW cm-2 sr-1 um-1 and lambda in um: 1e-3 W per mW and 1e-6 m per um.
 UNIT_FACTOR = 1e-9
-ELECTRONS_PER_UNIT = UNIT_FACTOR / (PLANCK_J_S * LIGHT_M_S)  # C_U / (h c) = 5.034e15
+ELECTRONS_PER_UNIT = UNIT_FACTOR / (constants.h * constants.c)  # C_U / (h c) = 5.034e15
 
 
 def electrons_per_radiance(

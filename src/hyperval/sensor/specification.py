@@ -282,9 +282,6 @@ class SensorOperation(Model):
     column: float | None = Field(None, description="sample, from 0, at which the smile is taken; None: the middle")
 
 
-AS_BUILT = SensorOperation()
-
-
 def averaged_noise(noise: NoiseModel, operation: SensorOperation) -> NoiseModel:
     """The noise of co-added frames and spatial bins (3.15)-(3.19).
 
@@ -323,9 +320,6 @@ def binned_noise(noise: NoiseModel, count: int) -> NoiseModel:
     itself; C_R is independent between bands.  Measured noise is binned through its electrons; c adds in
     quadrature, exact where a and c do not change within a bin.
     """
-    if count == 1:
-        return noise
-
     parts = _groups(noise.electrons_per_radiance, count)
     g = parts.sum(axis=1)  # (3.13)
 
@@ -442,7 +436,7 @@ class Sensor:
         ------
         UsageError : a column outside the track, an arm that the sensor does not have, bands that change places.
         """
-        op = operation or AS_BUILT
+        op = operation or SensorOperation()
         shift = np.zeros(len(nominal))
         for item in self.specification.spectral_calibration:
             low, high = item.range_nm or (0.0, np.inf)

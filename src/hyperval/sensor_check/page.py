@@ -247,14 +247,10 @@ def check_to_folder(name_or_file: str, output: Path | None, *, vary: float = 0.2
 
 def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
     """Write results, figures, products, provenance and report.html; the same file gives the same bytes."""
-    record = _provenance(check, name_or_file)
-    figures = datasheet_figures(check)
-    run = Run(check.table, record, dict(check.predictions), title=f"sensor {check.sensor.name}")
-    run.write(folder, datasheet_page(check, figures, record), drawings_of(figures, simulated=False))
-
-
-def _provenance(check: SensorCheck, name_or_file: str) -> dict[str, Any]:
     log, known = InputLog(), shipped("hyperval.sensor", "library").get(name_or_file)
     log.add(known or Path(name_or_file), f"library: {name_or_file}" if known else Path(name_or_file).name)
     told = {"sensor": check.sensor.specification, "vary": check.vary}
-    return record_of(log, [*map(load_scenario, check.predictions)], None, told, check.predictions)
+    record = record_of(log, [*map(load_scenario, check.predictions)], None, told, check.predictions)
+    figures = datasheet_figures(check)
+    run = Run(check.table, record, dict(check.predictions), title=f"sensor {check.sensor.name}")
+    run.write(folder, datasheet_page(check, figures, record), drawings_of(figures, simulated=False))

@@ -29,7 +29,7 @@ from hyperval.model.roc import detection_at
 from hyperval.products import PredictedProducts, RocCurve
 from hyperval.progress import track
 from hyperval.results import Cause, Outcome, Result, ResultTable, Role
-from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.scenario import builtin_scenarios, load_scenario
 from hyperval.sensor.noise import NoiseModel
 from hyperval.sensor.specification import (
     Arm,
@@ -194,10 +194,7 @@ def electrons_from_energy(arm: Arm, axis: SpectralAxis) -> Array:
     return np.asarray(collected_w * arm.integration_time_s.at(w) * arm.quantum_efficiency.at(w) / photon_j)
 
 
-@lru_cache(maxsize=8)
-def standard_scenario(name: str) -> Scenario:
-    """A built-in scenario, read once."""
-    return load_scenario(name)
+standard_scenario = lru_cache(maxsize=8)(load_scenario)  # a built-in one, read once
 
 
 class SnrPoint(NamedTuple):
@@ -393,7 +390,10 @@ Values = Iterator[Found]
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the acceptance, as checks.toml says what its entries are; ``of`` is what the measure is given."""
+    """One line of the acceptance, as checks.toml says what its entries are.
+
+    ``measure`` : name of a function of this module that gives the values; ``of`` : what it is given
+    """
 
     stage: int
     product: str
@@ -419,7 +419,7 @@ class Check:
 
     def rows(self, check: SensorCheck) -> Iterator[Result]:
         """Its rows of one sensor; what fails as the file says that it does informs."""
-        measured = list(MEASURES[self.measure](check, *([self.of] if self.of else [])))
+        measured = list(globals()[self.measure](check, *([self.of] if self.of else [])))
         for found in measured or ([Found(outcome=Outcome.NONE)] if self.absent else []):
             outcome = self.outcome(found.value) if found.outcome is None else found.outcome
             informs, broken = outcome is Outcome.NONE, outcome is Outcome.ERROR
@@ -772,14 +772,3 @@ def swings(check: SensorCheck, of: str) -> Values:
 def stale(check: SensorCheck) -> Values:
     """Stated discrepancies that no check has shown."""
     yield from (Found(0.0, name) for name in check.known if name not in check.shown)
-
-
-MEASURES: dict[str, Callable[..., Values]] = {
-    function.__name__: function
-    for function in (
-        order, without_width, band_count, end, spacing, gap, response, outside_arms, bands_of_arm, least, greatest,
-        beyond_table, electrons, energy_gain, photon_transfer, median_snr, lowest_snr, quantisation,
-        saturation, growth, published, scenario_runs, not_positive, snr_over_cap, panel_error, scene_saturation,
-        roc_step, detection, swings, stale,
-    )
-}  # fmt: skip

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +28,7 @@ from hyperval import datasets
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Mask
-from hyperval.errors import UsageError, refusal, refuse
+from hyperval.errors import T, UsageError, refusal, refuse
 from hyperval.executors import Workers, in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
@@ -89,7 +89,6 @@ def load_inputs(scene: SceneFile, beside: Path, engine: Engine | None = None) ->
 # Above this many electrons a Poisson count is drawn from the normal law of the same mean and
 # variance: its skewness, 1/sqrt(N), is then under 0.032.
 NORMAL_ABOVE_ELECTRONS = 1000.0
-INT16_LIMITS = (-32768, 32767)
 
 
 @dataclass(frozen=True)
@@ -170,9 +169,9 @@ class Detector:
     def stored(self, measured: Field) -> tuple[npt.NDArray[np.int16], int]:
         """(samples, B) integers of the file and how many of them had to be clipped."""
         counts = np.rint(measured * np.float32(self.counts_per_radiance))
-        low, high = INT16_LIMITS
-        clipped = int(np.count_nonzero((counts < low) | (counts > high)))
-        return np.clip(counts, low, high).astype("<i2"), clipped
+        whole = np.iinfo(np.int16)
+        clipped = int(np.count_nonzero((counts < whole.min) | (counts > whole.max)))
+        return np.clip(counts, whole.min, whole.max).astype("<i2"), clipped
 
 
 def detector(inputs: SimulationInputs, average_reflectance: Array, counts_per_radiance: float) -> Detector:
@@ -259,8 +258,6 @@ def write_panel_spectra(path: Path, scene: SceneFile) -> None:
     write_text(path, words + pd.DataFrame(columns).to_csv(index=False, float_format="%.6f", lineterminator="\n"))
 
 
-T = TypeVar("T")
-
 WORKERS = 2
 MAX_CUBE_BYTES = 64 << 30
 MAX_MAP_PIXELS = 1 << 26  # each pixel of the maps held in memory takes up to 40 bytes
@@ -299,7 +296,10 @@ def simulate(scene: SceneFile | Path | str, folder: Path, *, inputs: SimulationI
         scene = load_scene(Path(scene))
     inputs = inputs or load_inputs(scene, beside)
     bands = len(inputs.axis)
-    _check_size(scene, bands)
+    pixels = scene.lines * scene.samples
+    if pixels > MAX_MAP_PIXELS or 2 * pixels * bands > MAX_CUBE_BYTES:
+        size = {"lines": scene.lines, "samples": scene.samples, "bands": bands}
+        raise refusal("scene.large", scene.name, **size, most=MAX_MAP_PIXELS, gib=MAX_CUBE_BYTES >> 30)
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     ground = lay_out(scene)
@@ -396,13 +396,6 @@ def _place(scene: SceneFile) -> dict[str, Any]:
     zone = (32600 if origin.hemisphere == "north" else 32700) + origin.utm_zone
     transform = Affine(scene.gsd_m, 0.0, origin.easting_m, 0.0, -scene.gsd_m, origin.northing_m)
     return {"transform": transform, "crs": CRS.from_epsg(zone)}
-
-
-def _check_size(scene: SceneFile, bands: int) -> None:
-    pixels = scene.lines * scene.samples
-    if pixels > MAX_MAP_PIXELS or 2 * pixels * bands > MAX_CUBE_BYTES:
-        size = {"lines": scene.lines, "samples": scene.samples, "bands": bands}
-        raise refusal("scene.large", scene.name, **size, most=MAX_MAP_PIXELS, gib=MAX_CUBE_BYTES >> 30)
 
 
 def _line_by_line(work: Callable[[int], T], scene: SceneFile, words: str) -> Iterator[T]:

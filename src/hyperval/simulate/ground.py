@@ -104,11 +104,7 @@ def side_for_fill(fill: float, psf_fwhm_pixels: float) -> float:
     >>> [round(centred_fill(side_for_fill(fill, 1.0), 1.0), 9) for fill in (0.03, 0.4, 0.8)]
     [0.03, 0.4, 0.8]
     """
-    high = 1.0
-    while centred_fill(high, psf_fwhm_pixels) < fill:
-        high *= 2.0
-        if high > 64.0:
-            raise ValueError(f"no square reaches a fill of {fill:g}")
+    high = next(side for side in 2.0 ** np.arange(7) if centred_fill(side, psf_fwhm_pixels) >= fill)
     return float(optimize.bisect(lambda side: centred_fill(side, psf_fwhm_pixels) - fill, 0.0, high, xtol=1e-15))
 
 

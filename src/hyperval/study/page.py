@@ -250,12 +250,14 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
 def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     across, up = study.columns[plot.x], study.columns[plot.y]
     frame, _, notes = _shown(study, table, plot)
-    scales = ((across, plot.scale == "log"), (up, False))
-    edges = [_edges(item, frame[item.name].to_numpy(float), is_log) for item, is_log in scales]
-    cell = [
-        np.clip(np.searchsorted(e, frame[item.name].to_numpy(float), "right") - 1, 0, e.size - 2)
-        for e, item in zip(edges, (across, up), strict=True)
-    ]
+    edges, cell = list[Array](), list[Index]()
+    for item, is_log in ((across, plot.scale == "log"), (up, False)):
+        seen = frame[item.name].to_numpy(float)
+        own = np.linspace(seen.min(), seen.max(), _BINS + 1)
+        if item.listed is not None:
+            own = cell_edges(np.unique(np.asarray(item.listed, float)), is_log)
+        edges.append(own)
+        cell.append(np.clip(np.searchsorted(own, seen, "right") - 1, 0, own.size - 2))
     median = frame[plot.output].groupby(cell[::-1]).median().dropna()
     r, c = (median.index.get_level_values(level) for level in (0, 1))
     value = median.to_numpy()
@@ -309,12 +311,6 @@ def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
     groups = y.groupby(x.to_numpy(), sort=pd.api.types.is_numeric_dtype(x))
     line = pd.DataFrame({name: groups.quantile(q) for name, q in _SPREAD.items()})
     return line if (groups.size() > 1).any() else line[["middle"]]
-
-
-def _edges(item: Input, seen: Array, is_log: bool) -> Array:
-    if item.listed is None:
-        return np.linspace(seen.min(), seen.max(), _BINS + 1)
-    return cell_edges(np.unique(np.asarray(item.listed, float)), is_log)
 
 
 def cell_edges(at: Array, is_log: bool) -> Array:

@@ -58,7 +58,17 @@ def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -
     """
     with whole_folder(Path(output)) as folder:  # first of all: hours may be spent on it
         plan, kept = plan_study(load_study(Path(path))), partial_folder(Path(output))
-        _write(plan, table_of(plan.study, evaluated(plan, kept, scheduler)), folder)
+        study = plan.study
+        table = table_of(study, evaluated(plan, kept, scheduler))
+        prediction = predict(plan.scenario)
+        names = write_tables(study, table, folder)
+        knees = knees_of(study, table)
+        told = {"study": study, "scenario": plan.scenario}
+        record = record_of(plan.log, [plan.scenario], study.design.seed, told, [prediction])
+        figures = stated_figures(study, table, knees)
+        page = study_page(plan, table, figures, record, names, knees)
+        run = Run(result_rows(plan, table, knees), record, {"predicted": prediction}, study.title or study.name)
+        run.write(folder, page, drawings_of(figures, simulated=False))
     shutil.rmtree(kept, ignore_errors=True)
     return 0
 
@@ -121,20 +131,6 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
         parts.append(np.concatenate(row, axis=1))
         reasons |= {low + i: "; ".join(own[i] for own in said if i in own) for i in set().union(*said)}
     return np.concatenate(parts), reasons
-
-
-def _write(plan: Plan, table: pd.DataFrame, folder: Path) -> None:
-    study = plan.study
-    prediction = predict(plan.scenario)
-    names = write_tables(study, table, folder)
-    knees = knees_of(study, table)
-    rows = result_rows(plan, table, knees)
-    told = {"study": study, "scenario": plan.scenario}
-    record = record_of(plan.log, [plan.scenario], study.design.seed, told, [prediction])
-    figures = stated_figures(study, table, knees)
-    page = study_page(plan, table, figures, record, names, knees)
-    run = Run(rows, record, {"predicted": prediction}, study.title or study.name)
-    run.write(folder, page, drawings_of(figures, simulated=False))
 
 
 def table_of(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:
