@@ -305,8 +305,7 @@ def interval_text(row: Result) -> str:
 
 def limits_text(row: Result) -> str:
     """The accepted range of a row, empty when it has none."""
-    ends = row.limit_low, row.limit_high
-    low, high = ("" if math.isnan(end) else number_text(end) for end in ends)
+    low, high = ("" if math.isnan(end) else number_text(end) for end in (row.limit_low, row.limit_high))
     return f"{low} to {high}" if low and high else f"≥ {low}" if low else f"≤ {high}" if high else ""
 
 
