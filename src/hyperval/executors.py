@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from itertools import islice
@@ -432,11 +432,9 @@ def in_order(
 @bars(False)
 @single_blas_thread()
 def _elsewhere(function: Callable[[T], R], piece: T, command: Sequence[str] = ()) -> R:
-    given = _command.set(command)
-    try:
-        return function(piece)
-    finally:
-        _command.reset(given)
+    context = copy_context()
+    context.run(_command.set, command)
+    return context.run(function, piece)
 
 
 _command: ContextVar[Sequence[str]] = ContextVar("command", default=())  # of a piece that another machine runs

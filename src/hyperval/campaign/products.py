@@ -478,8 +478,7 @@ def asked_again(side: Collected, prediction: Products) -> tuple[ScenarioModel, P
             place = opened() if bands_are_off else before.place
             same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
             before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
-        again = observe.observe(campaign.collection, detection, side.inputs.resolve, before=before)
-        return of_noise(again.observation)
+        return of_noise(observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation)
 
     looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())
     asked = ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)

@@ -333,9 +333,7 @@ class Draft:
             file = self.reference(self.sources.targets)
             own: Entry = {"csv": file}
             head = head_of(self.sources.targets, 4096).partition(b"\n")[0].lower()
-            if self.sources.targets.suffix.lower() != ".csv" or not re.search(
-                b"material|targets_type", head
-            ):  # no list of target centres
+            if not (self.sources.targets.suffix.lower() == ".csv" and re.search(b"material|targets_type", head)):
                 every = {"material": "every region", "file": file}
                 whole = parts | {"targets": {"regions": [every], **truth}}
                 self._coordinates(every, **whole)

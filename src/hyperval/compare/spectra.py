@@ -31,20 +31,12 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from hyperval import pixels
 from hyperval.compare.rows import Interval, row, said, skipped, without
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
 from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
-from hyperval.pixels import (
-    FEATURES,
-    RED_EDGE,
-    absorption_centre,
-    centre_uncertainty,
-    common_shifts,
-    snr_from_moments,
-    wavelength_shifts,
-)
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Outcome, Result, Role
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
@@ -509,11 +501,11 @@ def wavelength_rows(predicted: SpectralEstimate, observed: SpectralEstimate, axi
     use = axis.good & np.isfinite(predicted.mean) & np.isfinite(observed.mean)
     at = np.flatnonzero(use)[np.argsort(axis.centre_nm[use], kind="stable")]
     w = axis.centre_nm[at]
-    for feature in FEATURES:
-        centres = [absorption_centre(w, side.mean[at], feature)[0] for side in (predicted, observed)]
+    for feature in pixels.FEATURES:
+        centres = [pixels.absorption_centre(w, side.mean[at], feature)[0] for side in (predicted, observed)]
         if not any(map(math.isnan, centres)):
             sd = [
-                centre_uncertainty(w, side.mean[at], side.error_covariance[np.ix_(at, at)], feature, centre)
+                pixels.centre_uncertainty(w, side.mean[at], side.error_covariance[np.ix_(at, at)], feature, centre)
                 for side, centre in zip((predicted, observed), centres, strict=True)
             ]
             half = Z95 * math.hypot(*sd) or math.nan
@@ -540,12 +532,12 @@ def shifted_rows(predicted: Products, observed: Products) -> Iterator[Result]:
     >>> list(shifted_rows(seen(15.0), seen(14.0)))
     []
     """
-    spectra = observed.radiance or dict(observed.reflectance)
+    spectra = dict(observed.radiance or observed.reflectance)
     for name, own in predicted.reflectance.items() if not observed.radiance else ():
-        edges = [s for s in wavelength_shifts(own.mean, predicted.axis, reflectance=True) if s.feature == RED_EDGE.name]
-        if any(edge.certain for edge in edges):
-            spectra = {subject: s for subject, s in spectra.items() if subject != name}
-    found = common_shifts((s.mean for s in spectra.values()), observed.axis, reflectance=not observed.radiance)
+        edges = pixels.wavelength_shifts(own.mean, predicted.axis, reflectance=True)
+        if any(s.certain and s.feature == pixels.RED_EDGE.name for s in edges):
+            spectra.pop(name, None)
+    found = pixels.common_shifts((s.mean for s in spectra.values()), observed.axis, reflectance=not observed.radiance)
     for shift, count in found:
         half = float(scipy.special.ndtri(1.0 - 0.025 / len(found))) * shift.uncertainty_nm
         if abs(shift.nm) > half:
@@ -582,7 +574,7 @@ def snr_beside_texture(predicted: Products, subject: str) -> float:
     seen, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
     if seen is None or noise is None or seen.pixel_covariance is None:
         return 1.0
-    return float(np.nanmedian(snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean))
+    return float(np.nanmedian(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean))
 
 
 def compare_spectra(

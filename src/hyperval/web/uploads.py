@@ -53,7 +53,6 @@ _PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xm
 _LARGEST_TEXT = 4_000_000
 _INSIDE = re.compile(r"(?:\w[\w .@+()-]{0,100}/){0,12}\w[\w .@+()-]{0,100}")
 _NAME = re.compile(r"[^\W_][\w .@+()-]{0,79}")
-_NAME_BYTES = 240  # of file systems, at most 255
 _NAME_WORDS = "letters, digits, blanks and . _ - + @ ( ), at most 80 characters, a letter or digit first"
 
 
@@ -99,7 +98,7 @@ class Uploads:
     def _keep(self, field: str, file: UploadFile) -> Path:
         """Keep a file under its field; a new one takes the place of one of its name, and of any other of a cube."""
         name, place = normalize("NFC", file.filename or ""), self.folder / field
-        if not _NAME.fullmatch(name) or len(name.encode()) > _NAME_BYTES:
+        if not _NAME.fullmatch(name) or len(name.encode()) > 240:  # most file systems take 255 bytes
             raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {_NAME_WORDS}")])
         place.mkdir(parents=True, exist_ok=True)
         part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
