@@ -320,7 +320,7 @@ class Draft:
                 with suppress(HypervalError):
                     self.opened(**parts)
                     return self.guess(key, **words)
-            if "scale:" not in (first.mend or ""):
+            if key != "scale" or "scale:" not in (first.mend or ""):
                 raise first from None
             entry[key] = f"{FILL_IN}: what multiplies the stored values, such as 0.001 (--scale)"
 
