@@ -294,7 +294,7 @@ class Cube:
         if stored.dtype.kind == "f":
             usable &= np.isfinite(stored[some]).all(axis=0)
         if self.quantity != "other":
-            usable &= ~filled(stored)
+            usable &= ~filled(stored, ignore)
         return usable
 
 
@@ -310,7 +310,7 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     """
     stored = cube.raster.some_pixels()[:, cube.stored_band]
     values = cube._scaled(stored, np.dtype(float))
-    values = values[np.nan_to_num(values).any(axis=1) & ~filled(stored.T)]
+    values = values[np.nan_to_num(values).any(axis=1) & ~filled(stored.T, cube.ignore_value)]
     cube = replace(cube, notes=(*cube.notes, *fill_notes(stored, cube.ignore_value)))
     known = np.isfinite(values)
     some = np.asarray(known.any(axis=0))

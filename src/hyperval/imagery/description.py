@@ -494,19 +494,23 @@ def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
     return dtype.type(int(ignore)) if limits.min <= int(ignore) <= limits.max else None
 
 
-def filled(stored: npt.NDArray[Any]) -> Mask:
-    """Which pixels (...) of stored numbers (B, ...) are fill: all bands hold one number that no surface gives them all.
+_LEAST_FILLED = 8  # bands that hold one number by no chance
 
-    That is 0; of three bands or more also a negative number, and the largest of a whole type of two bytes or more.
 
-    >>> filled(np.array([[0, -50, -50, 32767, 7], [0, -50, -49, 32767, 7], [0, -50, -50, 32767, 7]], "i2")).tolist()
-    [True, True, False, True, False]
-    >>> filled(np.array([[0, -1], [0, -1]])).tolist()
-    [True, False]
+def filled(stored: npt.NDArray[Any], ignore: float | None = None) -> Mask:
+    """Which pixels (...) of stored numbers (B, ...) are fill: all bands hold one number.
+
+    That is 0, and of eight bands or more a negative number; where no ignore value is stated also the largest of a whole
+    type of two bytes or more, which a pixel that is saturated throughout holds too.
+
+    >>> stored = np.full((8, 5), [0, -50, -50, 32767, 7], "i2")
+    >>> stored[1, 2] = -49
+    >>> [filled(stored).tolist(), filled(stored, -9999.0).tolist(), filled(stored[:7]).tolist()]
+    [[True, True, False, True, False], [True, True, False, False, False], [True, False, False, False, False]]
     """
     last = stored[-1]
-    fill = np.asarray(last == 0 if len(stored) < 3 else last <= 0)
-    if stored.dtype.kind in "iu" and stored.dtype.itemsize > 1 and len(stored) > 2:
+    fill = np.asarray(last == 0 if len(stored) < _LEAST_FILLED else last <= 0)
+    if len(stored) >= _LEAST_FILLED and ignore is None and stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
         fill |= last == np.iinfo(stored.dtype).max
     for band in (0, len(stored) // 2):  # few pixels are alike in three bands; only those are looked at in full
         if not fill.any():
@@ -519,14 +523,12 @@ def filled(stored: npt.NDArray[Any]) -> Mask:
 def fill_notes(stored: npt.NDArray[Any], ignore: float | None) -> list[str]:
     """What is to be said of the fill that nothing states among pixels (n, B): how many pixels hold which number.
 
-    >>> fill_notes(np.full((4, 3), -50) * [[1], [1], [0], [1]], -9999.0)
+    >>> fill_notes(np.full((4, 8), -50) * [[1], [1], [0], [1]], -9999.0)
     ['warning: 3 of 4 pixels seen hold -50 in every band: taken for no data, which nothing states']
     """
-    numbers, counts = np.unique(stored[filled(stored.T), -1], return_counts=True)
-    told = {f"{number:g}": count for number, count in zip(numbers.tolist(), counts, strict=True)}
-    known = ("0", "" if ignore is None else f"{ignore:g}")
-    what = "in every band: taken for no data, which nothing states"
-    return [f"warning: {n} of {len(stored)} pixels seen hold {of} {what}" for of, n in told.items() if of not in known]
+    found = zip(*np.unique(stored[filled(stored.T, ignore), -1], return_counts=True), strict=True)
+    seen, what = f"of {len(stored)} pixels seen hold", "in every band: taken for no data, which nothing states"
+    return [f"warning: {n} {seen} {of:g} {what}" for of, n in found if of not in (0, ignore)]
 
 
 _WORDS = "imagery/acquisition.yaml"

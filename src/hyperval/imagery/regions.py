@@ -325,8 +325,8 @@ MAX_CLASSES = 1000
 _NO_NAME = re.compile(r"(band|b)?[ _-]?[0-9]+$|(red|green|blue|alpha)$", re.IGNORECASE)  # of a band that is a mask
 # What programs call the pixels of no class.
 _NO_CLASS = re.compile(
-    r"un[ck]?la[sb]|un(def|known|assign|spec|ident|used)|no(n|ne|t|thing)?\b|no[ _-]?(data|class|label|value)"
-    r"|back ?ground|bg\b|hintergrund|mask|ignore|fill|null|void|nan\b|0|$",
+    r"un[ck]?la[sb]|un(def|known|assign|spec|ident|used)|no[nt]?[ _-]?(data|class|label|value|assign)"
+    r"|back ?ground|bg\b|hintergrund|(no(n|ne|t|thing)?|mask(ed)?|ignored?|fill([ _-]?value)?|null|void|nan|0|)$",
     re.IGNORECASE,
 )
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
