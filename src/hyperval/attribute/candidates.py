@@ -176,6 +176,11 @@ class Candidate:
         return min(max((m.size for m in self.members if m is not None), default=0), MOST_DIRECTIONS)
 
     @property
+    def path(self) -> str:
+        """Of the input that it moves; its name where it is none."""
+        return next((m.path for m in self.members if m is not None), self.name)
+
+    @property
     def unit(self) -> str:
         """One unit in a sentence."""
         return "stated uncertainty" if self.budgeted else f"step of {self.step}".removesuffix(" of ")

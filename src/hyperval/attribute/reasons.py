@@ -560,9 +560,10 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     many = len(worlds) > MOST_SCENARIOS
     apart = [c for c in moved if many and c.of_engine and c.sizes]
     further = further_candidates(worlds)
-    usual = {c.name: c for c in (*candidates([], [[*usual_inputs(world)] for world in worlds]), *further)}
+    known = (*candidates([], [[*usual_inputs(world)] for world in worlds]), *further)
+    usual = {key: c for c in known for key in (c.name, c.path)}
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
-    far = (c.as_far_as(usual[c.name]) if c.name in usual else c for c in moved)
+    far = (c.as_far_as(usual.get(c.path, usual.get(c.name, c))) for c in moved)
     by_name = {c.name: c for c in (*further, *far) if c not in (*rare, *apart)}
     every = [c for c in by_name.values() if c.sizes or c.labels]
     columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(every, sides, predicted, evaluate)
