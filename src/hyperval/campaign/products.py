@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from typing import Any
@@ -31,7 +31,7 @@ from hyperval.compare.spectra import LEAST_OF_NOISE, snr_beside_texture
 from hyperval.config import twice
 from hyperval.data import NUMERICAL_DETECTORS, Mask
 from hyperval.datasets import InputLog
-from hyperval.errors import needed, one_of, refuse
+from hyperval.errors import UsageError, needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
 from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
@@ -152,22 +152,25 @@ def _of_fractions(detection: Detection | None, place: observe.Place, scenario: S
     >>> from types import SimpleNamespace as Of
     >>> at = {"scene": np.arange(10) > 1, "field": np.arange(10) > 4, "court": np.arange(10) < 5}
     >>> place = Of(regions=at, pixels_of=lambda name: at[name])
-    >>> classes = [Of(name="field", fraction=0.5), Of(name="court", fraction=0.5)]
+    >>> where = {"spectrum": Of(measured=None), "covariance": None, "fraction": 0.5}
+    >>> classes = [Of(name="field", **where), Of(name="lawn", **where | {"spectrum": Of(measured="court")})]
     >>> stated = Of(name="x", scene=Of(fractions="stated", classes=classes))
     >>> next(_of_fractions(Of(false_alarms=["scene"]), place, stated))[9:84]
     "'field' is 0.625 of the pixels that false alarms are counted on (no target,"
     """
-    classes = scenario.scene.classes
-    if detection is None or scenario.scene.fractions != "stated" or any(c.name not in place.regions for c in classes):
+    classes, regions = scenario.scene.classes, list[str]()
+    with suppress(UsageError):  # of a class without a region
+        regions = [_region_of(c, place) for c in classes]
+    if detection is None or scenario.scene.fractions != "stated" or not regions:
         return
     counted = place.pixels_of(*detection.false_alarms)
-    shares = [float(np.mean(place.pixels_of(c.name)[counted])) for c in classes] if counted.any() else []
+    shares = [float(np.mean(place.pixels_of(name)[counted])) for name in regions] if counted.any() else []
     if sum(shares) < ALL_OF_IT:
         return
     share, one = max(zip(shares, classes, strict=True), key=lambda item: abs(item[0] - item[1].fraction))
     if abs(share - one.fraction) > MAX_FRACTION:
         where = "of the pixels that false alarms are counted on (no target, guard or region that is left out)"
-        stated = f"{one.fraction:.3g} of the scene in {scenario.name!r}: scene.fractions: measured takes those"
+        stated = f"{one.fraction:.3g} of the scene in {scenario.name!r}: state that, or scene.fractions: measured"
         yield f"warning: {one.name!r} is {share:.3g} {where}, and {stated}"
 
 

@@ -32,7 +32,7 @@ from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
-from hyperval.spectra import FieldSpectrum, in_window, read_records, read_spectrum
+from hyperval.spectra import FieldSpectrum, in_window, read_records
 from hyperval.storage import write_text
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
@@ -299,7 +299,8 @@ class Draft:
             if (match := self.matching(name)) is not None:
                 own = np.interp(centre, match.record.wavelength_nm, match.record.values, np.nan, np.nan)
                 some = place.cube.spectra(drawn_pixels(place.region(name), _SOME, np.random.default_rng(0)))
-                ratios.append(float(np.nanmedian((some.mean(axis=0) / own)[good])))
+                known = (some.sum(axis=0) / (len(some) * own))[good & np.isfinite(own)]
+                ratios += [float(np.median(known))] if known.size else []
         return ratios
 
     def _coordinates(self, entry: Entry, **parts: Any) -> None:
@@ -545,28 +546,11 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
             records = read_records(path, reflectance_unit=unit)
             if unit is None or max(np.nanpercentile(one.values, 95) for one in records) <= 1.5:
                 told = {"reflectance_unit": unit} if unit else {}
-                if _replicated(records):
-                    told["record"] = "mean"
-                    records = [read_spectrum(path, reflectance_unit=unit, record="mean")]
                 if len(records) == 1:
                     return [RecordedSpectrum(path.stem, {"file": reference, **told}, records[0])]
                 return [RecordedSpectrum(r.name, {"file": reference, "record": r.name, **told}, r) for r in records]
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
-
-
-def _replicated(records: Sequence[FieldSpectrum]) -> bool:
-    """Whether records are columns without titles that repeat one spectrum: three or more of about one level.
-
-    >>> w = np.arange(400.0, 500.0)
-    >>> columns = [FieldSpectrum(f"column {n}", w, np.full(w.size, value)) for n, value in enumerate((0.2, 0.22, 0.19))]
-    >>> _replicated(columns), _replicated(columns[:2]), _replicated([*columns, FieldSpectrum("column 4", w, 0.0 * w)])
-    (True, False, False)
-    """
-    if len(records) < 3 or not all(one.name.startswith("column ") for one in records):
-        return False
-    levels = np.array([np.nanmean(one.values) for one in records])
-    return bool(np.all(np.abs(levels - levels.mean()) < 0.5 * levels.mean()))
 
 
 def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
