@@ -156,7 +156,18 @@ class Causes:
         return Reasoner({c: data.whiten(g) for c, g in self.columns.items()}, data.whiten(self.wide))
 
     def standing(self) -> tuple[dict[Candidate, Array], Posterior]:
-        """What explains the residuals; where no single cause is enough, a height, if that is."""
+        """What explains the residuals; where no single cause is enough, a height, if that is.
+
+        >>> from hyperval.attribute import ResidualBlock
+        >>> gain, height = (Candidate(name, "scene", "1 km", False) for name in ("gain", "height"))
+        >>> stack, one = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), np.eye(20), len),)), np.eye(20)
+        >>> def causes(residual):
+        ...     known, further = {gain: one[:, :1]}, [lambda: {height: one[:, 1:2]}]
+        ...     return Causes(stack, (), np.zeros(20), np.zeros(0), dict, dict, further, one, known, {}, residual,
+        ...                   0.1 * one[:, 4:], len, None, dict)
+        >>> [[f.name for f in causes(30.0 * one[i]).standing()[1].best.causes] for i in (0, 1)]
+        [['gain'], ['height']]
+        """
         everything = np.arange(self.predicted.size)
 
         def explained(columns: dict[Candidate, Array]) -> tuple[dict[Candidate, Array], Posterior]:
@@ -505,6 +516,12 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     ...     return causes_of(model, seen, [world] * lines, seen)
     >>> [[c.name for c in causes(n).rarer[2]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
+    >>> fraction = {"subject": stated.scene.classes[0].name, "absolute": 0.002}
+    >>> tight = stated.with_values({"uncertainty.fractions": [fraction]})
+    >>> model = ScenarioModel([tight], lambda scenarios, truths, budgeted: iter([seen] * len(truths)), None)
+    >>> (only,) = (c for c in causes_of(model, seen, [read(tight)], seen).columns if c.budgeted)
+    >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
+    [10, -10, -50, 50]
     >>> [one.labels[0] for one in causes(1).of_files()]
     ['green plank: that looked for', 'asphalt: that of grass']
 
@@ -606,7 +623,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
             out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])
         return out
 
-    heights = [c for c in rarer if c.name in HEIGHTS]
+    heights = [c for c in rarer if c.name in HEIGHTS and not many]
     parts = heights, rare, [c for c in rarer if c not in heights]
     asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in parts]
     return Causes(

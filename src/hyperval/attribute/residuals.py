@@ -225,11 +225,19 @@ class Stack:
         return out
 
     def of_scene(self, classes: Mapping[str, Mapping[str, Array]], area: Mapping[str, float], other: Array) -> Array:
-        """(n,) radiance of the scene on average, by the area of its classes; ``other`` where none of them is known."""
+        """(n,) radiance of the scene on average, by the area of its classes; ``other`` where none of them is known.
+
+        >>> block = ResidualBlock("radiance", "panel", "", np.ones(3), np.eye(3), len, bands=np.arange(3))
+        >>> each = {"grass": np.array([1.0, 1.0, np.nan]), "soil": np.array([5.0, np.nan, np.nan])}
+        >>> Stack((block,)).of_scene({"radiance": each}, {"grass": 0.75, "soil": 0.25}, np.full(3, 9.0)).tolist()
+        [2.0, 1.0, 9.0]
+        """
         out = other.copy()
         for block, at in self.placed():
             if block.product in LIT and (each := classes.get(block.product)):
-                out[at] = np.average([x[block.bands] for x in each.values()], axis=0, weights=[area[n] for n in each])
+                spectra = np.ma.masked_invalid([x[block.bands] for x in each.values()])
+                average = np.ma.average(spectra, axis=0, weights=[area[n] for n in each])
+                out[at] = np.where(np.ma.getmaskarray(average), other[at], average)
         return out
 
     def levelled(self, level: Array) -> Array:
