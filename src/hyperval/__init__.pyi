@@ -5,7 +5,6 @@ from . import (
     compare,
     config,
     datasets,
-    figures,
     metrics,
     report,
     results,
@@ -20,6 +19,6 @@ from .api import open
 
 __version__: str
 __all__ = [
-    "api", "compare", "config", "datasets", "figures", "metrics", "open", "report", "results", "run", "sensor",
-    "sensor_check", "simulate", "storage", "study",
+    "api", "compare", "config", "datasets", "metrics", "open", "report", "results", "run", "sensor", "sensor_check",
+    "simulate", "storage", "study",
 ]  # fmt: skip

@@ -433,7 +433,7 @@ def in_order(
 @single_blas_thread()
 def _elsewhere(function: Callable[[T], R], piece: T, command: Sequence[str] = ()) -> R:
     context = copy_context()
-    context.run(_command.set, command)
+    context.run(_command.set, command or _command.get())
     return context.run(function, piece)
 
 

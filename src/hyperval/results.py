@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 if TYPE_CHECKING:
     import pandas as pd
 
+from hyperval.errors import T
 from hyperval.metrics import Evidence, Kind, metric_of
 
 
@@ -232,6 +233,14 @@ class Result:
 _NAMES = [f.name for f in fields(Result) if f.compare and f.name != "band_nm"]
 COLUMNS = (*_NAMES[:4], "band_nm", *_NAMES[4:])
 _KINDS = {"n": "Int64", "role": str, "evidence": str, "outcome": str, "cause": str}
+
+
+def grouped(items: Iterable[T], key: Callable[[T], Any]) -> dict[Any, list[T]]:
+    """Items in lists by a key, as they come."""
+    groups: dict[Any, list[T]] = {}
+    for item in items:
+        groups.setdefault(key(item), []).append(item)
+    return groups
 
 
 def of_campaign(rows: Iterable[Result], campaign: str) -> list[Result]:

@@ -57,7 +57,7 @@ from hyperval.errors import WARNING, UsageError, package_table, reader, refusal,
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
 from hyperval.products import SPECTRA, ObjectScores, ObservedProducts, PredictedProducts, Products
-from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role, row_name
+from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role, grouped, row_name
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import content_of, write_text
 
@@ -426,10 +426,8 @@ def junit_xml(rows: Sequence[Result]) -> str:
     """
     cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
-    suites: dict[str, list[Result]] = {row.campaign: [] for row in rows}
-    for row in cases:
-        suites[row.campaign].append(row)
-    for campaign, own in suites.items():
+    for campaign, every in grouped(rows, lambda row: row.campaign).items():
+        own = [row for row in every if row.gates or row.outcome is Outcome.ERROR]
         suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(own)})
         for row in own:
             case = ElementTree.SubElement(suite, "testcase", classname=f"{campaign}.{row.product}", name=row_name(row))

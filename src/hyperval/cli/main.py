@@ -97,13 +97,13 @@ def say_verdicts(output: Path) -> None:
     """
     outcomes = hyperval.results.Outcome
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
-    for name, own in hyperval.figures.grouped(rows, lambda row: row.campaign).items():
+    for name, own in hyperval.results.grouped(rows, lambda row: row.campaign).items():
         if any(row.outcome is not outcomes.SKIPPED for row in own):  # else the reason, below, says all
             note(f"{name}: {hyperval.report.first_screen(own).words}")
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
         told = (row for row in rows if row.outcome is outcome and row.reason)
         # Those that differ in measured numbers alone are one.
-        for alike in hyperval.figures.grouped(told, lambda row: re.sub(r"(?<= )[\d.]+\b", "", row.reason)).values():
+        for alike in hyperval.results.grouped(told, lambda row: re.sub(r"(?<= )[\d.]+\b", "", row.reason)).values():
             more = len({row.reason for row in alike}) - 1
             names = ", ".join(dict.fromkeys(row.campaign for row in alike))
             line = f"{names}: {outcome}: {alike[0].reason}" + (f" (and {more} more like it)" if more else "")
@@ -166,7 +166,7 @@ def check(
     print_table(header, list(map(_cells, compared)))
     for run in runs:
         _tell(run, folder)
-    for reason, alike in hyperval.figures.grouped(runs, lambda run: run.skipped).items():
+    for reason, alike in hyperval.results.grouped(runs, lambda run: run.skipped).items():
         if reason is not None:
             note(f"{', '.join(run.owner for run in alike)}: skipped: {reason}")
     return finished(baseline.rows_of(runs).exit_code(), output)
@@ -638,7 +638,7 @@ def serve(
     try:
         listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
-        raise UsageError(str(error.strerror), mend="choose others with --host and --port") from error
+        raise UsageError(str(error.strerror).partition(" (")[0], mend="choose others with --host and --port") from error
     application = make_app(ServerSettings(
         place, campaigns, data, (*LOOPBACK, *(n.lower() for n in name or ())), https, scheduler,
         upload_bytes=upload_mb * MEGABYTE, long_seconds=seconds, memory_bytes=memory_mb * MEGABYTE, queue=queue,

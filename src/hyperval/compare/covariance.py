@@ -73,6 +73,20 @@ def compare_covariance(predicted: Products, observed: Products, subject: str, qu
     [('eigenvalue_ratio@1', 1.2), ('eigenvalues_inside_95', 0.0), ('total_variance_ratio', 1.2),
     ('subspace_angle@1', 0.0), ('subspace_inside_95@1', 1.0), ('bhattacharyya_distance', 0.02),
     ('bhattacharyya_covariance_excess', 0.0)]
+
+    The excess is known the worse the heavier the tails that are predicted, and the fewer pixels are independent.
+
+    >>> from dataclasses import replace
+    >>> def width(tail_dof=np.inf, n=400):
+    ...     seen = {"grass": PixelDistribution(n=n, effective_n=np.full(20, 399.0))}
+    ...     law = {"grass": PixelDistribution(tail_dof=tail_dof)}
+    ...     sides = Products(axis, radiance={"grass": predicted}, distribution=law), Products(
+    ...         axis, radiance={"grass": replace(observed, n=n)}, distribution=seen)
+    ...     (found,) = (r for r in compare_covariance(*sides, "grass", "radiance") if r.metric.endswith("excess"))
+    ...     return found.upper - found.value, found.value - found.lower
+    >>> (normal, tails, alike) = (width(**law) for law in ({}, {"tail_dof": 6.0}, {"n": 4000}))
+    >>> [bool(a > 1.02 * b) for a, b in zip(tails + alike, normal + normal)]
+    [True, True, True, True]
     """
     sample = sampled(predicted, observed, subject, quantity, EIGENVALUES)
     if isinstance(sample, str):

@@ -108,6 +108,20 @@ def compare_products(
     Raises
     ------
     UsageError : the two sides are not on the same bands.
+
+    Examples
+    --------
+    A signal-to-noise ratio of 20 that is expected where the sensor has 100, as of texture, is not judged.
+
+    >>> from hyperval.products import SpectralEstimate
+    >>> from hyperval.spectra.axis import SpectralAxis
+    >>> axis, flat = SpectralAxis(np.arange(500.0, 900.0, 100.0), 10.0), np.full(4, 100.0)
+    >>> snr = {s: SpectralEstimate(flat, np.eye(4), n=50) for s in ("field", "panel")}
+    >>> spread = {s: SpectralEstimate(flat, np.eye(4), c * np.eye(4), 50) for s, c in (("field", 26.0), ("panel", 1.0))}
+    >>> side = Products(axis, radiance=spread, snr=snr)
+    >>> rows = [row for row in compare_products(side, side) if row.product == "snr"]
+    >>> [row.subject for row in rows if row.cause is Cause.TEXTURE]
+    ['field']
     """
     axis = observed.axis
     refuse(not predicted.axis.matches(axis), "compare.axes", predicted=len(predicted.axis), observed=len(axis))

@@ -562,7 +562,8 @@ LEAST_OF_NOISE = 0.9  # of the sensor's signal-to-noise ratio, which texture tak
 def snr_beside_texture(predicted: Products, subject: str) -> float:
     """Part of the sensor's SNR that its estimate from an image is expected to show, as texture counts as noise there.
 
-    Below ``LEAST_OF_NOISE`` what is measured is not what is predicted.  1 where no spread is predicted.
+    Below ``LEAST_OF_NOISE`` what is measured is not what is predicted.  1 where no spread is predicted, or too few
+    bands tell.
 
     >>> axis, flat = SpectralAxis(np.arange(500.0, 900.0, 100.0), 10.0), np.full(4, 100.0)
     >>> class_, panel = (SpectralEstimate(flat, np.eye(4), c) for c in (26.0 * np.eye(4), None))
@@ -572,9 +573,10 @@ def snr_beside_texture(predicted: Products, subject: str) -> float:
     [0.2, 1.0]
     """
     seen, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
-    if seen is None or noise is None or seen.pixel_covariance is None:
+    if seen is None or noise is None or seen.pixel_covariance is None or seen.mean.size < 3:
         return 1.0
-    return float(np.nanmedian(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean))
+    part = np.nanmedian(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean)
+    return float(np.nan_to_num(part, nan=1.0))
 
 
 def compare_spectra(

@@ -11,7 +11,7 @@ from .catalogue import (
 )
 from .pictures import draw_pictures
 from .print import canvas_of, drawings_of, house_style
-from .rows import campaigns_figure, criteria_figure, grouped, outcome_words
+from .rows import campaigns_figure, criteria_figure, outcome_words
 from .spec import (
     Axis,
     ColourScale,
@@ -27,5 +27,5 @@ __all__ = [
     "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part",
     "campaigns_figure", "canvas_of", "criteria_figure",
     "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure", "first_figures", "further_figures",
-    "grouped", "house_style", "many_objects_figure", "outcome_words", "spectra_figure", "statement",
+    "house_style", "many_objects_figure", "outcome_words", "spectra_figure", "statement",
 ]  # fmt: skip

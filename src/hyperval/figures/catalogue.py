@@ -11,7 +11,7 @@ from scipy.special import betaincinv
 
 from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, central, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
-from hyperval.figures.rows import MET, NOT_MET, grouped
+from hyperval.figures.rows import MET, NOT_MET
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
@@ -37,7 +37,7 @@ from hyperval.figures.spec import (
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
 from hyperval.pixels import EigenDirections, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
-from hyperval.results import WORST_FIRST, Cause, Result, ResultTable
+from hyperval.results import WORST_FIRST, Cause, Result, ResultTable, grouped
 from hyperval.run import ScoreMap
 from hyperval.spectra.axis import SpectralAxis, in_window
 

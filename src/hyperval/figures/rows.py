@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, of_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
-from hyperval.results import WORST_FIRST, Outcome, Result
+from hyperval.results import WORST_FIRST, Outcome, Result, grouped
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
 
 # Of outcomes and ranges, as in the style sheet of pages: blue, maroon and ochre, which no colour deficiency mixes up.
@@ -25,7 +25,6 @@ _LOOKS: dict[Outcome, dict[str, Any]] = {
         (Outcome.SKIPPED, NOT_RUN, "triangle"),
     )
 }  # fmt: skip
-T = TypeVar("T")
 _MOST_ROWS = 11
 _MOST_PARTS = 5
 _HALF = 0.36  # of a row: what the accepted range fills to either side
@@ -115,14 +114,6 @@ def criteria_of(rows: Sequence[Result]) -> list[Result]:
         if math.isfinite(row.effect) and row.outcome is not Outcome.SKIPPED
         and any(map(math.isfinite, (row.accepted_low, row.accepted_high)))
     ]  # fmt: skip
-
-
-def grouped(items: Iterable[T], key: Callable[[T], Any]) -> dict[Any, list[T]]:
-    """Items in lists by a key, as they come."""
-    groups: dict[Any, list[T]] = {}
-    for item in items:
-        groups.setdefault(key(item), []).append(item)
-    return groups
 
 
 def _words(row: Result) -> str:

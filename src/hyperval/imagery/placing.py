@@ -29,7 +29,7 @@ from shapely.geometry.base import BaseGeometry
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
-from hyperval.imagery.description import Raster, fill_notes, some_lines
+from hyperval.imagery.description import Raster, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, median_angle, table_in
 from hyperval.spectra.axis import wavelengths_in_nm
@@ -435,7 +435,6 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         except HypervalError as error:
             row(f"scale of {quantity}", f"not known: {error.what}", error.mend or "")
     ignore, a = about.no_data(), raster.transform
-    notes += fill_notes(raster.some_pixels(), ignore)
     ignore = about.ignored if ignore is None else ignore
     row("no data", "none" if ignore is None else f"{ignore:g}",
         "nothing states one" if ignore is None else origin("data ignore value"))  # fmt: skip

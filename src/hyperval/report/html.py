@@ -21,12 +21,12 @@ import jinja2
 import hyperval
 from hyperval.errors import WARNING, refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
-from hyperval.figures.rows import campaigns_figure, criteria_figure, grouped, outcome_words
+from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
 from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, statement
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
-from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, row_name
+from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, grouped, row_name
 from hyperval.run import Run, is_run, read_products
 from hyperval.storage import installed_file, whole_folder
 
