@@ -162,13 +162,24 @@ class Draft:
         cube |= {"variable": sources.key} if sources.key else {}
         cube |= {"scale": sources.scale} if sources.scale is not None else {}
         self.collection |= {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]}
+        self.collection["regions"] = self.collection["regions"] or [_WHOLE]
         what = f"{quantity or 'unknown'} image of {lines} lines, {samples} samples and {bands} bands"
         self.content = {
             "schema": 1, "name": self.name, "title": f"{self.name}: {quantity or 'unknown'} of {sources.cube.name}",
             "description": f"{what[0].upper()}{what[1:]}; drafted from its files, not yet reviewed.",
             "assumptions": [], "collection": self.collection,
         }  # fmt: skip
-        if numbered or (quantity == "counts" and sources.quantity is None):
+        if numbered:
+            cube["by_number"] = True
+        else:
+            self._unit_and_order()
+        self._scale()
+        if FILL_IN in str(cube):
+            flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
+            wanted = {} if numbered else {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
+            further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
+            self.guess("no image", further=further or "nothing")
+        elif numbered or (quantity == "counts" and sources.quantity is None):
             self._by_objects("no wavelengths" if numbered else "no quantity")
         else:
             self._by_wavelength()
@@ -201,7 +212,7 @@ class Draft:
             place: Location = (at[0], 0, *at[1:]) if at[0] == "scenarios" and len(at) > 1 else at
             if place in places:
                 row = places[place] - 1
-                row -= re.match(rf"[- ]*{at[-1]}:", lines[row]) is None  # what begins below its key
+                row -= f"{at[-1]}:" not in lines[row]  # what begins below its key
                 indent = len(lines[row]) - len(lines[row].lstrip())
                 comments[row] = comments.get(row, "") + f"{' ' * indent}# guess: {because}\n"
         head = "# Written by hyperval init. What follows 'guess' was not stated by any file: check it.\n"
@@ -209,7 +220,7 @@ class Draft:
 
     # An image with wavelengths ----------------------------------------------------------------------------------------
 
-    def _by_wavelength(self) -> None:
+    def _unit_and_order(self) -> None:
         collection, quantity, sources, stated = self.collection, self.quantity, self.sources, self.raster.description
         if quantity and sources.quantity is None and stated.quantity is None:
             self.guess("quantity", quantity=quantity)
@@ -217,17 +228,12 @@ class Draft:
             unit = sources.unit or stated.unit_in_entries()[1]
             if unit is not None or stated.unit is None:
                 collection["cube"]["unit"] = unit or f"{FILL_IN}: of the radiance, such as uW cm-2 sr-1 nm-1 (--unit)"
-        collection["regions"] = collection["regions"] or [_WHOLE]
         if (bands := stated.listed()) is not None and not stated.sorts and np.any(np.diff(bands.wavelength) < 0.0):
             collection["cube"]["sort_bands"] = True
             self.guess("sort_bands")
-        self._scale()
-        if FILL_IN in str(collection["cube"]):
-            flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
-            wanted = {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
-            further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
-            self.guess("no image", further=further or "nothing")
-            return
+
+    def _by_wavelength(self) -> None:
+        collection, quantity, sources = self.collection, self.quantity, self.sources
         for entry in collection["regions"] if sources.regions else ():
             self._coordinates(entry, regions=[entry])
         place = self._place()
@@ -266,7 +272,10 @@ class Draft:
         that makes reflectances of the values; of radiance, the divisor that the header states for a reflectance, as
         some programs write it for either.  Where none makes possible values, or two are as usual, it is asked for.
         """
-        if self.sources.scale is not None or FILL_IN in str(self.collection["cube"]):
+        if FILL_IN in str(self.collection["cube"]):
+            return
+        if self.sources.scale is not None:
+            self.opened()
             return
         entries, tried = self.raster.description.entries, dict[float, str]()
         if self.quantity == "reflectance":

@@ -395,8 +395,11 @@ def init(
     asked = hyperval.config.placeholders(*hyperval.config.parse_yaml(text), str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
-    then = as_typed(*(("validate", "--dry-run") if asked or "\ncomparisons:" in text else ("observe",)), path)
-    note(f"{path}: {f'{len(asked)} values to fill in, then' if asked else 'now'}: {then}")
+    drafted = ("validate", "--dry-run") if asked or "\ncomparisons:" in text else ("observe",)
+    again = bool(asked) and "\nscenarios:" not in text
+    then = "hyperval init again, with these options, into another folder" if again else as_typed(*drafted, path)
+    count = f"{len(asked)} value{'s' if len(asked) > 1 else ''} to fill in, then"
+    note(f"{path}: {count if asked else 'now'}: {then}")
     return 0
 
 

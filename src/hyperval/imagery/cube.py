@@ -34,7 +34,7 @@ from hyperval.imagery.description import (
     given_bands,
     ignore_in_type,
 )
-from hyperval.imagery.envi import EnviRaster, open_envi, pixel_area_m2
+from hyperval.imagery.envi import EnviRaster, described_by, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, open_tiff
 from hyperval.paths import checked_file, checked_folder, refuse_own
@@ -399,10 +399,11 @@ def open_raster(
                 return arrays.open_matrix(data, HDF5, variable)
             raise
     beside = Path(header) if header is not None else header_beside(data)
+    if kind in MATRICES:
+        matrix = arrays.open_matrix(data, str(kind), variable)
+        return matrix if beside is None else described_by(matrix, beside)
     if beside is not None:
         return open_envi(data, beside)
-    if kind in MATRICES:
-        return arrays.open_matrix(data, str(kind), variable)
     refuse(kind is not None, "image.kind", data, kind=kind)
     raise refusal("image.no_header", data, first=f"{data.name}.hdr", second=data.with_suffix(".hdr").name)
 

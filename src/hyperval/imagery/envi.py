@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -243,6 +243,22 @@ class EnviWriter:
             self.stream.seek(header.header_offset + row * header.samples * header.dtype.itemsize)
             self.stream.write(np.ascontiguousarray(values).tobytes())
         self.lines_written += len(stored)
+
+
+def described_by(raster: Raster, header: Path) -> Raster:
+    """An image of another format, as an ENVI header beside it describes its bands and its place.
+
+    Raises
+    ------
+    InputError : a header of an image of another size.
+    """
+    parsed = read_header(checked_file(header, what="ENVI header"), sidecar=True)
+    if raster.size != (parsed.lines, parsed.samples, parsed.bands):
+        stated = (parsed.lines, parsed.samples, parsed.bands)
+        raise refusal("image.described", parsed.path, size=raster.size, stated=stated)
+    transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
+    about = replace(raster.description, header=parsed, entries=parsed.entries, notes=parsed.notes)
+    return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
 
 
 @contextmanager

@@ -20,12 +20,11 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from hyperval.data import Array
-from hyperval.envi_header import header_beside, read_header
+from hyperval.envi_header import header_beside
 from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.description import MAX_READ_BYTES, Description, ListedBands, Raster, Scale, wavelengths_in_names
-from hyperval.imagery.envi import crs_of, transform_of
+from hyperval.imagery.envi import described_by
 from hyperval.imagery.products import NO_MAP, described_beside
-from hyperval.paths import checked_file
 from hyperval.storage import number_of
 from hyperval.units import in_nm, only_wavelength_unit
 
@@ -60,7 +59,7 @@ class TiffRaster(Raster):
 
 
 @reader
-def open_tiff(path: Path, header: Path | str | None) -> TiffRaster:
+def open_tiff(path: Path, header: Path | str | None) -> Raster:
     """Open a GeoTIFF with the header or the metadata that lie beside it.
 
     Raises
@@ -82,12 +81,7 @@ def open_tiff(path: Path, header: Path | str | None) -> TiffRaster:
         found, metadata = described
         raster = replace(raster, description=found, other_files=(metadata,))
         return replace(raster, transform=None, crs=None) if NO_MAP in found.notes else raster
-    parsed = read_header(checked_file(sidecar, what="ENVI header"), sidecar=True)
-    if size != (parsed.lines, parsed.samples, parsed.bands):
-        raise refusal("tiff.size", parsed.path, size=size, stated=(parsed.lines, parsed.samples, parsed.bands))
-    transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
-    about = replace(about, header=parsed, entries=parsed.entries, notes=parsed.notes)
-    return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
+    return described_by(raster, sidecar)
 
 
 def _checked_type(dataset: Any, path: Path) -> np.dtype:
