@@ -280,5 +280,7 @@ def test_an_array_without_wavelengths_and_a_file_of_spectra(tmp_path):
     told = rows(tmp_path / "a.npy")
     assert told["is"] == ("array 'a' of a NumPy file", "its first bytes")
     assert "collection.bands" in told["wavelengths"][1]
+    (tmp_path / "a.hdr").write_text("ENVI\nlines = 3\nsamples = 4\nbands = 5\nwavelength = {400, 410, 420, 430, 440}\n")
+    assert rows(tmp_path / "a.npy")["wavelengths"] == ("5, 400 to 440 nm", f"{tmp_path / 'a.hdr'}:5")
     (tmp_path / "s.txt").write_text("wavelength_nm reflectance\n" + "".join(f"{w} 0.5\n" for w in range(400, 500, 10)))
     assert rows(tmp_path / "s.txt")["spectrum"][0] == "s: 10 values, 400 to 490 nm"
