@@ -11,7 +11,7 @@ from hyperval.config import Model, OneOf, RadianceUnit, WavelengthUnit, twice, u
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
 from hyperval.scenario import SpectrumSource
 
-_SELF_DESCRIBING = (".nc", ".nc4", ".h5", ".hdf5", ".he5", ".hdf", ".zarr", ".xml", ".tif", ".tiff")
+_PLAIN = ("", ".img", ".bil", ".bip", ".bsq", ".dat", ".raw", ".bin", ".hdr", ".mat", ".npy")
 Fwhm = Annotated[float, Field(ge=0, le=8)]
 
 
@@ -45,7 +45,7 @@ class CubeSource(Model):
     @property
     def may_state_unit(self) -> bool:
         """Whether files of this kind can say themselves what unit their radiance is in."""
-        return Path(self.path).suffix.lower() in _SELF_DESCRIBING
+        return Path(self.path).suffix.lower() not in _PLAIN
 
 
 class SpectrumCollection(Model):

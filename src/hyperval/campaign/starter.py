@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
+from hyperval.atmosphere.solar import parse_utc
 from hyperval.campaign.products import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml, validate
@@ -211,8 +212,9 @@ class Draft:
         for at, because in self.guesses.items():
             place: Location = (at[0], 0, *at[1:]) if at[0] == "scenarios" and len(at) > 1 else at
             if place in places:
-                row = places[place] - 1
-                row -= f"{at[-1]}:" not in lines[row]  # what begins below its key
+                row, keys = places[place] - 1, "|".join(at)
+                while not re.match(rf"[- ]*({keys}):", lines[row]):  # what begins below its key, or within a line
+                    row -= 1
                 indent = len(lines[row]) - len(lines[row].lstrip())
                 comments[row] = comments.get(row, "") + f"{' ' * indent}# guess: {because}\n"
         head = "# Written by hyperval init. What follows 'guess' was not stated by any file: check it.\n"
@@ -417,6 +419,11 @@ class Draft:
         if (centre := centre_of(place)) is not None:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
+        if not sources.time_utc:
+            with suppress(UsageError):  # of no time, or in a form that is not clear
+                when = parse_utc(place.cube.raster.description.entries.get("acquisition time", ""))
+                stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}"
+                self.guess("time")
         state |= {key: value for key, value in stated.items() if value}
         own = Path(sources.sensor or "")
         sensor = self.reference(own) if own.is_file() else sources.sensor or self._library_sensor(place)

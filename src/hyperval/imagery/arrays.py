@@ -496,12 +496,14 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     return array_raster(store, (piece,), about, _labelled_position(data, array, axes))
 
 
-def _stated_unit(array: xr.DataArray) -> str | None:
+def _stated_unit(array: xr.DataArray | xr.Variable) -> str | None:
     return str(array.attrs.get("units", array.attrs.get("unit", ""))) or None
 
 
 def _axes(array: xr.DataArray, band_axis: str) -> str:
     """Which axis is lines, samples, bands: by name, else lines before samples; others have a length of 1."""
+    if band_axis.startswith("phony_dim") and array.shape[-1] == array.sizes[band_axis]:  # named by its size alone
+        band_axis = str(array.dims[-1])
     others = [str(d) for d, size in array.sizes.items() if d != band_axis and (size > 1 or array.ndim == 3)]
     swapped = bool(_SAMPLE.match(others[0]) or _LINE.match(others[1]))
     letters = {band_axis: "b", others[0]: "s" if swapped else "l", others[1]: "l" if swapped else "s"}
@@ -520,10 +522,13 @@ def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tupl
 
 
 def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
-    """Another array along the axis of the wavelengths, by its name."""
+    """Another array along the axis of the wavelengths, by its name; lengths in the unit of those."""
     fits = [v for n, v in data.variables.items() if v.dims == wave.dims and name.search(str(n))]
     fits = [v for v in fits if v.dtype.kind in "iufb"]
-    return np.asarray(fits[0].values, float) if len(fits) == 1 else None
+    if len(fits) != 1:
+        return None
+    own, there = (in_nm(_stated_unit(x)) for x in (fits[0], wave))
+    return np.asarray(fits[0].values, float) * (own / there if own and there else 1.0)
 
 
 def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tuple[Affine | None, CRS | None]:

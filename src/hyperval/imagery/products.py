@@ -190,7 +190,7 @@ def table_in(raster: Raster) -> arrays.ArrayRaster | None:
         tree = _tree(file, raster.path)
         if tree is None:
             return None
-        for key in ("lookup_table", "location"):
+        for key in ("lookup_table", "location", "other_location"):
             names, on_map = getattr(tree.layout, key) or (), key == "lookup_table"
             columns = [column for name in names if isinstance(column := tree.item(name), h5py.Dataset)]
             if len(columns) != 2 or not (on_map or columns[0].shape == columns[1].shape == raster.size[:2]):
@@ -298,6 +298,9 @@ def _crs(tree: ProductTree) -> CRS | None:
     if wkt is None and tree.layout.crs is not None:  # of the grid mapping of CF, which has both names for it
         wkt = tree.text(tree.layout.crs.replace("@spatial_ref", "@crs_wkt"))
     numbers = re.findall(r"[0-9]{4,6}", code or "")
+    zone = re.search(r"HE5_GCTP_UTM.*?ZoneCode=(-?[0-9]+)", tree.text(tree.layout.struct_metadata) or "", re.DOTALL)
+    if zone is not None and not numbers:  # south of the equator it is negative
+        numbers = [str((32600 if int(zone[1]) > 0 else 32700) + abs(int(zone[1])))]
     try:
         return CRS.from_epsg(int(numbers[-1])) if numbers else crs_of_wkt(wkt)
     except CRSError:
@@ -459,7 +462,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
         return None
     raster = asset.get("raster:bands")
     details = [d if isinstance(d, dict) else {} for d in raster] if isinstance(raster, list) else []
-    details = details if len(details) == bands else [{}] * bands
+    details = [asset | of_band for of_band in (details if len(details) == bands else [{}] * bands)]
 
     def column(*names: str, default: float | None = None) -> Array | None:
         each = zip(listed, details, strict=True)

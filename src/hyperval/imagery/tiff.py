@@ -74,14 +74,12 @@ def open_tiff(path: Path, header: Path | str | None) -> Raster:
         size = dataset.height, dataset.width, dataset.count
         raster = TiffRaster(path, *size, dtype, about, transform, dataset.crs)
     sidecar = Path(header) if header is not None else header_beside(path)
-    if sidecar is None:
-        described = described_beside(path, raster.bands, about.ignore_value)
-        if described is None:
-            return raster
+    described = described_beside(path, raster.bands, about.ignore_value) if header is None else None
+    if described is not None and (sidecar is None or described[1].suffix.lower() == ".xml"):  # of a product it knows
         found, metadata = described
         raster = replace(raster, description=found, other_files=(metadata,))
         return replace(raster, transform=None, crs=None) if NO_MAP in found.notes else raster
-    return described_by(raster, sidecar)
+    return raster if sidecar is None else described_by(raster, sidecar)
 
 
 def _checked_type(dataset: Any, path: Path) -> np.dtype:
