@@ -69,11 +69,11 @@ class LookupTable:
     shape: tuple[int, int]
     swapped: bool = False
 
-    def to_pixel(self, points: Array, *, where: str) -> Array:
+    def to_pixel(self, points: Array, *, where: str, beyond: bool = False) -> Array:
         """(n, 2) continuous raw coordinates (sample, line) of map coordinates (x, y).
 
         A plane is fitted to the raw pixels of the 7 x 7 cells around each point; cells filled from their neighbours
-        count only where the others are too few.
+        count only where the others are too few.  ``beyond``: one without pixels is placed by the plane of the nearest.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class LookupTable:
         """
         xy = np.asarray(points, dtype=float).reshape(-1, 2)
         refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
-        return np.array([self._place(place, where) for place in xy]).reshape(-1, 2)
+        return np.array([self._place(place, where, beyond) for place in xy]).reshape(-1, 2)
 
     @cached_property
     def pixel_area_m2(self) -> float | None:
@@ -92,24 +92,39 @@ class LookupTable:
     def _areas(self) -> Iterator[float | None]:
         """Ground areas of raw pixels [m2]: a cell's over the determinant of the fit."""
         cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
+        if self.crs is not None and self.crs.is_geographic:
+            cell = abs(self.transform.determinant) * math.prod(self.metres_per_unit)
         for line in some_lines(self.raster.lines, _AREA_LINES) if cell is not None else ():
             cols = np.flatnonzero(self._read(int(line), 1)[0][0])
             for col in cols[np.linspace(0, cols.size - 1, min(_AREA_LINES, cols.size)).astype(int)]:
                 fit = self._raw_at(np.array([col + 0.5, line + 0.5]))
-                yield cell / fit[1] if fit is not None and fit[1] > 0 and cell is not None else None
+                part = 0.0 if fit is None else abs(float(np.linalg.det(fit[1])))
+                yield cell / part if part > 0.0 and cell is not None else None
 
     def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
         """A geometry on the map with vertices at most 4 cells of the table apart on every side."""
         cells = shapely.transform(geometry, lambda xy: np.column_stack(~self.transform @ xy.T))
         return shapely.transform(_divided(cells, 1.0, where), lambda xy: np.column_stack(self.transform @ xy.T))
 
-    def _place(self, xy: Array, where: str) -> Array:
-        fit = self._raw_at(np.array(~self.transform @ (float(xy[0]), float(xy[1]))))
-        place = f"({xy[0]:.2f}, {xy[1]:.2f})"
-        return needed(fit, "place.nowhere", where, place=place, what="the lookup table")[0]
+    def _place(self, xy: Array, where: str, beyond: bool) -> Array:
+        cell = near = np.array(~self.transform @ (float(xy[0]), float(xy[1])))
+        fit = self._raw_at(cell)
+        if fit is None and beyond:
+            near = self._cells.data[self._cells.query(cell)[1]]
+            fit = self._raw_at(near)
+        place = f"({xy[0]:.8g}, {xy[1]:.8g})"
+        raw, change = needed(fit, "place.nowhere", where, place=place, what="the lookup table")
+        return np.asarray(raw + change @ (cell - near))
 
-    def _raw_at(self, cell: Array) -> tuple[Array, float] | None:
-        """Raw coordinates (sample, line) at a place of the table, and raw pixels per cell; None without cells near."""
+    @cached_property
+    def _cells(self) -> Any:
+        """Tree of the centres of every n-th cell of the table that names a pixel."""
+        step = max(1, math.ceil(math.sqrt(self.raster.lines * self.raster.samples / MOST_NODES)))
+        rows = {row: np.flatnonzero(self._read(row, 1)[0][0])[::step] for row in range(0, self.raster.lines, step)}
+        return scipy.spatial.cKDTree([(column + 0.5, row + 0.5) for row, named in rows.items() for column in named])
+
+    def _raw_at(self, cell: Array) -> tuple[Array, Array] | None:
+        """Raw coordinates (sample, line) at a place of the table and their change (2, 2) by cell; None without any."""
         column, row = (int(v) for v in np.floor(np.clip(cell, -1e9, 1e9)))
         top, left = max(0, row - RADIUS), max(0, column - RADIUS)
         count = min(self.raster.lines, row + RADIUS + 1) - top
@@ -120,7 +135,7 @@ class LookupTable:
             # The centre of raw pixel 1 is at 0.5.
             fit = _plane(np.abs(s) - 0.5, np.abs(ln) - 0.5, used, (left + 0.5 - cell[0], top + 0.5 - cell[1]))
             if fit is not None:
-                return fit[0], abs(float(np.linalg.det(fit[1])))
+                return fit
         return None
 
     @property
@@ -208,8 +223,9 @@ class LocationTable(LookupTable):
     ...     table = location_table(open_raster(write_cube(f"{folder}/igm", uneven, data_type=5)), (20, 20))
     ...     offsets = rng.uniform(3.0, 16.0, (400, 2))
     ...     found = table.to_pixel([500.0, 500.0] + offsets * [1, -1], where="")
-    >>> bool(np.abs(found - offsets).max() < 0.5)
-    True
+    ...     away = table.to_pixel([[480.0, 490.0]], where="", beyond=True)
+    >>> bool(np.abs(found - offsets).max() < 0.5), bool(np.abs(away - [-20.0, 10.0]).max() < 3.0)
+    (True, True)
     """
 
     def _areas(self) -> Iterator[float | None]:
@@ -253,7 +269,7 @@ class LocationTable(LookupTable):
         fit = needed(self._fit(int(line), int(sample)), "place.same", self.raster.path)
         return math.sqrt(abs(float(np.linalg.det(fit[1]))))
 
-    def _place(self, xy: Array, where: str) -> Array:
+    def _place(self, xy: Array, where: str, beyond: bool) -> Array:
         tree, nodes, scale = self._coarse
         line, sample = (int(v) for v in nodes[tree.query(xy * scale)[1]])
         before = line, sample
@@ -264,13 +280,13 @@ class LocationTable(LookupTable):
             place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], xy - fit[0])
             near = tuple(int(v) for v in np.clip(np.floor(place[::-1]), 0, np.array(self.shape) - 1))
             if near in ((line, sample), before):  # or at the edge of two, each of which says that it lies in the other
-                beyond = max(place[0] - self.shape[1], place[1] - self.shape[0], -place[0], -place[1])
-                if beyond <= _FARTHEST:
+                outside = max(place[0] - self.shape[1], place[1] - self.shape[0], -place[0], -place[1])
+                if beyond or outside <= _FARTHEST:
                     return np.asarray(place)
                 break
             before, (line, sample) = (line, sample), near
         what = f"the image, whose places are in {self.crs or 'an unknown system'}"
-        raise refusal("place.nowhere", where, place=f"({xy[0]:.6g}, {xy[1]:.6g})", what=what)
+        raise refusal("place.nowhere", where, place=f"({xy[0]:.8g}, {xy[1]:.8g})", what=what)
 
     def _fit(self, line: int, sample: int) -> tuple[Array, Array] | None:
         """Map coordinates of a pixel's centre, and (2, 2) their change with sample and line; None without any."""

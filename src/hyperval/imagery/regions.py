@@ -118,13 +118,13 @@ def point_mask(points: npt.ArrayLike, shape: tuple[int, int]) -> Mask:
 Position = Affine | LookupTable | None
 
 
-def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str) -> Array:
-    """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y)."""
+def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str, beyond: bool = False) -> Array:
+    """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y), some ``beyond`` the image."""
     if transform is None:
         raise refusal("region.no_position", where)
     xy = np.asarray(points, dtype=float).reshape(-1, 2)
     if not isinstance(transform, Affine):
-        return transform.to_pixel(xy, where=where)
+        return transform.to_pixel(xy, where=where, beyond=beyond)
     return np.column_stack(~transform @ xy.T)
 
 
@@ -182,7 +182,8 @@ class ImageGrid:
                 geometry = shapely.transform(geometry, lambda xy: reprojected(xy, system, crs, where))
             if self.transform is not None and not isinstance(self.transform, Affine):
                 geometry = self.transform.divided(geometry, where)
-            return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where))
+            of_area = geometry.area > 0.0  # of which a part may lie beyond the image
+            return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where, beyond=of_area))
 
         return place
 
