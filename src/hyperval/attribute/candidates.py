@@ -311,7 +311,10 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import read
     >>> world = read(load_scenario("yellow-planks-asphalt"))
-    >>> grass = {c.name: c for c in further_candidates([world, world])}["level of the spectrum of grass"]
+    >>> of = {c.name: c for c in further_candidates([world, world])}
+    >>> [truth["sensor.band_width"] for truth in of["band width"].at(0, 2.0)]
+    [1.2, 1.2]
+    >>> grass = of["level of the spectrum of grass"]
     >>> mean = world.stated.surfaces["grass"].mean
     >>> [float(np.median(truth["surfaces.[grass].mean"] / mean).round(9)) for truth in grass.at(0, 2.0)]
     [1.1, 1.1]
@@ -325,6 +328,9 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
 
     sizes = (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
     out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
+    out.append(
+        Candidate("band width", "sensor", "10 %", False, moved=partial(_wider, worlds), sizes=(-4.0, 10.0, 30.0))
+    )
     if any(s is not None and s.time_utc for s in states):
         later = partial(_later, worlds, timedelta(hours=1))
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
@@ -358,6 +364,11 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     out += [_level(f"the spectrum of {name}", means) for name, means in levels.items()]
     found = {"exchanged spectra or regions": pairs, "scale of a spectrum": scaled}
     return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
+
+
+def _wider(worlds: Sequence[World], units: float) -> list[Truth]:
+    """Wider bands, or spectra that were smoothed over bands."""
+    return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
 
 
 def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
@@ -484,8 +495,8 @@ def exchanged_pairs(own: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     """What is looked for where little else explains a change: field spectra at another level, one of them or the
-    covariance of another in its place, fractions that two classes trade, shade, electrons of one arm, stretched or
-    wider bands, heights, the direction of view, another date or sun.
+    covariance of another in its place, fractions that two classes trade, shade, electrons of one arm, stretched bands,
+    heights, the direction of view, another date or sun.
 
     Examples
     --------
@@ -508,8 +519,6 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> centre = world.stated.axis.centre_nm
     >>> float(stretched.mean().round(9)), float((np.ptp(stretched) / np.ptp(centre)).round(9))
     (0.0, 0.001)
-    >>> [truth["sensor.band_width"] for truth in both["band width"].at(0, 2.0)]
-    [1.2, 1.2]
     >>> level = both["level of all spectra of the ground"].at(0, -4.0)[0]["surfaces.[grass].mean"]
     >>> float(np.abs(level / world.stated.surfaces["grass"].mean - 0.8).max().round(9))
     0.0
@@ -557,9 +566,6 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
         centres = (world.stated.axis.centre_nm for world in worlds)
         return [_shifted(w, nm=1e-3 * units * (c - c.mean())) for w, c in zip(worlds, centres, strict=True)]
 
-    def wider(units: float) -> list[Truth]:
-        return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
-
     for number, world in enumerate(worlds):
         scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
@@ -602,7 +608,6 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
         words = {f"{bits} bits": [{"sensor_changes.bits": bits} for _ in worlds] for bits in (8, 10, 12, 14, 16)}
         out.append(_one_of("bits of a recorded number", "sensor", words))
     out.append(Candidate("wavelength scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), moved=stretched))
-    out.append(Candidate("band width", "sensor", "10 %", False, sizes=(-4.0, 10.0), moved=wider))
     named = {"entry of a surface": entries, "host of the targets": hosts}
     out += [_one_of(name, "scene", each) for name, each in named.items() if each]
     is_engine = all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds)

@@ -536,6 +536,7 @@ _CO2_NM = 2010.0  # the carbon dioxide bands that a shift is fitted to lie at ab
 MINUTES_APART = 10.0  # the sun moves 2.5 degrees in ten minutes
 _LEVELS = r"^(processing|product) ?level$|^level$|^data ?(units?|type name)$|^z plot titles$"
 _SHIFTS = r"(co2|wavelength|spectral).*shift|shift.*(co2|wavelength|spectral)"
+_SMOOTHED = r"smooth(ing|ed)"
 _TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
 
 
@@ -559,8 +560,10 @@ def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: 
         named = {q for q in ("radiance", "reflectance") if re.search(rf"(?<![a-z]){q}", text.lower())}
         if named and quantity not in named:
             notes.append(_said("level", text, key=key, named=" and ".join(sorted(named)), quantity=quantity))
+    for key, text in _matching(entries, _SMOOTHED):
+        notes += [_said("smoothed", text, key=key)] if not re.match(r"(0|no|none|off|false)\b", text.lower()) else []
     for key, text in _matching(entries, _SHIFTS):
-        value, size = number_of(text.removesuffix("nm")), ""
+        value, size = number_of(text.partition(" ")[0].removesuffix("nm")), ""
         if abs(axis.centre_nm[near] - _CO2_NM) < 100.0:
             size = f", {abs(value) / axis.fwhm_nm[near]:.2f} of a band width at {axis.centre_nm[near]:.0f} nm"
         if value:
