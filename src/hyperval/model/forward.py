@@ -22,7 +22,14 @@ from scipy.special import ndtr, ndtri
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import Array, Errors, Index
 from hyperval.model.detection import Evaluation, RocKey, class_scores, detect, evaluations
-from hyperval.model.inputs import UncertainInput, drawn_truths, inputs_of, interpolation_input, spectrum_errors
+from hyperval.model.inputs import (
+    UncertainInput,
+    compensation_inputs,
+    drawn_truths,
+    inputs_of,
+    interpolation_input,
+    spectrum_errors,
+)
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
 from hyperval.model.radiance import (
@@ -517,7 +524,7 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 rows = 0.5 * (values[: len(some)] - values[len(some) :])
                 if item.kind == "engine" and key[0] == "reflectance":  # the empirical line takes it off
                     continue
-                if of_spectrum and not np.nanmax(np.abs(rows), initial=0.0) > least:
+                if item.subject and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 each = out.setdefault(key, {})
                 before = [each[name].rows] if name in each else []
@@ -685,7 +692,7 @@ def predict(
     world = replace(world, stated=replace(world.stated, before=None))
     inputs = inputs_of(world)
     linear = [i for i in inputs if scenario.atmosphere is not None or not i.of_light]
-    of_spectra = spectral_errors(world, [*linear, *interpolation_input(world)])
+    of_spectra = spectral_errors(world, [*linear, *interpolation_input(world), *compensation_inputs(world)])
     products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
     return with_uncertainty(products, world, inputs if truth is None else [], changes)
 

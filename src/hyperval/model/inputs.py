@@ -316,13 +316,38 @@ def _of_image(world: World) -> Iterator[UncertainInput]:
     u, fills = scenario.uncertainty, [p.fill for t in scenario.scene.targets for p in t.populations]
     if u.psf_fwhm_pixels is not None and any(fill.geometry is not None for fill in fills):
         yield number_input(world, BLUR, "sensor", "blur", u.psf_fwhm_pixels)
-    stated = u.collected_reflectance
-    if stated is None or scenario.atmosphere is not None:
-        return
-    form = SpectralForm(correlation_nm=stated.correlation_nm)
-    for part, sd in (("gain", stated.relative), ("offset", stated.absolute)):
-        if sd > 0:
-            yield spectral_input(world, f"compensation ({part})", "sensor", f"sensor.{part}", sd, form)
+    for part, sd, form in _of_compensation(world):
+        yield spectral_input(world, f"compensation ({part})", "sensor", f"sensor.{part}", sd, form)
+
+
+def _of_compensation(world: World) -> Iterator[tuple[str, float, SpectralForm]]:
+    stated = world.stated.scenario.uncertainty.collected_reflectance
+    if stated is not None and world.stated.scenario.atmosphere is None:
+        form = SpectralForm(correlation_nm=stated.correlation_nm)
+        yield from ((part, sd, form) for part, sd in (("gain", stated.relative), ("offset", stated.absolute)) if sd > 0)
+
+
+def compensation_inputs(world: World) -> Iterator[UncertainInput]:
+    """What the reflectance of an image is off by, as an error of each field spectrum that is compared with it; what is
+    measured on the image has the same error.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import predict
+    >>> stated = {"collected_reflectance": {"relative": 0.04, "absolute": 0.003}}
+    >>> scenario = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
+    >>> grass = predict(scenario.with_values({"uncertainty": stated})).reflectance["grass"]
+    >>> bool(np.allclose(grass.budget["compensation (gain)"], 0.04 * grass.mean))
+    True
+    >>> set(grass.budget["compensation (offset)"].round(9).tolist())
+    {0.003}
+    """
+    scene = world.stated.scenario.scene
+    for surface in (*scene.classes, *scene.panels, *scene.sites, *scene.targets):
+        if surface.spectrum.measured is None:
+            path, mean = f"surfaces.[{surface.name}].mean", np.nan_to_num(world.stated.surfaces[surface.name].mean)
+            for part, sd, form in _of_compensation(world):
+                own = sd * mean if part == "gain" else sd
+                yield spectral_input(world, f"compensation ({part})", "sensor", path, own, form)
 
 
 def interpolation_input(world: World) -> list[UncertainInput]:

@@ -59,6 +59,8 @@ class FirstScreen(NamedTuple):
 def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
     """The outcome of criteria and errors together, its word, and the sentence that begins with it."""
     overall, made = worst(gates), {row.outcome for row in gates}
+    if made == {Outcome.ERROR}:
+        return overall, "Error", "Ended in an error: no acceptance criterion was evaluated."
     if overall in (Outcome.ERROR, Outcome.DISAGREES):
         return overall, "Not met", "Not met."
     if not gates:
