@@ -39,7 +39,7 @@ import hashlib
 import importlib.util
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, lru_cache
@@ -105,7 +105,7 @@ class Setting(NamedTuple):
 
 # Aerosol: type card(s) of 6S, optical depth at 550 nm above the ground, and the part of it below the sensor.
 Aerosol = tuple[str, float, float]
-Run = tuple[str, Aerosol | None, Array]  # its spectral card, aerosol, and the wavelengths that it is looked at [nm]
+Run = tuple[str, Array]  # its deck, and the wavelengths that its answer is looked at [nm]
 
 
 def profile_atmosphere(profile: Profile) -> str:
@@ -433,21 +433,14 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     """
     setting = in_standard_air(state, setting)
     height = setting.height_km
-    air = {
-        "binary": sixs_fingerprint(), "scheme": SCHEME, "nodes_nm": NODES_NM.tolist(),
-        "geometry": setting.card(), "ground_km": round(setting.ground_km, 5), "height_km": height,
-    }  # fmt: skip
+
+    def run(spectral: str, aerosol: Aerosol | None, nodes_nm: Array) -> Run:
+        return deck(setting, GAS_FREE, spectral, aerosol), nodes_nm
 
     def singly(nodes_nm: Array, aerosols: Sequence[Aerosol | None]) -> list[Run]:
-        return [(_one_wavelength(nm), one, np.array([nm])) for nm, one in zip(nodes_nm, aerosols, strict=True)]
+        return [run(_one_wavelength(nm), one, np.array([nm])) for nm, one in zip(nodes_nm, aerosols, strict=True)]
 
-    def solved(runs: Sequence[Run], what: str, names: Sequence[str] = SCATTERED) -> Arrays:
-        texts = _run_all([deck(setting, GAS_FREE, *run[:2]) for run in runs], folder, f"6S {what}")
-        found = [solved_at(text, nodes_nm) for text, (*_, nodes_nm) in zip(texts, runs, strict=True)]
-        return {name: np.concatenate([part[name] for part in found]) for name in names}
-
-    in_clear, known = singly(NODES_NM, [None] * NODES_NM.size), (*SCATTERED, "depth_rayleigh")
-    clear = cached(folder, "molecules", air, lambda: solved(in_clear, "molecules", known))
+    clear = _answers("molecules", singly(NODES_NM, [None] * NODES_NM.size), folder)
     node = {("reflectance_rayleigh" if name == "reflectance" else name): values for name, values in clear.items()}
     if state.aerosol_optical_depth == 0.0:
         return node
@@ -461,8 +454,8 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
         there, each = NODES_NM[first:last], aerosols[first:last]
         as_table = there.size >= _FEWEST_OF_A_TABLE and len(set(each)) == 1
         table = f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}"
-        runs += [(table, each[0], there)] if as_table else singly(there, each)
-    hazy = cached(folder, "haze", air | {"aerosol": [list(a) for a in aerosols]}, lambda: solved(runs, "haze"))
+        runs += [run(table, each[0], there)] if as_table else singly(there, each)
+    hazy = _answers("haze", runs, folder)
     molecular = clear["reflectance"]
     if height is not None:
         # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
@@ -470,9 +463,7 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
         trace_share = 1.0 - np.exp(-height / _SCALE_HEIGHT_KM)
         least, at = (card, _TRACE, _TRACE * trace_share), np.array(_TRACE_NM)
         both = singly(np.tile(at, 2), [None, None, least, least])
-        asked = air | {"trace": [card, *_TRACE_NM]}
-        traced = cached(folder, "trace", asked, lambda: solved(both, "molecules in haze"))
-        alone, seen = traced["reflectance"].reshape(2, -1)
+        alone, seen = _answers("trace", both, folder)["reflectance"].reshape(2, -1)
         its_own = _TRACE * trace_share / float(np.interp(550.0, NODES_NM, used * share))
         excess = (seen - its_own * _log_log(hazy["reflectance"], at)) / (1.0 - its_own) / alone - 1.0
         slope = (excess[1] - excess[0]) / (_TRACE_NM[1] - _TRACE_NM[0])
@@ -487,12 +478,13 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     }
 
 
-def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
+def solved_at(text: str, nodes_nm: Array) -> Arrays:
     """What a run without gas says of the scattering at some wavelengths: (n,) of each of ``SCATTERED``.
 
-    A run at one wavelength prints seven digits.  A table prints four decimals every 2.5 nm, of straight lines in the
-    logarithms between the wavelengths at which 6S solves: the values there that come closest to all rows are known
-    to some 1e-5 (Gauss-Newton on the printed numbers; a weak pull to a straight line where no digit shows).
+    A run at one wavelength prints seven digits, and the depth of the molecules.  A table prints four decimals every
+    2.5 nm, of straight lines in the logarithms between the wavelengths at which 6S solves: the values there that come
+    closest to all rows are known to some 1e-5 (Gauss-Newton on the printed numbers; a weak pull to a straight line
+    where no digit shows).
 
     Raises
     ------
@@ -500,7 +492,8 @@ def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
     """
     rows = _table_rows(text)
     if not rows.size:
-        return {name: np.array([value]) for name, value in parse_monochromatic(text).items()}
+        single = parse_monochromatic(text)
+        return {name: np.array([single[name]]) for name in (*SCATTERED, "depth_rayleigh")}
     nm = np.round(rows[:, 0] * 1e3, 1)
     first, last = np.searchsorted(_SOLVED_NM, nm[0], "right") - 1, np.searchsorted(_SOLVED_NM, nm[-1])
     solved = _SOLVED_NM[max(first, 0) : last + 1]
@@ -576,18 +569,12 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path) -> Arrays:
     """Gas transmittance on the grid: full water, half water and dry two-way, and sun to ground."""
     profile = scaled_profile(state.model, setting.ground_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
     spectral, above = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}", setting.height_km
-    decks = {}
-    for name, share, height in (("full", 1.0, above), ("half", 0.5, above), ("dry", 0.0, above), ("ground", 1.0, 0.0)):
+    runs = list[Run]()
+    for share, height in ((1.0, above), (0.5, above), (0.0, above), (1.0, 0.0)):
         air = profile_atmosphere(replace(profile, water_g_m3=profile.water_g_m3 * share))
-        decks[name] = deck(setting._replace(height_km=height), air, spectral)
-    inputs = {"binary": sixs_fingerprint(), "scheme": SCHEME, "decks": decks}
-
-    def compute() -> Arrays:
-        printed = map(parse_steps, _run_all(list(decks.values()), folder, "6S gas"))
-        grids = (np.interp(GRID_NM, *steps) for steps in printed)
-        return {name: np.maximum(grid, LEAST_GAS) for name, grid in zip(decks, grids, strict=True)}
-
-    return cached(folder, "gas", inputs, compute)
+        runs.append((deck(setting._replace(height_km=height), air, spectral), GRID_NM))
+    tables = _answers("gas", runs, folder, lambda text, nm: {"gas": np.interp(nm, *parse_steps(text))})["gas"]
+    return dict(zip(("full", "half", "dry", "ground"), np.maximum(tables, LEAST_GAS).reshape(4, -1), strict=True))
 
 
 def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: EngineRatio | None) -> Arrays:
@@ -610,13 +597,23 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
     return {name: gas[name] * here.gas(*way[name]) for name in way}
 
 
-def _run_all(decks: list[str], folder: Path, what: str) -> list[str]:
-    """Outputs of all decks in their order; one process per processor at a time."""
-    pool = ThreadPoolExecutor(max_workers=cpu_count() or 1)
-    try:
-        return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks)))
-    finally:
-        pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
+def _answers(kind: str, runs: Sequence[Run], folder: Path, read: Callable[[str, Array], Arrays] = solved_at) -> Arrays:
+    """What is read of the answers of 6S, run after run, kept under what was asked; one process per processor at a time.
+
+    The names are those that are read of every run.
+    """
+
+    def compute() -> Arrays:
+        pool = ThreadPoolExecutor(max_workers=cpu_count() or 1)
+        try:
+            texts = track(pool.map(lambda run: run_sixs(run[0], folder), runs), f"6S {kind}", total=len(runs))
+            found = [read(text, nm) for text, (_, nm) in zip(texts, runs, strict=True)]
+        finally:
+            pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
+        return {name: np.concatenate([part[name] for part in found]) for name in min(found, key=len)}
+
+    asked = [(text, content_digest({"nm": nm})) for text, nm in runs]
+    return cached(folder, kind, {"binary": sixs_fingerprint(), "scheme": SCHEME, "runs": asked}, compute)
 
 
 def _aerosol_card(aerosol: AerosolMix | str) -> str:
