@@ -433,13 +433,10 @@ class Raster:
         return self.read_pixels(np.repeat(lines, samples.size), np.tile(samples, lines.size))
 
     def _together(self, rows: Index, cols: Index) -> Sequence[Index]:
-        """Which pixels are read together: those of lines that follow each other."""
+        """Which pixels are read together: those of lines that follow each other, as many as fit into memory."""
         order = np.argsort(rows, kind="stable")
-        ordered = rows[order]
-        run = np.cumsum(np.diff(ordered, prepend=ordered[:1]) > 1)
-        most = max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
-        part = (ordered - ordered[np.searchsorted(run, run)]) // most
-        edges = np.flatnonzero((np.diff(run) != 0) | (np.diff(part) != 0)) + 1
+        ordered, most = rows[order], max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
+        edges = np.flatnonzero((np.diff(ordered) > 1) | (np.diff(ordered // most) > 0)) + 1
         return [part for part in np.split(order, edges) if part.size]
 
     def _band_blocks(self) -> Iterable[slice]:
