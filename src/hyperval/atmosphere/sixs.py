@@ -55,17 +55,7 @@ import scipy
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.between import Rule, node_weights
 from hyperval.atmosphere.physics import EngineRatio, amounts, continuum_depth, engine_ratio, low_share, molecular_albedo
-from hyperval.atmosphere.state import (
-    AerosolMix,
-    AtmosphericState,
-    Profile,
-    air_column,
-    altitude_of_air_column,
-    coordinates,
-    scaled_profile,
-    shipped_numbers,
-    standard_profile,
-)
+from hyperval.atmosphere.state import AerosolMix, AtmosphericState, coordinates, shipped_numbers, standard_profile
 from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, content_digest, lit_by, run_program
 from hyperval.data import Array
 from hyperval.errors import EngineError, UsageError, refusal, refuse
@@ -106,13 +96,6 @@ class Setting(NamedTuple):
 # Aerosol: type card(s) of 6S, optical depth at 550 nm above the ground, and the part of it below the sensor.
 Aerosol = tuple[str, float, float]
 Run = tuple[str, Array]  # its deck, and the wavelengths that its answer is looked at [nm]
-
-
-def profile_atmosphere(profile: Profile) -> str:
-    """Card idatm = 7 with the 34 levels: user columns in idatm = 8 go wrong over raised ground."""
-    levels = (profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3, profile.ozone_g_m3)
-    lines = [" ".join(f"{v:.6e}" for v in row) for row in (*zip(*levels, strict=True), _TOP_LEVEL)]
-    return "7\n" + "\n".join(lines) + "\n"
 
 
 def altitude_card(altitude_km: float) -> str:
@@ -378,7 +361,7 @@ def assembled(
     molecules, haze = value["depth_rayleigh"], value.get("depth_aerosol", np.zeros(GRID_NM.size))
     if setting.height_km is not None:  # from the ground to space: the part below the sensor over its share
         model, ground = standard_profile(state.model), setting.ground_km
-        molecules = molecules / (1.0 - air_column(model, ground + setting.height_km) / air_column(model, ground))
+        molecules = molecules / (1.0 - model.air_column(ground + setting.height_km) / model.air_column(ground))
     beam = np.exp(-(molecules + haze / state.aerosol_fraction_below) / mu0)
     direct_up = np.exp(-(value["depth_rayleigh"] + haze) / mu_v)
     diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
@@ -418,9 +401,9 @@ def in_standard_air(state: AtmosphericState, setting: Setting) -> Setting:
     Ground and sensor stand where that air has as many molecules above them as the state's model has.
     """
     model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
-    ground, height = altitude_of_air_column(us62, air_column(model, setting.ground_km)), setting.height_km
+    ground, height = us62.altitude_of_air_column(model.air_column(setting.ground_km)), setting.height_km
     if height is not None:
-        above = altitude_of_air_column(us62, air_column(model, setting.ground_km + height))
+        above = us62.altitude_of_air_column(model.air_column(setting.ground_km + height))
         height = max(round(above - ground, 5), 0.001)
     return setting._replace(ground_km=ground, height_km=height)
 
@@ -567,11 +550,14 @@ def trusted_stand_ins(
 
 def _gas(state: AtmosphericState, setting: Setting, folder: Path) -> Arrays:
     """Gas transmittance on the grid: full water, half water and dry two-way, and sun to ground."""
-    profile = scaled_profile(state.model, setting.ground_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    profile = state.profile
     spectral, above = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}", setting.height_km
     runs = list[Run]()
     for share, height in ((1.0, above), (0.5, above), (0.0, above), (1.0, 0.0)):
-        air = profile_atmosphere(replace(profile, water_g_m3=profile.water_g_m3 * share))
+        columns = profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3 * share
+        levels = (*zip(*columns, profile.ozone_g_m3, strict=True), _TOP_LEVEL)
+        # Card idatm = 7 with the 34 levels: user columns in idatm = 8 go wrong over raised ground.
+        air = "".join(["7\n", *(" ".join(f"{v:.6e}" for v in level) + "\n" for level in levels)])
         runs.append((deck(setting._replace(height_km=height), air, spectral), GRID_NM))
     tables = _answers("gas", runs, folder, lambda text, nm: {"gas": np.interp(nm, *parse_steps(text))})["gas"]
     return dict(zip(("full", "half", "dry", "ground"), np.maximum(tables, LEAST_GAS).reshape(4, -1), strict=True))
@@ -680,11 +666,11 @@ def air_of(state: AtmosphericState) -> Air:
     """The same of a state, in the air of the US standard 1962 in which 6S scatters."""
     setting, us62 = setting_of(state), standard_profile("us-standard-1962")
     *_, ground, height = in_standard_air(state, setting)
-    air, above = air_column(us62, ground), 0.0 if height is None else air_column(us62, ground + height)
+    air, above = us62.air_column(ground), 0.0 if height is None else us62.air_column(ground + height)
     used, share, total, part = trusted_stand_ins(state, height, _EMULATED_DEPTHS)
     scale = 2.0 if height is None else min(-height / np.log1p(-min(share[0], 1.0 - 1e-9)), 4.0)
     return Air(
-        setting.cosines[0], air / air_column(us62, 0.0), 1.0 - above / air, ground, used, share, scale, total, part
+        setting.cosines[0], air / us62.air_column(0.0), 1.0 - above / air, ground, used, share, scale, total, part
     )
 
 
