@@ -327,10 +327,9 @@ def sixs_terms(
     ------
     EngineError : 6S cannot be started or printed no numbers.
     """
-    setting = setting_of(state)
-    scattering = _scattering(state, setting, folder)
-    gas = _gas(state, setting, folder)
-    return assembled(state, setting, scattering, gas, ratio=ratio)
+    setting, ratio = setting_of(state), engine_ratio() if ratio == "shipped" else ratio
+    node, gas = _scattering(state, setting, folder), _gas(state, setting, folder)
+    return assembled(state, node, gas, ratio, sixs_fingerprint())
 
 
 def setting_of(state: AtmosphericState) -> Setting:
@@ -343,17 +342,10 @@ def setting_of(state: AtmosphericState) -> Setting:
 
 
 def assembled(
-    state: AtmosphericState,
-    setting: Setting,
-    node: Arrays,
-    gas: Arrays,
-    *,
-    ratio: EngineRatio | Literal["shipped"] | None = "shipped",
-    engine: str = "",
+    state: AtmosphericState, node: Arrays, gas: Arrays, ratio: EngineRatio | None, engine: str
 ) -> AtmosphericTerms:
     """The terms of a state from scattering at the nodes and gas on the grid; see :func:`sixs_terms`."""
-    factors = engine_ratio() if ratio == "shipped" else ratio
-    factors = None if factors is None else factors.at(GRID_NM)
+    setting, factors = setting_of(state), None if ratio is None else ratio.at(GRID_NM)
     gas = _corrected(gas, state, setting, factors)
     mu0, mu_v = setting.cosines
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
@@ -383,7 +375,7 @@ def assembled(
         **lit_by(mu0 * solar_irradiance / np.pi, over_the_sun),
         solar_lines=solar.lines_between(state.solar_spectrum, GRID_NM),
         provenance={
-            "engine": engine or sixs_fingerprint(),
+            "engine": engine,
             "scheme": SCHEME,
             "engine_ratio": factors is not None,
             "solar_spectrum": state.solar_spectrum,
@@ -765,7 +757,7 @@ def gas(state: AtmosphericState, held: Arrays) -> Arrays:
 def emulated(state: AtmosphericState, held: Arrays) -> AtmosphericTerms:
     """The terms of a state by some numbers, without a word on their error."""
     engine = f"emulator of 6S {content_digest(held)[:16]}"
-    return assembled(state, setting_of(state), scattering(state, held), gas(state, held), engine=engine)
+    return assembled(state, scattering(state, held), gas(state, held), engine_ratio(), engine)
 
 
 def emulator_terms(state: AtmosphericState, folder: Path | None = None) -> AtmosphericTerms:
