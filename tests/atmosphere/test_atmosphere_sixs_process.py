@@ -42,7 +42,7 @@ def test_borrowed_library_is_linked_and_works_and_one_that_does_not_suit_is_pass
 
 def test_user_search_path_is_kept(tmp_path, monkeypatch):
     seen, said = {}, subprocess.CompletedProcess([], 0, sixs._BANNER)
-    monkeypatch.setattr(sixs, "run_program", lambda *_, environment, **__: seen.update(environment) or said)
+    monkeypatch.setattr(sixs, "run_program", lambda *_, env, **__: seen.update(env) or said)
     monkeypatch.setenv("LD_LIBRARY_PATH", "/opt/mine")
     sixs._start(sixs._TRIAL, str(tmp_path))
     assert seen["LD_LIBRARY_PATH"] == f"{tmp_path}{os.pathsep}/opt/mine"

@@ -631,7 +631,7 @@ def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TI
     if modtran.data is not None and not six:
         (folder / "DATA").symlink_to(modtran.data)
     (folder / given).write_text(deck, encoding="ascii")
-    done = run_program([where, given] if six else [where], "MODTRAN", mend, timeout_s=timeout_s, folder=folder)
+    done = run_program([where, given] if six else [where], "MODTRAN", mend, timeout_s=timeout_s, cwd=folder)
     said = last_line(done.stderr or done.stdout)
     refuse(done.returncode != 0, "modtran.failed", where, code=done.returncode, said=said)
     left = [folder / name for name in candidates if (folder / name).is_file()]

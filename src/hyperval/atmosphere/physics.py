@@ -31,7 +31,7 @@ import numpy as np
 from scipy.special import expn
 
 from hyperval.atmosphere import state as visibility
-from hyperval.atmosphere.state import AtmosphericState, Profile, column_g_cm2, pressure_at, scaled_profile
+from hyperval.atmosphere.state import AtmosphericState, Profile, column_g_cm2, pressure_at
 from hyperval.data import Array
 
 FILE: Final = "engine_ratio.csv"
@@ -127,7 +127,7 @@ def amounts(state: AtmosphericState) -> tuple[Array, Array]:
 
     From the sun to the ground, and from there to the sensor as well.
     """
-    profile = scaled_profile(state.model, state.ground_altitude_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    profile = state.profile
     weighted = profile.water_g_m3 * profile.pressure_hpa / visibility.STP_HPA
 
     def above(km: float) -> Array:

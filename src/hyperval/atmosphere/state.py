@@ -57,6 +57,22 @@ class Profile:
     water_g_m3: Array
     ozone_g_m3: Array
 
+    def air_column(self, above_km: float) -> float:
+        """Column of molecules above an altitude, as the integral of pressure / temperature [hPa K-1 km].
+
+        The Rayleigh optical depth is proportional to it.
+        """
+        inside = self.altitude_km > above_km
+        z = np.concatenate([[above_km], self.altitude_km[inside]])
+        temperature = np.interp(z, self.altitude_km, self.temperature_k)
+        return float(np.trapezoid(pressure_at(self, z) / temperature, z))
+
+    def altitude_of_air_column(self, column: float) -> float:
+        """Altitude above which there is a column of molecules [km]; not below 0."""
+        if column >= self.air_column(0.0):
+            return 0.0
+        return root_between(lambda z: self.air_column(z) - column, 0.0, float(self.altitude_km[-1]))
+
 
 @cache
 def standard_profile(model: str) -> Profile:
@@ -88,39 +104,10 @@ def gas_columns(profile: Profile, above_km: float) -> tuple[float, float]:
     return water, ozone / OZONE_G_CM2_PER_ATM_CM
 
 
-def scaled_profile(model: str, ground_km: float, water_g_cm2: float | None, ozone_atm_cm: float | None) -> Profile:
-    """The standard atmosphere with the columns above the ground scaled to the given amounts.
-
-    None keeps the model's own density at each altitude, so that high ground has less above it.
-    """
-    profile = standard_profile(model)
-    own = gas_columns(profile, ground_km)
-    water, ozone = (1.0 if a is None else a / o for a, o in zip((water_g_cm2, ozone_atm_cm), own, strict=True))
-    return replace(profile, water_g_m3=profile.water_g_m3 * water, ozone_g_m3=profile.ozone_g_m3 * ozone)
-
-
 def pressure_at(profile: Profile, altitude_km: npt.ArrayLike) -> Array:
     """Pressure at altitudes [hPa], logarithmic between levels."""
     at = np.asarray(altitude_km, dtype=float)
     return np.asarray(np.exp(np.interp(at, profile.altitude_km, np.log(profile.pressure_hpa))))
-
-
-def air_column(profile: Profile, above_km: float) -> float:
-    """Column of molecules above an altitude, as the integral of pressure / temperature [hPa K-1 km].
-
-    The Rayleigh optical depth is proportional to it.
-    """
-    inside = profile.altitude_km > above_km
-    z = np.concatenate([[above_km], profile.altitude_km[inside]])
-    temperature = np.interp(z, profile.altitude_km, profile.temperature_k)
-    return float(np.trapezoid(pressure_at(profile, z) / temperature, z))
-
-
-def altitude_of_air_column(profile: Profile, column: float) -> float:
-    """Altitude above which the profile has a column of molecules [km]; not below 0."""
-    if column >= air_column(profile, 0.0):
-        return 0.0
-    return root_between(lambda z: air_column(profile, z) - column, 0.0, float(profile.altitude_km[-1]))
 
 
 def root_between(falling: Callable[[float], float], low: float, high: float) -> float:
@@ -361,6 +348,17 @@ class AtmosphericState(Model):
         return solar.solar_position(latitude, longitude, solar.parse_utc(time))
 
     @property
+    def profile(self) -> Profile:
+        """The standard atmosphere with the columns above the ground that are stated.
+
+        Where none is the model's own density at each altitude stays, so that high ground has less above it.
+        """
+        profile, stated = standard_profile(self.model), (self.water_vapour_g_cm2, self.ozone_atm_cm)
+        own = gas_columns(profile, self.ground_altitude_km)
+        water, ozone = (1.0 if a is None else a / o for a, o in zip(stated, own, strict=True))
+        return replace(profile, water_g_m3=profile.water_g_m3 * water, ozone_g_m3=profile.ozone_g_m3 * ozone)
+
+    @property
     def distance_au(self) -> float:
         """Earth-Sun distance [au]."""
         if self.earth_sun_distance_au is not None:
@@ -395,8 +393,7 @@ class AtmosphericState(Model):
 def coordinates(state: AtmosphericState) -> dict[str, float]:
     """Where a state lies on every axis that a table can have."""
     ground, (zenith, azimuth) = state.ground_altitude_km, state.sun
-    profile = scaled_profile(state.model, ground, state.water_vapour_g_cm2, state.ozone_atm_cm)
-    water, ozone = gas_columns(profile, ground)
+    water, ozone = gas_columns(state.profile, ground)
     return {
         "aot550": state.aerosol_optical_depth,
         "water_vapour_g_cm2": water,

@@ -138,14 +138,7 @@ Arrays = dict[str, Array]
 
 
 def run_program(
-    command: Sequence[str],
-    name: str,
-    mend: str,
-    *,
-    timeout_s: float,
-    text: str = "",
-    folder: Path | None = None,
-    environment: Mapping[str, str] | None = None,
+    command: Sequence[str], name: str, mend: str, *, timeout_s: float, text: str = "", **options: Any
 ) -> subprocess.CompletedProcess[str]:
     """What a program says that is given ``text`` to read; it and its children end with this process and its patience.
 
@@ -154,8 +147,7 @@ def run_program(
     command : the program and its arguments
     name, mend : what messages call it, and what they advise where it cannot be started
     timeout_s : how long it may take [s]
-    folder : its working directory
-    environment : its variables; None: those of this process
+    options : of ``Popen``, such as its working directory (``cwd``) and its variables (``env``)
 
     Raises
     ------
@@ -163,8 +155,8 @@ def run_program(
     """
     try:
         process = subprocess.Popen(  # noqa: S603
-            [*tie(), *command], cwd=folder, env=environment, stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True,
+            [*tie(), *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            errors="replace", start_new_session=True, **options,
         )  # fmt: skip
     except OSError as error:
         raise EngineError(f"{name} cannot be started: {error.strerror}", where=command[0], mend=mend) from error

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 Selection = tuple[slice, ...]
 Numbers = npt.NDArray[Any]
+Position = tuple[Affine | None, CRS | None]
 AXES = "bls"  # bands, lines, samples: the order in which values are handed out
 MAX_CHUNK_BYTES = 256 << 20
 CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
@@ -349,10 +350,7 @@ class ArrayRaster(Raster):
 
 
 def array_raster(
-    store: Store,
-    pieces: tuple[Piece, ...],
-    description: Description,
-    position: tuple[Affine | None, CRS | None] = (None, None),
+    store: Store, pieces: tuple[Piece, ...], description: Description, position: Position = (None, None)
 ) -> ArrayRaster:
     """The image of some arrays of one size.
 
@@ -531,7 +529,7 @@ def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Arra
     return np.asarray(fits[0].values, float) * (own / there if own and there else 1.0)
 
 
-def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> tuple[Affine | None, CRS | None]:
+def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> Position:
     """From the grid mapping (CF, GDAL), else from evenly spaced coordinates of lines and samples."""
     mapping = str(array.attrs.get("grid_mapping", array.encoding.get("grid_mapping", "spatial_ref")))
     attrs = data[mapping].attrs if mapping in data.variables else {}

@@ -22,18 +22,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import data_beside, header_beside
 from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
-from hyperval.imagery.description import (
-    Bands,
-    Description,
-    ListedBands,
-    Raster,
-    Scale,
-    equals,
-    fill_notes,
-    filled,
-    given_bands,
-    ignore_in_type,
-)
+from hyperval.imagery.description import Bands, Description, ListedBands, Raster, Scale, equals, fill_notes, filled
 from hyperval.imagery.envi import EnviRaster, described_by, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, open_tiff
@@ -289,7 +278,7 @@ class Cube:
         """
         usable, ignore = np.ones(stored.shape[1:], bool), self.ignore_value
         some = slice(None) if needed is None or needed.all() else needed
-        if ignore is not None and ignore_in_type(stored.dtype, ignore) is not None:
+        if ignore is not None:
             usable &= ~equals(stored[some], ignore).any(axis=0)
         if stored.dtype.kind == "f":
             usable &= np.isfinite(stored[some]).all(axis=0)
@@ -471,10 +460,7 @@ def open_cube(
     image = path if isinstance(path, Path | str | Raster) else raster_of(path, variable)
     raster = image if isinstance(image, Raster) else open_raster(image, header=header, variable=variable, engine=engine)
     about, where = raster.description, str(raster.path)
-    if axis is not None:
-        table = given_bands(axis, raster.bands, where)
-    else:
-        table = about.band_table(wavelength_unit, where, sort_bands=sort_bands)
+    table = about.band_table(wavelength_unit, where, sort_bands=sort_bands, given=axis, count=raster.bands)
     scaling = about.scaling(quantity, unit, scale, raster.bands, where)
     by = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
     notes: tuple[str, ...] = (f"read as {about.product}{by}",) if about.product else ()

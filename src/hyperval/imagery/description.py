@@ -183,13 +183,16 @@ class Description:
             stated.append(_gain_file(self.gains, self.header.bands))
         return [scale for scale in stated if scale.changes]
 
-    def band_table(self, given_unit: str | None, where: str, *, sort_bands: bool = False) -> BandTable:
+    def band_table(
+        self, given_unit: str | None, where: str, *, sort_bands: bool = False, given: Bands = None, count: int = 0
+    ) -> BandTable:
         """The bands that have a wavelength, in nm and in order.
 
         Parameters
         ----------
         given_unit : the unit where the file states none; must agree with the file otherwise
         sort_bands : sort bands whose wavelengths do not increase (two detectors that overlap)
+        given : the bands of a file of ``count``, or "numbers": those count from 1 in place of wavelengths
 
         >>> Description(bands=ListedBands(np.array([8.0, 8.1]), np.full(2, 0.1), "um")).band_table(None, "x").notes
         ('warning: no band below 8000 nm: the model has reflected sunlight, no emission',)
@@ -198,8 +201,15 @@ class Description:
         ------
         InputError : no wavelengths, a wrong count, not finite, not increasing, two the same, widths not positive, or
             a bad-band list that does not fit.
-        UsageError : a unit that contradicts the file or that nobody states, or wavelengths implausible in it.
+        UsageError : a unit that contradicts the file or that nobody states, or wavelengths implausible in it; an axis
+            of another number of bands.
         """
+        if given == "numbers":
+            warning = "warning: bands are identified by number: values labelled nm are band numbers"
+            return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (warning,))
+        if given is not None:
+            refuse(len(given) != count, "bands.given", where, given=len(given), count=count)
+            return BandTable(given, np.arange(count), ("wavelengths as given beside the cube",))
         bands = needed(self.listed(), "bands.none", where)
         has = np.flatnonzero(np.isfinite(bands.wavelength))
         refuse(not has.size, "bands.without", where)
@@ -299,20 +309,6 @@ def wavelengths_in_names(names: Sequence[str]) -> tuple[Array, str | None] | Non
     if len(units) != 1 or (units == {""} and not np.all(np.diff(numbers) > 0)):
         return None
     return numbers, units.pop() or None
-
-
-def given_bands(axis: SpectralAxis | Literal["numbers"], count: int, where: str) -> BandTable:
-    """Bands that are given beside a file of ``count``, or that go by their number from 1 in place of a wavelength.
-
-    Raises
-    ------
-    UsageError : an axis of another number of bands.
-    """
-    if axis == "numbers":
-        note = "warning: bands are identified by number: values labelled nm are band numbers"
-        return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (note,))
-    refuse(len(axis) != count, "bands.given", where, given=len(axis), count=count)
-    return BandTable(axis, np.arange(count), ("wavelengths as given beside the cube",))
 
 
 def _spacing_by_detector(centre: Array) -> tuple[Array, Mask]:
@@ -433,13 +429,10 @@ class Raster:
         return self.read_pixels(np.repeat(lines, samples.size), np.tile(samples, lines.size))
 
     def _together(self, rows: Index, cols: Index) -> Sequence[Index]:
-        """Which pixels are read together: those of lines that follow each other."""
+        """Which pixels are read together: those of lines that follow each other, as many as fit into memory."""
         order = np.argsort(rows, kind="stable")
-        ordered = rows[order]
-        run = np.cumsum(np.diff(ordered, prepend=ordered[:1]) > 1)
-        most = max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
-        part = (ordered - ordered[np.searchsorted(run, run)]) // most
-        edges = np.flatnonzero((np.diff(run) != 0) | (np.diff(part) != 0)) + 1
+        ordered, most = rows[order], max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
+        edges = np.flatnonzero((np.diff(ordered) > 1) | (np.diff(ordered // most) > 0)) + 1
         return [part for part in np.split(order, edges) if part.size]
 
     def _band_blocks(self) -> Iterable[slice]:

@@ -63,7 +63,7 @@ def transform_of(header: EnviHeader) -> Affine | None:
         return None
     try:
         x_ref, y_ref, east, north, dx, dy = (float(p) for p in parts[1:7])
-        rotation = math.radians(float(_options(parts).get("rotation", 0.0)))
+        rotation = float(_options(parts).get("rotation", 0.0))
     except (ValueError, IndexError):
         raise refusal("image.map_info", header.where("map info")) from None
     if not all(map(math.isfinite, (x_ref, y_ref, east, north, dx, dy, rotation))) or dx <= 0 or dy <= 0:
@@ -71,10 +71,8 @@ def transform_of(header: EnviHeader) -> Affine | None:
     of_pixels = dx == dy == 1.0 and (east, north) in ((x_ref, y_ref), (0.0, 0.0)) and _metres(parts) is None
     if parts[0].strip().lower() in ("arbitrary", "none") and of_pixels:
         return None  # ENVI writes this for an image in pixel coordinates
-    cos, sin = math.cos(rotation), math.sin(rotation)
-    a, b, d, e = cos * dx, sin * dy, sin * dx, -cos * dy
-    x, y = x_ref - 1.0, y_ref - 1.0
-    return Affine(a, b, east - a * x - b * y, d, e, north - d * x - e * y)
+    on_map = Affine.translation(east, north) @ Affine.rotation(rotation) @ Affine.scale(dx, -dy)
+    return on_map @ Affine.translation(1.0 - x_ref, 1.0 - y_ref)
 
 
 def crs_of(header: EnviHeader) -> CRS | None:

@@ -797,13 +797,19 @@ def ring_region(
 
     ``pixel`` : distance between lines and between samples, in the unit of the other two
     """
-    mask = np.zeros(region.mask.shape, bool)
-    above, beside = (int(min(outer / step, max(mask.shape))) + 1 for step in pixel)
-    part = window_of(region.mask, (above, beside))
-    distance = ndimage.distance_transform_edt(~region.mask[part], sampling=pixel)
-    mask[part] = (distance > inner) & (distance <= outer)
+    mask = _apart(region.mask, inner, outer, pixel)
     refuse(not mask.any(), "region.ring", f"region {name!r}", of=region.name)
     return Region(name, mask, f"ring around {region.name}")
+
+
+def _apart(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = (1.0, 1.0)) -> Mask:
+    """The pixels more than ``inner`` and at most ``outer`` from the nearest of a mask, which holds one at least."""
+    out = np.zeros(mask.shape, bool)
+    above, beside = (int(min(outer / step, max(mask.shape))) + 1 for step in pixel)
+    part = window_of(mask, (above, beside))
+    distance = ndimage.distance_transform_edt(~mask[part], sampling=pixel)  # of all pixels: 16 bytes for each
+    out[part] = (distance > inner) & (distance <= outer)
+    return out
 
 
 def window_of(mask: Mask, margin: tuple[int, int] = (0, 0)) -> tuple[slice, slice]:
@@ -864,8 +870,4 @@ def patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator[tuple[str
 def guard(mask: Mask, radius_pixels: float) -> Mask:
     """The mask grown by a disc: every pixel whose centre is within the radius of a centre in the mask."""
     refuse(not radius_pixels >= 0, "region.guard", radius=radius_pixels)
-    if not mask.any():
-        return mask.copy()
-    out, near = np.zeros(mask.shape, bool), window_of(mask, (int(radius_pixels),) * 2)
-    out[near] = ndimage.distance_transform_edt(~mask[near]) <= radius_pixels  # of all pixels: 16 bytes for each
-    return out
+    return _apart(mask, -1.0, radius_pixels) if mask.any() else mask.copy()

@@ -13,17 +13,16 @@ import struct
 from collections.abc import Iterable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import Array
-from hyperval.envi_header import EnviHeader, data_beside, read_header
+from hyperval.envi_header import data_beside, header_beside, read_header
 from hyperval.errors import needed, refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra.record import MAX_BYTES, FieldSpectrum
+from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile
 
 _VERSIONS = (b"ASD", b"as2", b"as3", b"as4", b"as5", b"as6", b"as7", b"as8")
 HEADER_BYTES = 484
@@ -52,19 +51,21 @@ _CLASSIFIER_TEXTS = 20
 _ENTRY = np.dtype([("kind", "i1"), ("name", "S20"), ("integration", "<i4"), ("gains", "<i2", 2)])
 
 
-def is_asd(raw: bytes) -> bool:
+def is_asd(file: SpectraFile) -> bool:
     """True when the content is that of an ASD binary file."""
+    raw = file.raw
     return raw[:3] in _VERSIONS and len(raw) > HEADER_BYTES and b"\0" in raw[3:HEADER_BYTES]
 
 
-def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
+def asd_records(file: SpectraFile) -> list[FieldSpectrum]:
     """Reflectance (relative to the white reference), radiance or irradiance of an ASD file, as its type says.
 
     Raises
     ------
     InputError : cut short, another data type, no reference in it, or counts without a calibration that fits.
     """
-    where, head = str(path), np.frombuffer(raw, _HEADER, 1)[0]
+    raw, where = file.raw, str(file.path)
+    head = np.frombuffer(raw, _HEADER, 1)[0]
     kind, channels, first, step = int(head["kind"]), int(head["channels"]), float(head["first"]), float(head["step"])
     last, (least, most) = first + step * (channels - 1), RANGE_NM
     known = head["format"] in _FORMATS and 2 <= channels <= MAX_CHANNELS and step > 0
@@ -74,15 +75,15 @@ def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> FieldSp
     dtype, alone = np.dtype(_FORMATS[int(head["format"])]), raw[:3] == b"ASD"  # version 1: reflectance, no reference
     values = _array(raw, HEADER_BYTES, channels, dtype, where, ratio=alone)
     nm = first + step * np.arange(channels, dtype=float)
-    record = FieldSpectrum(path.stem, nm, values, source=where, wavelength_unit="nm")
+    record = FieldSpectrum(file.path.stem, nm, values, source=where, wavelength_unit="nm")
     flag, end = HEADER_BYTES + values.size * dtype.itemsize, len(raw)
     if not alone and len(raw) >= flag + 20:
         end = flag + 20 + int(struct.unpack_from("<H", raw, flag + 18)[0]) + channels * dtype.itemsize
     if kind in (2, 4):
-        if quantity not in _UNITS:  # refused by what it holds, whether it can be calibrated or not
-            return replace(record, quantity=_TYPES[kind])
+        if file.quantity not in _UNITS:  # refused by what it holds, whether it can be calibrated or not
+            return [replace(record, quantity=_TYPES[kind])]
         values, power, notes = calibrated(raw, end, values, nm, dtype, where)
-        return replace(record, values=values, quantity=power, notes=notes, unit=_UNITS[power])
+        return [replace(record, values=values, quantity=power, notes=notes, unit=_UNITS[power])]
     refuse(alone and kind == 0, "asd.counts", where)
     notes = ()
     if not alone:
@@ -92,7 +93,7 @@ def asd_record(raw: bytes, path: Path, quantity: str = "reflectance") -> FieldSp
         with np.errstate(divide="ignore", invalid="ignore"):
             values = np.where(reference != 0, values / reference, np.nan)
         notes = ("reflectance is the stored spectrum over the stored white reference",)
-    return replace(record, values=values, unit="fraction", quantity="reflectance", notes=notes)
+    return [replace(record, values=values, unit="fraction", quantity="reflectance", notes=notes)]
 
 
 def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str, *, ratio: bool = False) -> Array:
@@ -206,7 +207,7 @@ _RECORD = np.dtype({
 })  # fmt: skip
 
 
-def specpr_records(path: Path) -> list[FieldSpectrum]:
+def specpr_records(file: SpectraFile) -> list[FieldSpectrum]:
     """Every spectrum of a SPECPR file but wavelengths, band widths and errors; the errors go with their spectrum.
 
     Records have 1536 bytes, big-endian, and begin with 32 bits of flags: bit 0 continuation, bit 1 text, bit 3
@@ -220,10 +221,10 @@ def specpr_records(path: Path) -> list[FieldSpectrum]:
     ------
     InputError : cut short, too large, records that contradict each other, or no spectrum.
     """
-    where, size = str(path), path.stat().st_size
+    where, size = str(file.path), file.path.stat().st_size
     cut = size % _RECORD.itemsize or not 0 < size <= MAX_SPECPR_BYTES
     refuse(cut, "specpr.size", where, size=size, one=_RECORD.itemsize, most=MAX_SPECPR_BYTES)
-    raw = np.fromfile(path, _RECORD)
+    raw = np.fromfile(file.path, _RECORD)
     begins = (raw["flags"] & (_CONTINUATION | _TEXT) == 0) & (raw["channels"] > 0)
     starts = [int(i) for i in np.flatnonzero(begins) if i > 0]
     heads = set(starts)
@@ -261,17 +262,19 @@ def _values(raw: npt.NDArray[np.void], at: int, where: str) -> Array:
     return np.concatenate([raw["first"][at], behind["more"].ravel()])[:n].astype(float)
 
 
-def envi_library(path: Path, header: EnviHeader | None, root: Path | None = None) -> list[FieldSpectrum]:
-    """Every spectrum of a library; ``path`` is the header when ``header`` is None, else the data file.
+HEADERS = (b"ENVI\r", b"ENVI\n", b"ENVI ")  # how a header begins
+
+
+def library_records(file: SpectraFile) -> list[FieldSpectrum]:
+    """Every spectrum of a library of ENVI, by its header or its data file.
 
     Raises
     ------
     InputError : not a spectral library, a data file of the wrong size, or names or wavelengths that do not fit.
     """
-    if header is None:
-        header, path = read_header(path), data_beside(path)
-    path = checked_file(path, root=root, what="spectral library")
-    checked_file(header.path, root=root, what="ENVI header")
+    is_header = file.head.startswith(HEADERS)
+    header = read_header(file.path if is_header else header_beside(file.path) or file.path)
+    path = checked_file(data_beside(file.path), what="spectral library") if is_header else file.path
     lines, channels, size = header.lines, header.samples, path.stat().st_size
     other = header.file_type.lower() != "envi spectral library" or header.bands != 1
     refuse(other, "library.type", header.where("file type"), type=header.file_type, bands=header.bands)

@@ -28,7 +28,7 @@ from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
-from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectrumErrors
+from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile, SpectrumErrors
 
 HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _MOST = {"wavelength": 5000, "series": 2000}
@@ -40,18 +40,19 @@ _AXES = {
 }  # fmt: skip
 
 
-def is_hypernets(raw: bytes) -> bool:
+def is_hypernets(file: SpectraFile) -> bool:
     """Whether the content is of the network: HDF5 that names its processor."""
-    return raw.startswith(HDF5_MARK) and b"hypernets_processor" in raw
+    return file.raw.startswith(HDF5_MARK) and b"hypernets_processor" in file.raw
 
 
-def hypernets_records(path: Path) -> list[FieldSpectrum]:
+def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
     """The series of an L2A file as spectra, named by number and direction of view; flagged ones say so.
 
     Raises
     ------
     InputError : not an L2A file of the network, or values that cannot be.
     """
+    path = file.path
     with opened_netcdf(path, "HYPERNETS file of level L2A", _AXES, _MOST) as data:
         values = {name: np.asarray(data[name].values, dtype=float) for name in _AXES}
     nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
@@ -165,18 +166,18 @@ def read_radcalnet(path: Path | str) -> RadCalNetDay:
     return day_of(path.read_text("utf-8", errors="replace"), path)
 
 
-def is_radcalnet(head: bytes) -> bool:
+def is_radcalnet(file: SpectraFile) -> bool:
     """Whether a file begins as the network's do."""
-    return head.startswith(b"Site:") and b"\nLat:" in head.replace(b"\r", b"")
+    return file.head.startswith(b"Site:") and b"\nLat:" in file.head.replace(b"\r", b"")
 
 
-def radcalnet_records(text: str, path: Path) -> list[FieldSpectrum]:
+def radcalnet_records(file: SpectraFile) -> list[FieldSpectrum]:
     """The valid half hours of a file as spectra, named by their time; the spread is the standard uncertainty."""
-    day = day_of(text, path)
+    day = day_of(file.text, file.path)
     kind, records = "" if day.quantity == SURFACE else day.quantity, []
     for label in day.valid:
         values, uncertainty = day.values[i := day.column(label)], day.uncertainty[i]
-        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, source=str(path), quantity=kind)
+        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, source=day.source, quantity=kind)
         records.append(replace(record, wavelength_unit="nm", unit="fraction"))
     return records
 

@@ -7,26 +7,21 @@ and never guessed; where detectors overlap, each join is cut in its middle.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from hyperval.envi_header import header_beside, read_header
+from hyperval.envi_header import header_beside
 from hyperval.errors import reader, refusal, refuse
 from hyperval.paths import checked_file, refuse_own
 from hyperval.spectra import binary, networks, text
-from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, finished, mean_of
-from hyperval.storage import decoded
+from hyperval.spectra.record import FieldSpectrum, SpectraFile, finished, mean_of
 
 if TYPE_CHECKING:
     import xarray as xr
     from spectral.io.envi import SpectralLibrary
-
-# Printable characters of any 8-bit code, tabulators, ends of lines and pages.
-_TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])
 
 # Beginnings of files that are known and not read.
 _NOT_READ = {
@@ -49,7 +44,6 @@ def read_spectrum(
     unit_if_unstated: str | None = None,
     columns: tuple[str | int, ...] | None = None,
     wavelengths: Path | str | None = None,
-    root: Path | None = None,
 ) -> FieldSpectrum:
     """Read one spectrum.
 
@@ -69,18 +63,17 @@ def read_spectrum(
         by number from 0
     wavelengths : the file of wavelengths of a library that keeps one column per file (USGS); None: one of as many
         rows whose name says wavelength, in the same folder or the one above
-    root : folder that the files must lie in
 
     Raises
     ------
     InputError : missing, too large (10 MB, 100,000 rows), not understood, or implausible values.
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
-    path = checked_file(path, root=root, what="spectrum file")
+    path = checked_file(path, what="spectrum file")
     if wavelengths is None:
-        chosen = _chosen(_records(path, columns, root, quantity), record, str(path))
+        chosen = _chosen(_records(path, columns, quantity), record, str(path))
     else:
-        chosen = text.usgs_record(path, checked_file(wavelengths, root=root, what="wavelength file"))
+        chosen = text.usgs_record(path, checked_file(wavelengths, what="wavelength file"))
     return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 
@@ -93,7 +86,6 @@ def read_records(
     wavelength_unit: str | None = None,
     reflectance_unit: str | None = None,
     unit: str | None = None,
-    root: Path | None = None,
 ) -> list[FieldSpectrum]:
     """Read the spectra of a file, by the rules of :func:`read_spectrum`.
 
@@ -106,7 +98,7 @@ def read_records(
     UsageError : the same, and numbers that the file does not have.
     """
     if isinstance(path, Path | str):
-        listed = _records(checked_file(path, root=root, what="spectrum file"), None, root, quantity)
+        listed = _records(checked_file(path, what="spectrum file"), None, quantity)
     else:
         listed = _at_hand(path)
     numbers = {w for w in records or () if isinstance(w, int)}
@@ -141,115 +133,45 @@ def _at_hand(library: Any) -> list[FieldSpectrum]:
     return binary.on_one_grid(names, wavelength, rows, "library at hand", None if unit is None else str(unit))
 
 
-@dataclass(frozen=True)
-class _File:
-    """A file of spectra whose format its content tells.
-
-    ``columns`` and ``quantity`` are what the caller says of it, ``root`` the folder it must lie in.
-    """
-
-    path: Path
-    columns: tuple[str | int, ...] | None
-    root: Path | None
-    quantity: str
-
-    @cached_property
-    def mark(self) -> bytes:
-        """The first bytes of a file of any size."""
-        with open(self.path, "rb") as stream:
-            return stream.read(len(binary.MARK))
-
-    @cached_property
-    def raw(self) -> bytes:
-        """The whole file (InputError where it is too large, or empty)."""
-        size = self.path.stat().st_size
-        refuse(size > MAX_BYTES, "record.large", self.path, size=size, most=MAX_BYTES)
-        raw = self.path.read_bytes()
-        refuse(not raw.strip(), "record.empty", self.path)
-        return raw
-
-    @cached_property
-    def head(self) -> bytes:
-        """The beginning of the file, without a byte-order mark."""
-        return self.raw[:4096].lstrip(b"\xef\xbb\xbf")
-
-    @cached_property
-    def text(self) -> str:
-        """The file as text (InputError where it is none), without the NUL that ViewSpec pads a comment with."""
-        raw, plain = self.raw, self.raw.replace(b"\0", b"")
-        if b"\0" in self.head and not plain.translate(None, _TEXT) and len(plain) >= 0.5 * len(raw):
-            raw = plain
-        refuse(b"\0" in raw[:4096], "record.binary", self.path, known=_expected())
-        return decoded(raw)
-
-
 class Format(NamedTuple):
     """A format of spectra: how a file of it is known, and how its records are read."""
 
     name: str
-    knows: Callable[[_File], object]
-    records: Callable[[_File], list[FieldSpectrum]]
+    knows: Callable[[SpectraFile], object]
+    records: Callable[[SpectraFile], list[FieldSpectrum]]
 
 
-def _expected() -> str:
-    return ", ".join(form.name for form in FORMATS if form.name)
-
-
-def _refused(file: _File) -> list[FieldSpectrum]:
+def _refused(file: SpectraFile) -> list[FieldSpectrum]:
     """Raise InputError for a format that is known and not read, with how to get at its numbers."""
     name = next(name for mark, name in _NOT_READ.items() if file.head.startswith(mark))
-    raise refusal("record.format", file.path, name=name, known=_expected())
+    raise refusal("record.format", file.path, name=name, known=file.known)
 
 
-def _usgs_record(file: _File) -> FieldSpectrum:
-    """The spectrum of a file of one column, at the wavelengths that lie beside it."""
-    grid = checked_file(text.wavelengths_beside(file.path) or "", root=file.root, what="wavelength file")
-    note = f"wavelengths from {grid.name}, which lies beside it"
-    return replace(text.usgs_record(file.path, grid), notes=(note,))
-
-
-def _begins(*marks: bytes) -> Callable[[_File], bool]:
+def _begins(*marks: bytes) -> Callable[[SpectraFile], bool]:
     return lambda file: file.head.startswith(marks)
 
 
 # The first that knows a file reads it: marks before tables, and text that anything can be at the end.
 FORMATS = (
-    Format("SPECPR", lambda f: f.mark == binary.MARK, lambda f: binary.specpr_records(f.path)),
-    Format("ASD", lambda f: binary.is_asd(f.raw), lambda f: [binary.asd_record(f.raw, f.path, f.quantity)]),
-    Format("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), lambda f: text.plot_records(f.text, f.path)),
-    Format(
-        "header of an ENVI spectral library", _begins(b"ENVI\r", b"ENVI\n", b"ENVI "),
-        lambda f: binary.envi_library(f.path, None, f.root),
-    ),
-    Format("SVC .sig", _begins(b"/*** Spectra Vista"), lambda f: [text.svc_record(f.text, f.path, f.quantity)]),
-    Format("GER .sig", _begins(b"///GER"), lambda f: [text.ger_record(f.text, f.path, f.quantity)]),
+    Format("SPECPR", lambda f: np.fromfile(f.path, "S12", 1).tolist() == [binary.MARK], binary.specpr_records),
+    Format("ASD", binary.is_asd, binary.asd_records),
+    Format("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), text.plot_records),
+    Format("header of an ENVI spectral library", _begins(*binary.HEADERS), binary.library_records),
+    Format("SVC .sig", _begins(b"/*** Spectra Vista"), text.svc_records),
+    Format("GER .sig", _begins(b"///GER"), text.ger_records),
     Format("", _begins(*_NOT_READ), _refused),
-    Format("HYPERNETS", lambda f: networks.is_hypernets(f.raw), lambda f: networks.hypernets_records(f.path)),
-    Format("RadCalNet", lambda f: networks.is_radcalnet(f.head), lambda f: networks.radcalnet_records(f.text, f.path)),
-    Format(
-        "Spectral Evolution .sed", lambda f: b"Instrument:" in f.head and b"Columns [" in f.head,
-        lambda f: [text.sed_record(f.text, f.path, f.quantity)],
-    ),
-    Format(
-        "ENVI spectral library with its header", lambda f: header_beside(f.path),
-        lambda f: binary.envi_library(f.path, read_header(header_beside(f.path) or f.path), f.root),
-    ),
-    Format(
-        "USGS text of one column", lambda f: f.columns is None and text.wavelengths_beside(f.path),
-        lambda f: [_usgs_record(f)],
-    ),
-    Format(
-        "text, a spectrum a row", lambda f: f.columns is None and text.is_row_table(f.text),
-        lambda f: text.row_records(f.text, f.path),
-    ),
-    Format("text, a spectrum a column", lambda f: True, lambda f: text.text_records(f.text, f.path, f.columns)),
-)  # fmt: skip
+    Format("HYPERNETS", networks.is_hypernets, networks.hypernets_records),
+    Format("RadCalNet", networks.is_radcalnet, networks.radcalnet_records),
+    Format("Spectral Evolution .sed", text.is_sed, text.sed_records),
+    Format("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
+    Format("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
+    Format("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f.text), text.row_records),
+    Format("text, a spectrum a column", lambda f: True, text.text_records),
+)
 
 
-def _records(
-    path: Path, columns: tuple[str | int, ...] | None, root: Path | None, quantity: str
-) -> list[FieldSpectrum]:
-    file = _File(path, columns, root, quantity)
+def _records(path: Path, columns: tuple[str | int, ...] | None, quantity: str) -> list[FieldSpectrum]:
+    file = SpectraFile(path, columns, quantity, ", ".join(form.name for form in FORMATS if form.name))
     refuse_own(path)
     records = next(form for form in FORMATS if form.knows(file)).records(file)
     if text.quantity_in(path.stem) != "radiance":

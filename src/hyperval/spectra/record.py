@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
+from pathlib import Path
 
 import numpy as np
 
 from hyperval.data import Array, Index
 from hyperval.errors import refusal, refuse
 from hyperval.spectra.axis import wavelengths_in_nm
-from hyperval.storage import number_of
+from hyperval.storage import decoded, number_of
 from hyperval.units import to_internal
 
 Rows = Index | slice
@@ -22,6 +23,46 @@ PLAUSIBLE_REFLECTANCE = 1.5  # median above this: not a fraction
 DELETED = -1e30  # libraries mark deleted channels by -1.23e34
 FILLS = (-999.0, -9999.0, -32768.0, -99999.0)  # what others write for it
 MAX_JOINS = 4  # backward jumps of the wavelength: more is not a set of detectors
+_TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])  # printable, of any 8-bit code; tabulators, ends
+
+
+@dataclass(frozen=True)
+class SpectraFile:
+    """A file of spectra whose format its content tells.
+
+    Attributes
+    ----------
+    columns, quantity : what the caller says of it
+    known : the formats that are read, for messages
+    """
+
+    path: Path
+    columns: tuple[str | int, ...] | None = None
+    quantity: str = "reflectance"
+    known: str = ""
+
+    @cached_property
+    def raw(self) -> bytes:
+        """The whole file (InputError where it is too large, or empty)."""
+        size = self.path.stat().st_size
+        refuse(size > MAX_BYTES, "record.large", self.path, size=size, most=MAX_BYTES)
+        raw = self.path.read_bytes()
+        refuse(not raw.strip(), "record.empty", self.path)
+        return raw
+
+    @cached_property
+    def head(self) -> bytes:
+        """The beginning of the file, without a byte-order mark."""
+        return self.raw[:4096].lstrip(b"\xef\xbb\xbf")
+
+    @cached_property
+    def text(self) -> str:
+        """The file as text (InputError where it is none), without the NUL that ViewSpec pads a comment with."""
+        raw, plain = self.raw, self.raw.replace(b"\0", b"")
+        if b"\0" in self.head and not plain.translate(None, _TEXT) and len(plain) >= 0.5 * len(raw):
+            raw = plain
+        refuse(b"\0" in raw[:4096], "record.binary", self.path, known=self.known)
+        return decoded(raw)
 
 
 @dataclass(frozen=True, eq=False)

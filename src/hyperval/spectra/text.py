@@ -18,7 +18,8 @@ import numpy as np
 
 from hyperval.data import Array
 from hyperval.errors import refusal, refuse
-from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum
+from hyperval.paths import checked_file
+from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum, SpectraFile
 from hyperval.storage import decoded
 from hyperval.units import only_wavelength_unit, power_unit
 
@@ -57,7 +58,7 @@ _WAVELENGTH_UNITS = {
 }
 
 
-def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = None) -> list[FieldSpectrum]:
+def text_records(file: SpectraFile) -> list[FieldSpectrum]:
     """Spectra of a text file: the first column is the wavelength, the others values.
 
     A column that is the standard deviation of another belongs to it; one that is called n and holds one whole number
@@ -65,14 +66,17 @@ def text_records(text: str, path: Path, columns: tuple[str | int, ...] | None = 
     left out.  The header may state ``nm`` or ``um``, ``%`` and ``N = 25``.  A standard deviation is in the unit of
     its mean: one that says another is refused.
 
-    >>> text = "wl_a,mean,sd,n,wl_b,tile\\n400,0.1,0.01,25,401,0.5\\n500,0.2,0.01,25,501,0.5\\n"
-    >>> [(r.name, r.n, r.wavelength_nm.tolist(), r.values.tolist()) for r in text_records(text, Path("a.csv"))]
+    >>> file = SpectraFile(Path("a.csv"))
+    >>> vars(file)["text"] = "wl_a,mean,sd,n,wl_b,tile\\n400,0.1,0.01,25,401,0.5\\n500,0.2,0.01,25,501,0.5\\n"
+    >>> [(r.name, r.n, r.wavelength_nm.tolist(), r.values.tolist()) for r in text_records(file)]
     [('mean', 25, [400.0, 500.0], [0.1, 0.2]), ('tile', 25, [401.0, 501.0], [0.5, 0.5])]
-    >>> text_records("nm,refl,std (%)\\n400,0.1,1\\n500,0.2,2\\n", Path("a.csv"))
+    >>> vars(file)["text"] = "nm,refl,std (%)\\n400,0.1,1\\n500,0.2,2\\n"
+    >>> text_records(file)
     Traceback (most recent call last):
     hyperval.errors.InputError: a.csv: 'std (%)' states another unit than the mean that it belongs to...
     """
-    header, table, first_line = number_table(text, path)
+    path, columns = file.path, file.columns
+    header, table, first_line = number_table(file.text, path)
     where, whole = str(path), "\n".join(header)
     titles = _titles(header, table.shape[1], where)
     if columns is not None:
@@ -148,15 +152,15 @@ def _of_column(says: str, name: str, wavelength: Array, values: Array, where: st
     return replace(record, unit=power_unit_in(says) or percent_in(says))
 
 
-def plot_records(text: str, path: Path) -> list[FieldSpectrum]:
+def plot_records(file: SpectraFile) -> list[FieldSpectrum]:
     """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
-    header, table, _ = number_table(text, path)
+    header, table, _ = number_table(file.text, file.path)
     matches = [re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE]) for line in header]
     titles, count = {int(m.group(1)) - 1: m.group(2) for m in matches if m}, table.shape[1]
     unlike = sorted(titles) != list(range(count)) or count < 2
-    refuse(unlike, "text.titles", path, titles=len(titles), count=count)
-    unit = wavelength_unit_in(titles[0], "", str(path))
-    return [_of_column(titles[i], titles[i], table[:, 0], table[:, i], str(path), unit) for i in range(1, count)]
+    refuse(unlike, "text.titles", file.path, titles=len(titles), count=count)
+    unit = wavelength_unit_in(titles[0], "", str(file.path))
+    return [_of_column(titles[i], titles[i], table[:, 0], table[:, i], str(file.path), unit) for i in range(1, count)]
 
 
 def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
@@ -385,7 +389,7 @@ def _delimiter(line: str) -> str:
     return max("\t;,", key=line.count)
 
 
-def row_records(text: str, path: Path) -> list[FieldSpectrum]:
+def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     """The spectra of a table with one in each row.
 
     A name comes from the first column of an obvious title whose values differ, or the first of all where they are
@@ -393,14 +397,16 @@ def row_records(text: str, path: Path) -> list[FieldSpectrum]:
     columns ``Wavelength Units`` and ``Measurement Units`` are read where they stand; a percent that the values
     contradict is not believed, and the unit must be stated.
 
-    >>> text = "Wavelength,400,500,600,700\\ngrass,0.1,0.1,0.1,0.1\\nsoil,0.2,0.2,0.2,0.2"
-    >>> [record.name for record in row_records(text, Path("a.csv"))]
+    >>> file = SpectraFile(Path("a.csv"))
+    >>> vars(file)["text"] = "Wavelength,400,500,600,700\\ngrass,0.1,0.1,0.1,0.1\\nsoil,0.2,0.2,0.2,0.2"
+    >>> [record.name for record in row_records(file)]
     ['grass', 'soil']
 
     Raises
     ------
     InputError : rows of another length than the first, cells that are no numbers, or more than can be a table.
     """
+    text, path = file.text, file.path
     delimiter = _delimiter(text.split("\n", 1)[0])
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     rows: list[tuple[str, list[str]]] = []
@@ -490,28 +496,27 @@ _SED_COLUMNS = {
 }
 
 
-def svc_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
+def svc_records(file: SpectraFile) -> list[FieldSpectrum]:
     """A spectrum of an SVC .sig file: columns wavelength [nm], reference, target, reflectance [percent].
 
-    ``quantity`` "radiance" or "irradiance" takes the target's column where ``units=`` says so; otherwise the
+    The quantity "radiance" or "irradiance" takes the target's column where ``units=`` says so; otherwise the
     reflectance.  The three detectors follow one another and overlap unless the file was matched.
 
     Raises
     ------
     InputError : not such a file, or a target in counts where radiance is asked for.
     """
-    entries, table = _signature(text, path, (4,), "wavelength, reference, target, reflectance in percent")
+    record, table, entries = _signature(file, (4,), "wavelength, reference, target, reflectance in percent")
     units = entries.get("units", "").split(",")[-1].strip().lower()
-    if quantity in SVC_UNITS:
-        refuse(units not in SVC_UNITS, "svc.unit", path, unit=units or "an unknown unit", quantity=quantity)
+    if file.quantity in SVC_UNITS:
+        refuse(units not in SVC_UNITS, "svc.unit", file.path, unit=units or "an unknown unit", quantity=file.quantity)
         notes = (f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",)
-        power = _reflectance_of(entries, path, table, SVC_SCALE * table[:, 2])
-        return replace(power, quantity=units, unit=SVC_UNITS[units], notes=notes)
-    refuse(not table[:, 3].any(), "svc.single", path, unit=units or "an unknown quantity")
-    return _reflectance_of(entries, path, table, table[:, 3])
+        return [replace(record, values=SVC_SCALE * table[:, 2], quantity=units, unit=SVC_UNITS[units], notes=notes)]
+    refuse(not table[:, 3].any(), "svc.single", file.path, unit=units or "an unknown quantity")
+    return [record]
 
 
-def ger_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
+def ger_records(file: SpectraFile) -> list[FieldSpectrum]:
     """A spectrum of a GER .sig file: wavelength [nm], target, reference, and perhaps reflectance [percent].
 
     Where the fourth column is missing, target over reference is the reflectance.
@@ -520,22 +525,18 @@ def ger_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpe
     ------
     InputError : not such a file, or another quantity than a reflectance.
     """
-    refuse(quantity in SVC_UNITS, "ger.unit", path, quantity=quantity)
-    entries, table = _signature(text, path, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
+    refuse(file.quantity in SVC_UNITS, "ger.unit", file.path, quantity=file.quantity)
+    record, table, _ = _signature(file, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
     with np.errstate(divide="ignore", invalid="ignore"):
         percent = np.where(table[:, 2] > 0, 100.0 * (table[:, 1] / table[:, 2]), np.nan)
-    return _reflectance_of(entries, path, table, table[:, 3] if table.shape[1] == 4 else percent)
+    return [record if table.shape[1] == 4 else replace(record, values=percent)]
 
 
-def _reflectance_of(entries: dict[str, str], path: Path, table: Array, values: Array) -> FieldSpectrum:
-    """The spectrum of a .sig file, in percent."""
-    name = entries.get("name", "").removesuffix(".sig") or path.stem
-    record = FieldSpectrum(name, table[:, 0], values, source=str(path), quantity="reflectance")
-    return replace(record, wavelength_unit="nm", unit="percent")
-
-
-def _signature(text: str, path: Path, columns: tuple[int, ...], expected: str) -> tuple[dict[str, str], Array]:
-    """The entries ``key= value`` above the line ``data=`` of a .sig file, and the numbers below it."""
+def _signature(
+    file: SpectraFile, columns: tuple[int, ...], expected: str
+) -> tuple[FieldSpectrum, Array, dict[str, str]]:
+    """The last column of a .sig file in percent, all numbers below ``data=``, and the entries ``key= value`` above."""
+    text, path = file.text, file.path
     entries, lines = dict[str, str](), text.splitlines()
     for number, line in enumerate(lines[1:], start=2):
         key, equals, value = line.partition("=")
@@ -548,21 +549,29 @@ def _signature(text: str, path: Path, columns: tuple[int, ...], expected: str) -
     unlike = header or table.shape[1] not in columns
     refuse(unlike, "sig.columns", f"{path}:{start}", count=table.shape[1], wanted=expected)
     check_last_line(text, str(path))
-    return entries, table
+    name = entries.get("name", "").removesuffix(".sig") or path.stem
+    record = FieldSpectrum(name, table[:, 0], table[:, -1], source=str(path), quantity="reflectance")
+    return replace(record, wavelength_unit="nm", unit="percent"), table, entries
 
 
-def sed_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpectrum:
+def is_sed(file: SpectraFile) -> bool:
+    """Whether a file is one of Spectral Evolution."""
+    return b"Instrument:" in file.head and b"Columns [" in file.head
+
+
+def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %", "Reflect. [1.0]" or "Tgt./Ref. %".
 
-    ``quantity`` "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
+    The quantity "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
     in the line ``Units:``.  It has as many rows and columns as it says, over the range that it says.
     """
-    lines, where = text.splitlines(), str(path)
+    text, path, where = file.text, file.path, str(file.path)
+    lines = text.splitlines()
     begin = next((i for i, line in enumerate(lines[:-1]) if line.strip().lower() == "data:"), -1)
     refuse(begin < 0, "sed.data", where)
     titles, there = [t.strip() for t in lines[begin + 1].split("\t")], f"{path}:{begin + 2}"
     stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
-    wanted = quantity if quantity in SVC_UNITS else "reflectance"
+    wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
     pattern, forms = _SED_COLUMNS[wanted]
     columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
     lacking = len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE)
@@ -578,10 +587,16 @@ def sed_record(text: str, path: Path, quantity: str = "reflectance") -> FieldSpe
     check_stated(table[:, 0], where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
     check_last_line(text, where)
     record = FieldSpectrum(path.stem, table[:, 0], table[:, columns[0]], source=where, quantity=wanted)
-    return replace(record, wavelength_unit="nm", unit=unit)
+    return [replace(record, wavelength_unit="nm", unit=unit)]
 
 
 MAX_WAVELENGTH_FILES = 40  # that are looked into
+
+
+def usgs_records(file: SpectraFile) -> list[FieldSpectrum]:
+    """The spectrum of a file of one column, at the wavelengths that lie beside it."""
+    grid = checked_file(wavelengths_beside(file.path) or "", what="wavelength file")
+    return [replace(usgs_record(file.path, grid), notes=(f"wavelengths from {grid.name}, which lies beside it",))]
 
 
 def usgs_record(path: Path, grid: Path) -> FieldSpectrum:
