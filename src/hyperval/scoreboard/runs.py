@@ -15,7 +15,7 @@ import re
 import runpy
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress, product
 from pathlib import Path
@@ -611,8 +611,8 @@ def load_extensions(paths: Iterable[Path]) -> None:
 
 
 @dataclass(frozen=True)
-class Benchmarked:
-    """What one campaign gives to the page.
+class Benchmarked(Run):
+    """The run of one campaign with all detectors.
 
     Attributes
     ----------
@@ -622,17 +622,11 @@ class Benchmarked:
     groups : detectors that have the same value of each of these: they order the pixels alike
     """
 
-    name: str
-    title: str
-    simulated: bool
-    rows: list[Result]
-    notes: list[str] = field(default_factory=list)
-    provenance: dict[str, Any] = field(default_factory=dict)
     exit_code: int | None = None
 
     @cached_property
     def here(self) -> dict[tuple[str, str, str], Result]:  # noqa: D102 - above
-        return {(r.subject, r.method, r.metric): r for r in self.rows if r.outcome is Outcome.NONE}
+        return {(r.subject, r.method, r.metric): r for r in self.table.where(outcome=Outcome.NONE)}
 
     @cached_property
     def measures(self) -> list[str]:  # noqa: D102 - above
@@ -731,15 +725,19 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         if detection is not None and detection.halo_pixels:
             notes += ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
         notes = list(dict.fromkeys([*notes, *observed.observation.notes]))
-    return Benchmarked(name, job.campaign.title, bool(job.campaign.simulated), of_campaign(rows, name), notes, record)
+    return _of(job.campaign, rows, record, notes=notes)
+
+
+def _of(campaign: Campaign, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> Benchmarked:
+    more |= {"campaign": campaign.name, "title": campaign.title, "simulated": bool(campaign.simulated)}
+    return Benchmarked(ResultTable(of_campaign(rows, campaign.name)), record, **more)
 
 
 def _stopped(job: Job, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
-    campaign, log = job.campaign, InputLog.of_file(job.path)
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
-    row = Result(campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
-    record = record_of(log, [], None, {"campaign": campaign}, [])
-    return Benchmarked(campaign.name, campaign.title, bool(campaign.simulated), [row], [], record, code)
+    row = Result("", PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
+    record = record_of(InputLog.of_file(job.path), [], None, {"campaign": job.campaign}, [])
+    return _of(job.campaign, [row], record, exit_code=code)
 
 
 def benchmark(
@@ -781,11 +779,11 @@ def benchmark(
             "command": command_without_output(),
             "seed": seed,
             "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
-            "campaigns": {d.name: d.provenance for d in done},
+            "campaigns": {d.campaign: d.provenance for d in done},
         }
-        figures, simulated = benchmark_figures(done), {d.name for d in done if d.simulated}
+        figures, simulated = benchmark_figures(done), {d.campaign for d in done if d.simulated}
         drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
-        rows = ResultTable(row for d in done for row in d.rows)
+        rows = ResultTable(row for d in done for row in d.table)
         Run(rows, record).write(folder, benchmark_page(done, figures), drawings)
     return next((d.exit_code for d in done if d.exit_code is not None), 0)
 
@@ -819,8 +817,8 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
         return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(said))
 
-    title = f"{one.name}: detectors on all objects with 95 % intervals; rank [95 % set]"
-    return a_view_each(f"{one.name}-detectors", one.name, title, one.measures, view)
+    title = f"{one.campaign}: detectors on all objects with 95 % intervals; rank [95 % set]"
+    return a_view_each(f"{one.campaign}-detectors", one.campaign, title, one.measures, view)
 
 
 def rank_figure(one: Benchmarked) -> Figure | None:
@@ -833,9 +831,9 @@ def rank_figure(one: Benchmarked) -> Figure | None:
     if not metric or len({*subjects, EVERY_OBJECT}) < 3 or not one.groups:
         return None
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
-    title = f"{one.name}: rank [95 % set] by {MEASURES[metric].title}, subjects of two objects and more{more}"
+    title = f"{one.campaign}: rank [95 % set] by {MEASURES[metric].title}, subjects of two objects and more{more}"
     rows = {subject: (one, subject) for subject in subjects}
-    return _rank_map(f"{one.name}-ranks", one.name, title, rows, one.groups, metric)
+    return _rank_map(f"{one.campaign}-ranks", one.campaign, title, rows, one.groups, metric)
 
 
 def _rank_text(rank: Result) -> str:
@@ -864,7 +862,7 @@ def _rank_map(
 def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
     """Rank of every detector on all objects of every collection, as a map; one collection needs none."""
     metric = _RANK_METRICS[1]
-    known = {one.name: (one, EVERY_OBJECT) for one in done if metric in one.measures}
+    known = {one.campaign: (one, EVERY_OBJECT) for one in done if metric in one.measures}
     every = dict.fromkeys(name for one, _ in known.values() for group in one.groups for name in group)
     if len(known) < 2:
         return None
@@ -888,9 +886,9 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
         return single(x, y, (diagonal, dots), MEASURES[metric].title)
 
-    title = f"{one.name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
+    title = f"{one.campaign}: measured against predicted, a point for each subject and detector, with 95 % intervals"
     known = [name for name in names if pairs[name]]
-    return a_view_each(f"{one.name}-predicted", one.name, title, known, view)
+    return a_view_each(f"{one.campaign}-predicted", one.campaign, title, known, view)
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
@@ -902,8 +900,8 @@ def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
 def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> str:
     """The page."""
     return page(
-        "benchmark.html.j2", figures, figures=figures, all=len(done), count=sum(len(d.rows) for d in done),
+        "benchmark.html.j2", figures, figures=figures, all=len(done), count=sum(len(d.table) for d in done),
         entries=[one for one in done if one.here],  # the others are named under what was not run
-        skipped=[r for d in done for r in d.rows if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)],
+        skipped=[r for d in done for r in d.table if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)],
         measures=MEASURES, rank_text=_rank_text, number=number_text, isfinite=math.isfinite,
     )  # fmt: skip

@@ -13,14 +13,13 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import resources
 from itertools import islice, zip_longest
 from typing import Any
 
 import yaml
 from pydantic import ValidationError
 
-from hyperval.config import SCHEMA_LINE, parse_yaml
+from hyperval.config import SCHEMA_LINE, parse_yaml, shipped
 from hyperval.datasets import files_at_hand, how_to_get, missing, registry
 from hyperval.errors import UsageError, refuse
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
@@ -347,13 +346,13 @@ def _count(given: Given, name: str, most: int) -> int:
     return min(int(text), most) if text.isdecimal() and len(text) < 6 else 0
 
 
+SCENES = shipped("hyperval.web", "scenarios")  # of public collections: their files by name
+
+
 @lru_cache(maxsize=1)
 def predefined() -> dict[str, Scenario]:
     """Scenarios by name."""
-    known = {name: load_scenario(name) for name in builtin_scenarios()}
-    with resources.as_file(resources.files("hyperval.web") / "scenarios") as folder:
-        scenes = [load_scenario(path) for path in sorted(folder.glob("*.yaml"))]
-    return known | {scene.name: scene for scene in scenes}
+    return {name: load_scenario(SCENES.get(name, name)) for name in (*builtin_scenarios(), *SCENES)}
 
 
 def needs(source: object) -> dict[str, str]:

@@ -5,15 +5,16 @@ What there is to look up: the API, made from its OpenAPI file, and sensors numbe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import jinja2
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Depends, Request
 from markupsafe import Markup
 from pydantic import BaseModel
+from starlette.datastructures import FormData
 from starlette.responses import FileResponse, HTMLResponse, Response
 
 import hyperval
@@ -67,6 +68,15 @@ def store_of(request: Request) -> Runs:
     """The runs of the server that was asked."""
     runs: Runs = request.app.state.runs
     return runs
+
+
+async def sent_form(request: Request) -> AsyncIterator[FormData]:
+    """The fields and files of a request, until it is answered."""
+    async with request.form(max_files=20, max_fields=4000) as form:
+        yield form
+
+
+SentForm = Annotated[FormData, Depends(sent_form)]
 
 
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
