@@ -33,7 +33,8 @@ from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark, single
+from hyperval.figures import Axis, ColourScale, Figure, Mark, Panels, Part
+from hyperval.figures.spec import a_view_each, columns_of, measured_mark, single
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -804,13 +805,10 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         far = metric.startswith("far")
         positive = [v for row, _ in known.values() for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
-        marks = []
-        for first in (True, False):
-            own = {i: row for i, (row, rank) in known.items() if (rank.lower <= 1) == first}
-            values = np.array([(r.value, r.lower, r.upper, i) for i, r in own.items()], float).reshape(-1, 4).T
-            columns = dict(zip(("x", "low", "high"), np.maximum(values[:3], floor), strict=True)) | {"y": values[3]}
-            label = "may be first" if first else "is not first"
-            marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
+        rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in known.items()]
+        dots = measured_mark("dots", columns_of(rows, ("x", "low", "high", "y")), marker="circle", along="x")
+        looks: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
+        marks = dots.by_kind([rank.lower <= 1 for _, rank in known.values()], looks)
         none = far and any(row.value == 0.0 for row, _ in known.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         said = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
@@ -851,7 +849,7 @@ def _rank_map(
             cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
             words.append(_rank_text(row))
             captions.append(f"{label}, {'/'.join(group)}: {words[-1]}")
-    columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
+    columns = columns_of(cells, ("left", "right", "bottom", "top", "value"))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     x, y = Axis.named([" = ".join(group) for group in groups]), Axis.named(list(rows))
@@ -877,12 +875,12 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
                     if key[2] == f"predicted_{name}" and (*key[:2], name) in one.here] for name in names}  # fmt: skip
 
     def view(metric: str) -> Panels:
-        y, low, high, x = np.array([(m.value, m.lower, m.upper, p.value) for _, m, p in pairs[metric]], float).T
+        numbers = [(p.value, m.value, m.lower, m.upper) for _, m, p in pairs[metric]]
         said = tuple(
             f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs[metric]
         )
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
-        dots = measured_mark("dots", {"x": x, "y": y, "low": low, "high": high}, marker="circle", words=said)
+        dots = measured_mark("dots", columns_of(numbers), marker="circle", words=said)
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
         return single(x, y, (diagonal, dots), MEASURES[metric].title)
 

@@ -144,13 +144,11 @@ def form_data(given: Given) -> dict[str, Any]:
 
 def _members(schema: Schema) -> list[Schema]:
     """What may stand there, ``null`` left out."""
-    return [m for m in _expanded(schema) if m.get("type") != "null"]
-
-
-def _expanded(schema: Schema) -> list[Schema]:
     if "$ref" in schema:
         schema = {**_SCHEMA["$defs"][schema["$ref"].rsplit("/", 1)[-1]], **schema}
-    return [m for part in schema["anyOf"] for m in _expanded(part)] if "anyOf" in schema else [schema]
+    if "anyOf" in schema:
+        return [m for part in schema["anyOf"] for m in _members(part)]
+    return [] if schema.get("type") == "null" else [schema]
 
 
 def _entries(schema: Schema, path: str) -> Iterator[tuple[str, str, Schema]]:
@@ -179,7 +177,7 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
 
 def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
     members = _members(schema)
-    kinds = [_kind(m) for m in members]
+    kinds = [_kind(m, path) for m in members]
     hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
     is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
     node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
@@ -196,7 +194,8 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) ->
 
 def _filled(node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
     """What stands under a title: the entries of a group, rows, or a field, with what is given."""
-    kinds, path = [_kind(m) for m in members], node.path
+    path = node.path
+    kinds = [_kind(m, path) for m in members]
     if kinds == ["group"]:
         children = _group(members[0], path, value, begun)
         is_shown = node.is_shown or any(child.is_shown for child in children)
@@ -209,10 +208,9 @@ def _filled(node: Node, schema: Schema, members: list[Schema], value: Any, begun
         each = enumerate(zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)]))
         children = tuple(_row(item, f"{path}.{i}", row, was, few) for i, (row, was) in each)
         return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
-    kind, known = _one_kind(kinds), _choices(path)
-    choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
-    if known and kind in ("text", "yaml"):
-        kind, choices = ("choice" if kind == "text" else "several"), known
+    kind = kinds[0] if len(kinds) == 1 else "yaml" if "yaml" in kinds else "text"
+    stated = (str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
+    choices = _choices(path) or tuple(stated)
     text: Any = "" if value is None else _text(value)
     if kind == "several":
         text = [str(v) for v in value] if isinstance(value, list | tuple) else []
@@ -244,7 +242,7 @@ def _read_group(schema: Schema, path: str, given: Given) -> dict[str, Any]:
 
 
 def _read(members: list[Schema], path: str, given: Given) -> Any:
-    kinds = [_kind(m) for m in members]
+    kinds = [_kind(m, path) for m in members]
     if kinds == ["group"]:
         return _read_group(members[0], path, given) or None
     if "group" in kinds:
@@ -259,7 +257,7 @@ def _read(members: list[Schema], path: str, given: Given) -> Any:
         rows = [_read_group(item, place, given) for place in places if f"{place}!" not in given]
         return rows if is_list else None
     values = [v.strip() for v in given.get(path, []) if v.strip()]
-    if _choices(path) and _one_kind(kinds) == "yaml":
+    if kinds == ["several"]:
         return values or ([] if is_list else None)
     return _value(values[0], kinds) if values else None
 
@@ -278,23 +276,16 @@ def _choices(path: str) -> tuple[str, ...]:
     return SURFACES if path.endswith(".builtin") else ()
 
 
-def _kind(schema: Schema) -> str:
-    """The kind of field that a schema asks for."""
-    kind = schema.get("type")
+def _kind(schema: Schema, path: str) -> str:
+    """The kind of field that a schema asks for at a path."""
+    kind, is_named = schema.get("type"), bool(_choices(path))
     if "enum" in schema or "const" in schema:
         return "choice"
     if kind == "object":
         return "group" if "properties" in schema else "yaml"
     if kind == "array":
-        return "rows" if "$ref" in schema.get("items", {}) else "yaml"
-    return {"number": "number", "integer": "number", "boolean": "flag"}.get(str(kind), "text")
-
-
-def _one_kind(kinds: list[str]) -> str:
-    """One kind of field for several kinds of values."""
-    if len(set(kinds)) == 1:
-        return kinds[0]
-    return "yaml" if set(kinds) & {"yaml", "rows"} else "text"
+        return "rows" if "$ref" in schema.get("items", {}) else "several" if is_named else "yaml"
+    return {"number": "number", "integer": "number", "boolean": "flag"}.get(str(kind), "choice" if is_named else "text")
 
 
 def _text(value: Any) -> str:
@@ -321,11 +312,10 @@ def _limits(schema: Schema) -> str:
 
 def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     """Number of the first member that a value may be one of, from 1; 0 where there is none."""
-    if value is None:
-        return 0
+    keys = set(value) if isinstance(value, Mapping) else None
     for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
-        fits = isinstance(value, Mapping) == (kind == "group")
-        if fits and (kind != "group" or set(value) <= set(member.get("properties", ()))):
+        fits = kind != "group" if keys is None else kind == "group" and keys <= set(member["properties"])
+        if fits and value is not None:
             return number
     return 0
 
