@@ -355,7 +355,7 @@ def needs(source: object) -> dict[str, str]:
     return lacking
 
 
-_FILES = {"file", "files", "library", "table", "measured", "replicates"}
+_FILES = {"files", "library", "table", "measured", "replicates"}
 _GREY = re.compile(r"grey-panel-\d\d")
 _MOST_TEXT = 200
 _MOST_DEPTH = 24
@@ -380,8 +380,7 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
         scenario = Scenario.model_validate(of_bounded_size(data))
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads)] or list(_of_cost(scenario))
-    if mistakes:
+    if mistakes := list(_of_names(scenario, uploads)) or list(_of_cost(scenario)):
         raise Refused(422, mistakes)
     return scenario
 
@@ -427,27 +426,24 @@ def _excess(at: tuple[str, ...], value: Any) -> str:
 
 
 def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMistake]:
-    if scenario.sensor is not None and scenario.sensor not in (*library_names(), *uploads):
-        yield FieldMistake("sensor", f"no such sensor; one of {', '.join((*library_names(), *uploads))}")
+    """Names that this server does not have, and files of its own."""
+    sensors = (*library_names(), *uploads)
+    if scenario.sensor not in (None, *sensors):
+        yield FieldMistake("sensor", f"no such sensor; one of {', '.join(sensors)}")
     if scenario.atmosphere is not None and scenario.atmosphere.engine not in ("sixs", "emulator"):
         yield FieldMistake("atmosphere.engine", "this server has the engines sixs and emulator alone")
-    for at, name in _values(plain(scenario)):
-        if at[-1:] == ("builtin",) and name not in SURFACES and not _GREY.fullmatch(str(name)):
-            yield FieldMistake(".".join(at), f"no such surface; one of {', '.join(SURFACES)}")
-
-
-def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
     # What the predefined scenarios name of data sets, anybody may name.
-    known = {target.spectrum.file for scenario in predefined().values() for target in scenario.scene.targets}
-    for at, value in _values(data):
-        is_file, path = at[-1:] == ("file",), ".".join(at)
-        if not {*at[-1:]} & _FILES or value is None or (is_file and value in uploads):
-            continue
-        if is_file and value in known:
+    known = {target.spectrum.file for one in predefined().values() for target in one.scene.targets}
+    for at, value in _values(plain(scenario)):
+        path, key = ".".join(at), at[-1] if at else ""
+        if key == "builtin" and value not in SURFACES and not _GREY.fullmatch(str(value)):
+            yield FieldMistake(path, f"no such surface; one of {', '.join(SURFACES)}")
+        elif key == "file" and value in known:
             yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
-        else:
-            words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
-            yield FieldMistake(path, words if is_file else "files of the server are not read")
+        elif key == "file" and value not in (None, *uploads):
+            yield FieldMistake(path, f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}")
+        elif key in _FILES and value is not None:
+            yield FieldMistake(path, "files of the server are not read")
 
 
 def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:

@@ -536,16 +536,13 @@ class _Place:
         try:
             return "result", self._future.result(_TICK_S)
         except TimeoutError:
-            return self._told()
+            with suppress(OSError, ValueError):
+                return "progress", tuple(json.loads((self._folder / _NEWS).read_text("utf-8")))
+            return ("progress", ("", 0, None)) if self._folder == _NOWHERE else NOTHING
         except TaskFailed as error:
             return "error", error
         except Exception as error:  # the scheduler or a worker has gone
             return "error", TaskFailed(f"the cluster could not carry it out ({type(error).__name__})")
-
-    def _told(self) -> tuple[str, Any]:
-        with suppress(OSError, ValueError):
-            return "progress", tuple(json.loads((self._folder / _NEWS).read_text("utf-8")))
-        return ("progress", ("", 0, None)) if self._folder == _NOWHERE else NOTHING
 
     def end(self) -> None:
         """Call the task off."""

@@ -233,8 +233,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
         lacking = [field for field in _NEEDED if not parts[field] or (field == "cube" and len(parts[field]) > 1)]
         mistakes += [FieldMistake(field, _NEEDED[field]) for field in lacking if field not in wrong]
-        texts = ((name, str(form.get(name) or "").strip()) for name in StatedCollection.model_fields)
-        given = {name: text for name, text in texts if text}
+        given = {name: text for name in StatedCollection.model_fields if (text := str(form.get(name) or "").strip())}
         try:
             stated = StatedCollection.model_validate(given)
         except ValidationError as error:
