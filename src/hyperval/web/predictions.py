@@ -44,7 +44,7 @@ from hyperval.web.forms import (
     predefined,
     yaml_text,
 )
-from hyperval.web.pages import SentForm, api, form_parts, owner_of, page, pages, store_of
+from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
@@ -66,7 +66,8 @@ def warm() -> None:
         needs(scenario)
         if scenario.sensor is not None:
             load_sensor(scenario.sensor)
-        form_parts(form_nodes(plain(scenario)), {})
+        form_nodes(plain(scenario))
+    TEMPLATES.get_template("form.html.j2")
 
 
 @pages.get("/")
@@ -152,9 +153,10 @@ def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Seq
     nodes = form_nodes(data, first, own.names("sensors"))
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
+    holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}  # which stand open
     return page(
-        request, "predict.html.j2", errors=errors, scenarios=predefined(),
-        changes=sum(n.changes for n in nodes), parts=form_parts(nodes, errors, begun),
+        request, "predict.html.j2", errors=errors, holding=holding, scenarios=predefined(),
+        changes=sum(n.changes for n in nodes), nodes=nodes,
         titles=titles, begun=begun, uploads=own.names("spectra"),
     )  # fmt: skip
 
