@@ -33,6 +33,7 @@ Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
 _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
 SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
+_NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS}
 _LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
 # What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
 # behind the fold, whose line tells it.
@@ -126,8 +127,7 @@ def form_nodes(
     sensors : names that may stand there besides those of the library
     """
     nodes = {node.path: node for node in _group(_SCHEMA, "", data, begun)}
-    known = dict.fromkeys((*nodes["sensor"].choices, *sensors))
-    nodes["sensor"] = replace(nodes["sensor"], choices=tuple(known))
+    nodes["sensor"] = replace(nodes["sensor"], choices=tuple(dict.fromkeys((*nodes["sensor"].choices, *sensors))))
     sections = []
     for title, entries in _SECTIONS.items():
         first, *others = [nodes.pop(name) for name in entries]
@@ -135,11 +135,6 @@ def form_nodes(
             first = Node("group", "", title, children=(first,))
         sections.append(replace(first, title=title, children=(*first.children, *others), is_open=_is_open(first.path)))
     return (*nodes.values(), *sections)
-
-
-def form_data(given: Given) -> dict[str, Any]:
-    """The nested data of a form as it was sent."""
-    return _read_group(_SCHEMA, "", given)
 
 
 def _members(schema: Schema) -> list[Schema]:
@@ -236,7 +231,8 @@ def _row(item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
 # From a filled form to data.
 
 
-def _read_group(schema: Schema, path: str, given: Given) -> dict[str, Any]:
+def form_data(given: Given, schema: Schema = _SCHEMA, path: str = "") -> dict[str, Any]:
+    """The nested data of a form as it was sent, or of a group of it."""
     read = {name: _read(_members(part), own, given) for name, own, part in _entries(schema, path)}
     return {name: value for name, value in read.items() if value is not None}
 
@@ -244,17 +240,17 @@ def _read_group(schema: Schema, path: str, given: Given) -> dict[str, Any]:
 def _read(members: list[Schema], path: str, given: Given) -> Any:
     kinds = [_kind(m, path) for m in members]
     if kinds == ["group"]:
-        return _read_group(members[0], path, given) or None
+        return form_data(given, members[0], path) or None
     if "group" in kinds:
         number = _count(given, f"{path}?", len(members))
         if number and kinds[number - 1] == "group":  # which counts where nothing stands in it, too
-            return _read_group(members[number - 1], path, given)
+            return form_data(given, members[number - 1], path)
         return _read([members[number - 1]], path, given) if number else None
     is_list = f"{path}#" in given
     if kinds == ["rows"]:
         item = _members(members[0]["items"])[0]
         places = [f"{path}.{i}" for i in range(_count(given, f"{path}#", MOST_ROWS))]
-        rows = [_read_group(item, place, given) for place in places if f"{place}!" not in given]
+        rows = [form_data(given, item, place) for place in places if f"{place}!" not in given]
         return rows if is_list else None
     values = [v.strip() for v in given.get(path, []) if v.strip()]
     if kinds == ["several"]:
@@ -269,11 +265,7 @@ def _is_open(path: str) -> bool:
 
 def _choices(path: str) -> tuple[str, ...]:
     """Names that may stand at a path, where the schema leaves them open; empty: anything."""
-    if path == "sensor":
-        return library_names()
-    if path == "processing.detectors":
-        return MODEL_DETECTORS
-    return SURFACES if path.endswith(".builtin") else ()
+    return _NAMED.get(path, SURFACES if path.endswith(".builtin") else ())
 
 
 def _kind(schema: Schema, path: str) -> str:
