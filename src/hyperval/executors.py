@@ -22,8 +22,8 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
-from contextvars import ContextVar, copy_context
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from itertools import islice
@@ -37,7 +37,7 @@ import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are c
 from threadpoolctl import ThreadpoolController
 
 from hyperval.errors import HypervalError, R, T, refusal, refuse
-from hyperval.progress import bars, set_listener
+from hyperval.progress import bars, set_listener, within
 from hyperval.storage import scratch_folder
 
 Perform = Callable[[Any, Any], Any]
@@ -320,8 +320,7 @@ Parcel = bytes | Path
 @lru_cache(maxsize=2)
 def opened(packed: Parcel) -> Any:
     """What was packed, once in each process; the latest two stay open."""
-    content = packed.read_bytes() if isinstance(packed, Path) else packed
-    return pickle.loads(content)  # noqa: S301 - made by this program a moment ago
+    return pickle.loads(packed.read_bytes() if isinstance(packed, Path) else packed)  # noqa: S301 - of this program
 
 
 @contextmanager
@@ -432,12 +431,16 @@ def in_order(
 @bars(False)
 @single_blas_thread()
 def _elsewhere(function: Callable[[T], R], piece: T, command: Sequence[str] = ()) -> R:
-    context = copy_context()
-    context.run(_command.set, command or _command.get())
-    return context.run(function, piece)
+    with within(_command, command or None):
+        return function(piece)
 
 
 _command: ContextVar[Sequence[str]] = ContextVar("command", default=())  # of a piece that another machine runs
+
+
+def under_command(*words: str) -> AbstractContextManager[None]:
+    """What the user typed, for runs within the block."""
+    return within(_command, words)
 
 
 def command_line() -> list[str]:

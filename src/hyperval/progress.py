@@ -29,7 +29,8 @@ def set_listener(listener: Listener | None) -> None:
 
 
 @contextmanager
-def _within(variable: ContextVar[T], value: T | None) -> Iterator[None]:
+def within(variable: ContextVar[T], value: T | None) -> Iterator[None]:
+    """A value of a context variable for the block; None: as outside of it."""
     token = variable.set(variable.get() if value is None else value)
     try:
         yield
@@ -39,12 +40,12 @@ def _within(variable: ContextVar[T], value: T | None) -> Iterator[None]:
 
 def step(of: str, number: int, count: int, what: str) -> AbstractContextManager[None]:
     """Bars within the block say that they are step ``number`` of ``count`` of the job ``of``."""
-    return _within(_step, f"{of} {number}/{count} {what}: ")
+    return within(_step, f"{of} {number}/{count} {what}: ")
 
 
 def bars(show: bool | None) -> _GeneratorContextManager[None]:
     """Whether bars are drawn within the block, or the function that this decorates; None: as outside of it."""
-    return _within(_wanted, show)
+    return within(_wanted, show)
 
 
 @contextmanager

@@ -178,7 +178,7 @@ def test_charts_of_two_runs_have_differences(client, server):
     assert {"chart-radiance", "chart-snr", "chart-reflectance", "chart-roc"} <= {c["name"] for c in alone}
     # Charts that were kept for other scripts are made again: after an update these could not draw them.
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hyperval.web.store._scripts", lambda: "others")
+        patch.setattr("hyperval.web.store._SCRIPTS", "others")
         assert client.get(f"{server.address}/api/v1/runs/{runs[1]}/charts").json() == alone
     kept = server.app.state.runs.place(runs[1])
     assert {view_name("charts"), "charts-others.json"} <= {path.name for path in kept.iterdir()}

@@ -21,6 +21,7 @@ from types import FrameType, SimpleNamespace
 from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import typer
+from typer import Argument, Option
 from typer.exceptions import Abort, TyperException
 
 import hyperval
@@ -45,12 +46,12 @@ def command(*examples: str, of: typer.Typer = app, name: str | None = None) -> C
 
 settings = SimpleNamespace(quiet=False, debug=False)  # what the options before the command say
 
-Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
-AnyOutput = Annotated[Path | None, typer.Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
+Output = Annotated[Path, Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
+AnyOutput = Annotated[Path | None, Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
 
 Scheduler = Annotated[
     str | None,
-    typer.Option(help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
+    Option(help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
 ]
 
 
@@ -63,12 +64,12 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def options(
     data_dir: Annotated[
-        Path | None, typer.Option(help="Folder with local copies of data sets, before the cache (HYPERVAL_DATA).")
+        Path | None, Option(help="Folder with local copies of data sets, before the cache (HYPERVAL_DATA).")
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no notes; errors only.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of any error.")] = False,
+    quiet: Annotated[bool, Option("--quiet", "-q", help="No progress, no notes; errors only.")] = False,
+    debug: Annotated[bool, Option("--debug", help="Show the traceback of any error.")] = False,
     version: Annotated[
-        bool, typer.Option("--version", help="Show the version and stop.", callback=_show_version, is_eager=True)
+        bool, Option("--version", help="Show the version and stop.", callback=_show_version, is_eager=True)
     ] = False,
 ) -> None:
     """Options that stand before the command."""
@@ -133,17 +134,17 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     Console().print(table)
 
 
-Campaigns = Annotated[list[Path] | None, typer.Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
+Campaigns = Annotated[list[Path] | None, Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
 Sensors = Annotated[
     list[str] | None,
-    typer.Option(metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."),
+    Option(metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."),
 ]
-Baselines = Annotated[Path | None, typer.Option(help="Folder of accepted numbers [validation/baselines].")]
-Header = Annotated[Path | None, typer.Option(help="ENVI header that does not lie beside the image.")]
-Key = Annotated[str | None, typer.Option(help="Which array of the file is the image, if there are several.")]
-Draft = Annotated[Path | None, typer.Option("--output", "-o", help="The file to write.")]
+Baselines = Annotated[Path | None, Option(help="Folder of accepted numbers [validation/baselines].")]
+Header = Annotated[Path | None, Option(help="ENVI header that does not lie beside the image.")]
+Key = Annotated[str | None, Option(help="Which array of the file is the image, if there are several.")]
+Draft = Annotated[Path | None, Option("--output", "-o", help="The file to write.")]
 Finished = Annotated[
-    Path | None, typer.Option("--from", help="Folder of a finished validate of these campaigns, read instead of run.")
+    Path | None, Option("--from", help="Folder of a finished validate of these campaigns, read instead of run.")
 ]
 
 
@@ -151,11 +152,11 @@ Finished = Annotated[
 def check(
     campaigns: Campaigns = None,
     sensors: Sensors = None,
-    junit: Annotated[Path | None, typer.Option(help="File for the verdicts as JUnit XML.")] = None,
+    junit: Annotated[Path | None, Option(help="File for the verdicts as JUnit XML.")] = None,
     output: AnyOutput = None,
     baselines: Baselines = None,
     source: Finished = None,
-    everything: Annotated[bool, typer.Option("--all", help="Print the numbers that are as accepted, too.")] = False,
+    everything: Annotated[bool, Option("--all", help="Print the numbers that are as accepted, too.")] = False,
 ) -> int:
     """Run campaigns and sensors, and compare with what was accepted."""
     refuse(baselines is not None and not baselines.is_dir(), "folder.missing", str(baselines))
@@ -207,7 +208,7 @@ app.add_typer(baseline_app, name="baseline")
     name="accept",
 )
 def baseline_accept(
-    reason: Annotated[str, typer.Option(help="Why the new numbers are right.")],
+    reason: Annotated[str, Option(help="Why the new numbers are right.")],
     campaigns: Campaigns = None,
     sensors: Sensors = None,
     baselines: Baselines = None,
@@ -257,7 +258,7 @@ def data_list() -> int:
 
 
 @command("data fetch hysu", of=data_app, name="fetch")
-def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data sets.")]) -> int:
+def data_fetch(names: Annotated[list[str], Argument(help="Names of data sets.")]) -> int:
     """Bring data sets into the user's cache; every file is checked against its digest."""
     for entry in [hyperval.datasets.dataset(name) for name in names]:
         new, cache = hyperval.datasets.fetch(entry.name), hyperval.datasets.cache_dir()
@@ -268,7 +269,7 @@ def data_fetch(names: Annotated[list[str], typer.Argument(help="Names of data se
 
 @command("data verify hysu", of=data_app, name="verify")
 def data_verify(
-    names: Annotated[list[str] | None, typer.Argument(help="Names of data sets; all when none is named.")] = None,
+    names: Annotated[list[str] | None, Argument(help="Names of data sets; all when none is named.")] = None,
 ) -> int:
     """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
     for name in names or []:
@@ -282,8 +283,8 @@ def data_verify(
 
 @command("compare before after -o moved")
 def compare(
-    one: Annotated[Path, typer.Argument(metavar="A", help="A folder of results.")],
-    other: Annotated[Path, typer.Argument(metavar="B", help="Another, of the same campaign.")],
+    one: Annotated[Path, Argument(metavar="A", help="A folder of results.")],
+    other: Annotated[Path, Argument(metavar="B", help="Another, of the same campaign.")],
     output: Output,
 ) -> int:
     """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
@@ -292,13 +293,11 @@ def compare(
 
 @command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
 def drift(
-    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders that validate wrote.")],
-    metric: Annotated[str, typer.Option(help="Metric to follow.")] = "bias_ratio",
-    product: Annotated[str, typer.Option(help="Product of its row.")] = "radiance",
-    subject: Annotated[str, typer.Option(help="Subject of its row.")] = "site",
-    within: Annotated[
-        tuple[float, float] | None, typer.Option(help="Accepted change in a year, lowest and highest.")
-    ] = None,
+    folders: Annotated[list[Path], Argument(metavar="DIR...", help="Folders that validate wrote.")],
+    metric: Annotated[str, Option(help="Metric to follow.")] = "bias_ratio",
+    product: Annotated[str, Option(help="Product of its row.")] = "radiance",
+    subject: Annotated[str, Option(help="Subject of its row.")] = "site",
+    within: Annotated[tuple[float, float] | None, Option(help="Accepted change in a year, lowest and highest.")] = None,
 ) -> int:
     """Print a row for each day of finished runs, and the change in a year with its interval."""
     refuse(within is not None and not within[0] < within[1], "drift.within", within=within)
@@ -324,11 +323,11 @@ def drift(
 
 @command("figures results -o figures --format svg --style journal")
 def figures(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
+    folder: Annotated[Path, Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
     output: Output,
-    kind: Annotated[Literal["pdf", "svg", "png"], typer.Option("--format", help="Format of the files.")] = "pdf",
+    kind: Annotated[Literal["pdf", "svg", "png"], Option("--format", help="Format of the files.")] = "pdf",
     style: Annotated[
-        Literal["house", "journal"], typer.Option(help="journal: two columns wide, in its letters, untitled.")
+        Literal["house", "journal"], Option(help="journal: two columns wide, in its letters, untitled.")
     ] = "house",
 ) -> int:
     """Draw the figures of a finished run for print, from its folder."""
@@ -337,7 +336,7 @@ def figures(
 
 @command("metrics", "metrics bias_ratio")
 def metrics(
-    name: Annotated[str | None, typer.Argument(help="One metric, with everything the table says of it.")] = None,
+    name: Annotated[str | None, Argument(help="One metric, with everything the table says of it.")] = None,
 ) -> int:
     """List the metrics: range, interval, how each is judged and what moves it."""
     if name is None:
@@ -349,7 +348,7 @@ def metrics(
 
 @command("explain line1_rad.img", "explain scene.mat --key data")
 def explain(
-    file: Annotated[Path, typer.Argument(help="An image, or a file of spectra.")],
+    file: Annotated[Path, Argument(help="An image, or a file of spectra.")],
     header: Header = None,
     key: Key = None,
 ) -> int:
@@ -361,26 +360,26 @@ def explain(
 
 @command("init --cube line1_rad.img --regions rois.xml --targets planks.csv --spectra spectra -o mine")
 def init(
-    cube: Annotated[Path, typer.Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for campaign.yaml, or a .yaml file.")],
-    regions: Annotated[list[Path] | None, typer.Option(help="Files of regions of interest.")] = None,
-    targets: Annotated[Path | None, typer.Option(help="Regions, mask or list (CSV) of the targets.")] = None,
+    cube: Annotated[Path, Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
+    output: Annotated[Path, Option("--output", "-o", help="Folder for campaign.yaml, or a .yaml file.")],
+    regions: Annotated[list[Path] | None, Option(help="Files of regions of interest.")] = None,
+    targets: Annotated[Path | None, Option(help="Regions, mask or list (CSV) of the targets.")] = None,
     spectra: Annotated[
-        list[Path] | None, typer.Option(help="Files or folders of field spectra, named as regions and targets.")
+        list[Path] | None, Option(help="Files or folders of field spectra, named as regions and targets.")
     ] = None,
     header: Header = None,
     quantity: Annotated[
         Literal["radiance", "reflectance", "counts"] | None,
-        typer.Option(help="What the image holds, where it does not say."),
+        Option(help="What the image holds, where it does not say."),
     ] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit of the radiance, where the image does not say.")] = None,
-    sensor: Annotated[str | None, typer.Option(help="Sensor of the library, or a sensor file.")] = None,
-    time: Annotated[str | None, typer.Option(help="Acquisition time, UTC: 2012-09-20T16:31:00Z.")] = None,
-    altitude_km: Annotated[float | None, typer.Option(help="Sensor altitude above sea level [km].")] = None,
-    pixel_size_m: Annotated[float | None, typer.Option(help="Ground size of a pixel, without a map position.")] = None,
+    unit: Annotated[str | None, Option(help="Unit of the radiance, where the image does not say.")] = None,
+    sensor: Annotated[str | None, Option(help="Sensor of the library, or a sensor file.")] = None,
+    time: Annotated[str | None, Option(help="Acquisition time, UTC: 2012-09-20T16:31:00Z.")] = None,
+    altitude_km: Annotated[float | None, Option(help="Sensor altitude above sea level [km].")] = None,
+    pixel_size_m: Annotated[float | None, Option(help="Ground size of a pixel, without a map position.")] = None,
     key: Key = None,
-    scale: Annotated[float | None, typer.Option(help="What multiplies the stored values, if none is stated.")] = None,
-    name: Annotated[str | None, typer.Option(help="Name of the campaign; default: that of the folder.")] = None,
+    scale: Annotated[float | None, Option(help="What multiplies the stored values, if none is stated.")] = None,
+    name: Annotated[str | None, Option(help="Name of the campaign; default: that of the folder.")] = None,
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     path = hyperval.config.unwritten(output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml")
@@ -405,7 +404,7 @@ def init(
 
 @command("schema campaign -o campaign.schema.json")
 def schema(
-    kind: Annotated[Literal["campaign", "scenario", "scene", "study", "sensor"], typer.Argument(help="Kind of file.")],
+    kind: Annotated[Literal["campaign", "scenario", "scene", "study", "sensor"], Argument(help="Kind of file.")],
     output: Draft = None,
 ) -> int:
     """Print the JSON Schema of a kind of file, by which editors complete, explain and mark errors."""
@@ -420,7 +419,7 @@ def schema(
 
 @command("study study.yaml -o traded")
 def study(
-    study_file: Annotated[Path, typer.Argument(metavar="STUDY", help="A study file.")],
+    study_file: Annotated[Path, Argument(metavar="STUDY", help="A study file.")],
     output: Output,
     scheduler: Scheduler = None,
 ) -> int:
@@ -430,16 +429,14 @@ def study(
 
 @command("benchmark campaigns/*/campaign.yaml -o ranks", "benchmark campaign.yaml --scores net=net.npy -o ranks")
 def benchmark(
-    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    campaigns: Annotated[list[Path], Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: Output,
-    extend: Annotated[
-        list[Path] | None, typer.Option(help="A Python file that registers detectors; it is run.")
-    ] = None,
+    extend: Annotated[list[Path] | None, Option(help="A Python file that registers detectors; it is run.")] = None,
     scores: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."),
+        Option(metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the resampling.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of the resampling.")] = 0,
     scheduler: Scheduler = None,
 ) -> int:
     """Rank all detectors on every campaign."""
@@ -451,10 +448,10 @@ def benchmark(
 
 @command("power campaign.yaml -o detected")
 def power(
-    campaigns: Annotated[list[Path], typer.Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    campaigns: Annotated[list[Path], Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
     output: AnyOutput = None,
-    accept: Annotated[bool, typer.Option("--accept", help="Keep the tables as those that reports show.")] = False,
-    errors: Annotated[Path | None, typer.Option(help="Errors of your own: NAME: {path: value}.")] = None,
+    accept: Annotated[bool, Option("--accept", help="Keep the tables as those that reports show.")] = False,
+    errors: Annotated[Path | None, Option(help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
@@ -477,7 +474,7 @@ def power(
 
 @command("predict yellow-planks-asphalt -o out", "predict scenario.yaml -o out")
 def predict(
-    scenario: Annotated[str, typer.Argument(help="A scenario file, or the name of a built-in scenario.")],
+    scenario: Annotated[str, Argument(help="A scenario file, or the name of a built-in scenario.")],
     output: Output,
 ) -> int:
     """Run the forward model alone."""
@@ -486,11 +483,11 @@ def predict(
 
 @command("observe campaign.yaml -o out --write-reflectance envi")
 def observe(
-    file: Annotated[Path, typer.Argument(metavar="CAMPAIGN", help="A campaign file.")],
+    file: Annotated[Path, Argument(metavar="CAMPAIGN", help="A campaign file.")],
     output: Output,
     write_reflectance: Annotated[
         Literal["envi", "cog"] | None,
-        typer.Option(help="Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF."),
+        Option(help="Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF."),
     ] = None,
 ) -> int:
     """Run the empirical pipeline alone: what the collected imagery says."""
@@ -499,18 +496,18 @@ def observe(
 
 @command("validate --dry-run campaign.yaml", "validate campaign.yaml -o results")
 def validate(
-    campaigns: Annotated[list[Path], typer.Argument(help="Campaign files.")],
+    campaigns: Annotated[list[Path], Argument(help="Campaign files.")],
     output: AnyOutput = None,
     dry_run: Annotated[
         bool,
-        typer.Option("--dry-run", help="List files, values to fill in, comparisons, and criteria that stay undecided."),
+        Option("--dry-run", help="List files, values to fill in, comparisons, and criteria that stay undecided."),
     ] = False,
-    junit: Annotated[Path | None, typer.Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
+    junit: Annotated[Path | None, Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
     scheduler: Scheduler = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 1 where a criterion is inconclusive or skipped, too.")
+        bool, Option("--strict", help="Exit with 1 where a criterion is inconclusive or skipped, too.")
     ] = False,
-    again: Annotated[bool, typer.Option("--again", help="Run unchanged campaigns of the output again, too.")] = False,
+    again: Annotated[bool, Option("--again", help="Run unchanged campaigns of the output again, too.")] = False,
 ) -> int:
     """Predict, observe, compare: the main job."""
     if dry_run:
@@ -532,7 +529,7 @@ def validate(
 
 
 @command("simulate scene.yaml -o collection")
-def simulate(scene: Annotated[Path, typer.Argument(help="A scene file.")], output: Output) -> int:
+def simulate(scene: Annotated[Path, Argument(help="A scene file.")], output: Output) -> int:
     """Write a simulated collection with its truth."""
     return finished(hyperval.simulate.simulate_to_folder(scene, output), output)
 
@@ -553,7 +550,7 @@ def sensor_list() -> int:
 
 
 @command("sensor show prospectir-vs", of=sensor_app, name="show")
-def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")]) -> int:
+def sensor_show(name: Annotated[str, Argument(help="A sensor of the list, or a sensor file.")]) -> int:
     """Print a sensor's specification as YAML: every number with its source."""
     import yaml
 
@@ -564,11 +561,9 @@ def sensor_show(name: Annotated[str, typer.Argument(help="A sensor of the list, 
 
 @command("sensor check mine.yaml -o mine-check", of=sensor_app, name="check")
 def sensor_check(
-    name: Annotated[str, typer.Argument(help="A sensor of the list, or a sensor file.")],
+    name: Annotated[str, Argument(help="A sensor of the list, or a sensor file.")],
     output: AnyOutput = None,
-    vary: Annotated[
-        float, typer.Option(min=1.0, max=90.0, help="By how much each assumed number is varied [%].")
-    ] = 20.0,
+    vary: Annotated[float, Option(min=1.0, max=90.0, help="By how much each assumed number is varied [%].")] = 20.0,
 ) -> int:
     """Run the acceptance suite on a sensor; with --output, write its datasheet."""
     check = hyperval.sensor_check.check_to_folder(name, output, vary=vary / 100.0)
@@ -586,9 +581,9 @@ def sensor_check(
 
 @command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")
 def sensor_new(
-    name: Annotated[str, typer.Argument(help="Short name of the sensor.")],
+    name: Annotated[str, Argument(help="Short name of the sensor.")],
     output: Draft = None,
-    arms: Annotated[str, typer.Option(help="Its spectrometers, with commas between.")] = "VNIR",
+    arms: Annotated[str, Option(help="Its spectrometers, with commas between.")] = "VNIR",
 ) -> int:
     """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
     path = hyperval.config.unwritten(output or Path(f"{name}.yaml"))
@@ -600,29 +595,27 @@ def sensor_new(
 
 @command("serve", "serve --campaigns campaigns --data data --port 8080")
 def serve(
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port.")] = 8000,
-    host: Annotated[str, typer.Option(help="Address to listen on; this machine alone by default.")] = "127.0.0.1",
+    port: Annotated[int, Option(min=1, max=65535, help="Port.")] = 8000,
+    host: Annotated[str, Option(help="Address to listen on; this machine alone by default.")] = "127.0.0.1",
     name: Annotated[
-        list[str] | None, typer.Option(help="Name under which browsers reach it, besides localhost; may be repeated.")
+        list[str] | None, Option(help="Name under which browsers reach it, besides localhost; may be repeated.")
     ] = None,
-    folder: Annotated[Path | None, typer.Option(help="Runs and uploads; by default in the user's data folder.")] = None,
-    campaigns: Annotated[Path | None, typer.Option(help="Folder of campaigns that may be run from the pages.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Folder whose cubes, regions and spectra pages may name.")] = None,
-    workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for predictions.")] = 2,
-    long_workers: Annotated[int, typer.Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
+    folder: Annotated[Path | None, Option(help="Runs and uploads; by default in the user's data folder.")] = None,
+    campaigns: Annotated[Path | None, Option(help="Folder of campaigns that may be run from the pages.")] = None,
+    data: Annotated[Path | None, Option(help="Folder whose cubes, regions and spectra pages may name.")] = None,
+    workers: Annotated[int, Option(min=1, max=64, help="Processes for predictions.")] = 2,
+    long_workers: Annotated[int, Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
     scheduler: Scheduler = None,
-    memory_mb: Annotated[int, typer.Option(min=500, help="Memory of one process.")] = 3000,
-    seconds: Annotated[float, typer.Option(min=1, help="Time limit of a study or campaign.")] = 3600.0,
-    queue: Annotated[int, typer.Option(min=1, max=10_000, help="Runs that may wait.")] = 64,
+    memory_mb: Annotated[int, Option(min=500, help="Memory of one process.")] = 3000,
+    seconds: Annotated[float, Option(min=1, help="Time limit of a study or campaign.")] = 3600.0,
+    queue: Annotated[int, Option(min=1, max=10_000, help="Runs that may wait.")] = 64,
     connections: Annotated[
-        int, typer.Option(min=4, max=100_000, help="Connections from one address; behind a proxy, all of them.")
+        int, Option(min=4, max=100_000, help="Connections from one address; behind a proxy, all of them.")
     ] = 256,
-    upload_mb: Annotated[int, typer.Option(min=1, max=2000, help="Largest upload.")] = 64,
-    kept_mb: Annotated[int, typer.Option(min=1, help="Finished runs that are kept; the oldest go first.")] = 5000,
-    kept_days: Annotated[float, typer.Option(min=0.01, help="How long finished runs are kept.")] = 30.0,
-    https: Annotated[
-        bool, typer.Option("--https", help="Behind an HTTPS proxy: cookies are sent over HTTPS only.")
-    ] = False,
+    upload_mb: Annotated[int, Option(min=1, max=2000, help="Largest upload.")] = 64,
+    kept_mb: Annotated[int, Option(min=1, help="Finished runs that are kept; the oldest go first.")] = 5000,
+    kept_days: Annotated[float, Option(min=0.01, help="How long finished runs are kept.")] = 30.0,
+    https: Annotated[bool, Option("--https", help="Behind an HTTPS proxy: cookies are sent over HTTPS only.")] = False,
 ) -> int:
     """Serve the web application, to browsers of this machine by default."""
     import platformdirs

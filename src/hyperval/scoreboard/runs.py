@@ -15,7 +15,7 @@ import re
 import runpy
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import compress, product
 from pathlib import Path
@@ -33,7 +33,8 @@ from hyperval.data import Array, Counts, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.figures.spec import Axis, ColourScale, Figure, Mark, Panels, Part, a_view_each, measured_mark, single
+from hyperval.figures import Axis, ColourScale, Figure, Mark, Panels, Part
+from hyperval.figures.spec import a_view_each, columns_of, measured_mark, single
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, predict, zero_count_upper_limit
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -611,8 +612,8 @@ def load_extensions(paths: Iterable[Path]) -> None:
 
 
 @dataclass(frozen=True)
-class Benchmarked:
-    """What one campaign gives to the page.
+class Benchmarked(Run):
+    """The run of one campaign with all detectors.
 
     Attributes
     ----------
@@ -622,17 +623,11 @@ class Benchmarked:
     groups : detectors that have the same value of each of these: they order the pixels alike
     """
 
-    name: str
-    title: str
-    simulated: bool
-    rows: list[Result]
-    notes: list[str] = field(default_factory=list)
-    provenance: dict[str, Any] = field(default_factory=dict)
     exit_code: int | None = None
 
     @cached_property
     def here(self) -> dict[tuple[str, str, str], Result]:  # noqa: D102 - above
-        return {(r.subject, r.method, r.metric): r for r in self.rows if r.outcome is Outcome.NONE}
+        return {(r.subject, r.method, r.metric): r for r in self.table.where(outcome=Outcome.NONE)}
 
     @cached_property
     def measures(self) -> list[str]:  # noqa: D102 - above
@@ -731,15 +726,19 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         if detection is not None and detection.halo_pixels:
             notes += ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
         notes = list(dict.fromkeys([*notes, *observed.observation.notes]))
-    return Benchmarked(name, job.campaign.title, bool(job.campaign.simulated), of_campaign(rows, name), notes, record)
+    return _of(job.campaign, rows, record, notes=notes)
+
+
+def _of(campaign: Campaign, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> Benchmarked:
+    more |= {"campaign": campaign.name, "title": campaign.title, "simulated": bool(campaign.simulated)}
+    return Benchmarked(ResultTable(of_campaign(rows, campaign.name)), record, **more)
 
 
 def _stopped(job: Job, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
-    campaign, log = job.campaign, InputLog.of_file(job.path)
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
-    row = Result(campaign.name, PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
-    record = record_of(log, [], None, {"campaign": campaign}, [])
-    return Benchmarked(campaign.name, campaign.title, bool(campaign.simulated), [row], [], record, code)
+    row = Result("", PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
+    record = record_of(InputLog.of_file(job.path), [], None, {"campaign": job.campaign}, [])
+    return _of(job.campaign, [row], record, exit_code=code)
 
 
 def benchmark(
@@ -781,11 +780,11 @@ def benchmark(
             "command": command_without_output(),
             "seed": seed,
             "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
-            "campaigns": {d.name: d.provenance for d in done},
+            "campaigns": {d.campaign: d.provenance for d in done},
         }
-        figures, simulated = benchmark_figures(done), {d.name for d in done if d.simulated}
+        figures, simulated = benchmark_figures(done), {d.campaign for d in done if d.simulated}
         drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
-        rows = ResultTable(row for d in done for row in d.rows)
+        rows = ResultTable(row for d in done for row in d.table)
         Run(rows, record).write(folder, benchmark_page(done, figures), drawings)
     return next((d.exit_code for d in done if d.exit_code is not None), 0)
 
@@ -806,21 +805,18 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         far = metric.startswith("far")
         positive = [v for row, _ in known.values() for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
-        marks = []
-        for first in (True, False):
-            own = {i: row for i, (row, rank) in known.items() if (rank.lower <= 1) == first}
-            values = np.array([(r.value, r.lower, r.upper, i) for i, r in own.items()], float).reshape(-1, 4).T
-            columns = dict(zip(("x", "low", "high"), np.maximum(values[:3], floor), strict=True)) | {"y": values[3]}
-            label = "may be first" if first else "is not first"
-            marks.append(measured_mark("dots", columns, label, marker="circle", hollow=not first, along="x"))
+        rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in known.items()]
+        dots = measured_mark("dots", columns_of(rows, ("x", "low", "high", "y")), marker="circle", along="x")
+        looks: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
+        marks = dots.by_kind([rank.lower <= 1 for _, rank in known.values()], looks)
         none = far and any(row.value == 0.0 for row, _ in known.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         said = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
         part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
         return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(said))
 
-    title = f"{one.name}: detectors on all objects with 95 % intervals; rank [95 % set]"
-    return a_view_each(f"{one.name}-detectors", one.name, title, one.measures, view)
+    title = f"{one.campaign}: detectors on all objects with 95 % intervals; rank [95 % set]"
+    return a_view_each(f"{one.campaign}-detectors", one.campaign, title, one.measures, view)
 
 
 def rank_figure(one: Benchmarked) -> Figure | None:
@@ -833,9 +829,9 @@ def rank_figure(one: Benchmarked) -> Figure | None:
     if not metric or len({*subjects, EVERY_OBJECT}) < 3 or not one.groups:
         return None
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
-    title = f"{one.name}: rank [95 % set] by {MEASURES[metric].title}, subjects of two objects and more{more}"
+    title = f"{one.campaign}: rank [95 % set] by {MEASURES[metric].title}, subjects of two objects and more{more}"
     rows = {subject: (one, subject) for subject in subjects}
-    return _rank_map(f"{one.name}-ranks", one.name, title, rows, one.groups, metric)
+    return _rank_map(f"{one.campaign}-ranks", one.campaign, title, rows, one.groups, metric)
 
 
 def _rank_text(rank: Result) -> str:
@@ -853,7 +849,7 @@ def _rank_map(
             cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
             words.append(_rank_text(row))
             captions.append(f"{label}, {'/'.join(group)}: {words[-1]}")
-    columns = dict(zip(("left", "right", "bottom", "top", "value"), np.array(cells, float).T, strict=True))
+    columns = columns_of(cells, ("left", "right", "bottom", "top", "value"))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     x, y = Axis.named([" = ".join(group) for group in groups]), Axis.named(list(rows))
@@ -864,7 +860,7 @@ def _rank_map(
 def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
     """Rank of every detector on all objects of every collection, as a map; one collection needs none."""
     metric = _RANK_METRICS[1]
-    known = {one.name: (one, EVERY_OBJECT) for one in done if metric in one.measures}
+    known = {one.campaign: (one, EVERY_OBJECT) for one in done if metric in one.measures}
     every = dict.fromkeys(name for one, _ in known.values() for group in one.groups for name in group)
     if len(known) < 2:
         return None
@@ -879,18 +875,18 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
                     if key[2] == f"predicted_{name}" and (*key[:2], name) in one.here] for name in names}  # fmt: skip
 
     def view(metric: str) -> Panels:
-        y, low, high, x = np.array([(m.value, m.lower, m.upper, p.value) for _, m, p in pairs[metric]], float).T
+        numbers = [(p.value, m.value, m.lower, m.upper) for _, m, p in pairs[metric]]
         said = tuple(
             f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs[metric]
         )
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
-        dots = measured_mark("dots", {"x": x, "y": y, "low": low, "high": high}, marker="circle", words=said)
+        dots = measured_mark("dots", columns_of(numbers), marker="circle", words=said)
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
         return single(x, y, (diagonal, dots), MEASURES[metric].title)
 
-    title = f"{one.name}: measured against predicted, a point for each subject and detector, with 95 % intervals"
+    title = f"{one.campaign}: measured against predicted, a point for each subject and detector, with 95 % intervals"
     known = [name for name in names if pairs[name]]
-    return a_view_each(f"{one.name}-predicted", one.name, title, known, view)
+    return a_view_each(f"{one.campaign}-predicted", one.campaign, title, known, view)
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
@@ -902,8 +898,8 @@ def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:
 def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> str:
     """The page."""
     return page(
-        "benchmark.html.j2", figures, figures=figures, all=len(done), count=sum(len(d.rows) for d in done),
+        "benchmark.html.j2", figures, figures=figures, all=len(done), count=sum(len(d.table) for d in done),
         entries=[one for one in done if one.here],  # the others are named under what was not run
-        skipped=[r for d in done for r in d.rows if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)],
+        skipped=[r for d in done for r in d.table if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)],
         measures=MEASURES, rank_text=_rank_text, number=number_text, isfinite=math.isfinite,
     )  # fmt: skip

@@ -13,14 +13,13 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from importlib import resources
 from itertools import islice, zip_longest
 from typing import Any
 
 import yaml
 from pydantic import ValidationError
 
-from hyperval.config import SCHEMA_LINE, parse_yaml
+from hyperval.config import SCHEMA_LINE, parse_yaml, shipped
 from hyperval.datasets import files_at_hand, how_to_get, missing, registry
 from hyperval.errors import UsageError, refuse
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
@@ -34,6 +33,7 @@ Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
 _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
 SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
+_NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS}
 _LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
 # What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
 # behind the fold, whose line tells it.
@@ -127,8 +127,7 @@ def form_nodes(
     sensors : names that may stand there besides those of the library
     """
     nodes = {node.path: node for node in _group(_SCHEMA, "", data, begun)}
-    known = dict.fromkeys((*nodes["sensor"].choices, *sensors))
-    nodes["sensor"] = replace(nodes["sensor"], choices=tuple(known))
+    nodes["sensor"] = replace(nodes["sensor"], choices=tuple(dict.fromkeys((*nodes["sensor"].choices, *sensors))))
     sections = []
     for title, entries in _SECTIONS.items():
         first, *others = [nodes.pop(name) for name in entries]
@@ -138,20 +137,13 @@ def form_nodes(
     return (*nodes.values(), *sections)
 
 
-def form_data(given: Given) -> dict[str, Any]:
-    """The nested data of a form as it was sent."""
-    return _read_group(_SCHEMA, "", given)
-
-
 def _members(schema: Schema) -> list[Schema]:
     """What may stand there, ``null`` left out."""
-    return [m for m in _expanded(schema) if m.get("type") != "null"]
-
-
-def _expanded(schema: Schema) -> list[Schema]:
     if "$ref" in schema:
         schema = {**_SCHEMA["$defs"][schema["$ref"].rsplit("/", 1)[-1]], **schema}
-    return [m for part in schema["anyOf"] for m in _expanded(part)] if "anyOf" in schema else [schema]
+    if "anyOf" in schema:
+        return [m for part in schema["anyOf"] for m in _members(part)]
+    return [] if schema.get("type") == "null" else [schema]
 
 
 def _entries(schema: Schema, path: str) -> Iterator[tuple[str, str, Schema]]:
@@ -180,7 +172,7 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
 
 def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
     members = _members(schema)
-    kinds = [_kind(m) for m in members]
+    kinds = [_kind(m, path) for m in members]
     hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
     is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
     node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
@@ -197,7 +189,8 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) ->
 
 def _filled(node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
     """What stands under a title: the entries of a group, rows, or a field, with what is given."""
-    kinds, path = [_kind(m) for m in members], node.path
+    path = node.path
+    kinds = [_kind(m, path) for m in members]
     if kinds == ["group"]:
         children = _group(members[0], path, value, begun)
         is_shown = node.is_shown or any(child.is_shown for child in children)
@@ -210,10 +203,9 @@ def _filled(node: Node, schema: Schema, members: list[Schema], value: Any, begun
         each = enumerate(zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)]))
         children = tuple(_row(item, f"{path}.{i}", row, was, few) for i, (row, was) in each)
         return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
-    kind, known = _one_kind(kinds), _choices(path)
-    choices = tuple(str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
-    if known and kind in ("text", "yaml"):
-        kind, choices = ("choice" if kind == "text" else "several"), known
+    kind = kinds[0] if len(kinds) == 1 else "yaml" if "yaml" in kinds else "text"
+    stated = (str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
+    choices = _choices(path) or tuple(stated)
     text: Any = "" if value is None else _text(value)
     if kind == "several":
         text = [str(v) for v in value] if isinstance(value, list | tuple) else []
@@ -239,28 +231,29 @@ def _row(item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
 # From a filled form to data.
 
 
-def _read_group(schema: Schema, path: str, given: Given) -> dict[str, Any]:
+def form_data(given: Given, schema: Schema = _SCHEMA, path: str = "") -> dict[str, Any]:
+    """The nested data of a form as it was sent, or of a group of it."""
     read = {name: _read(_members(part), own, given) for name, own, part in _entries(schema, path)}
     return {name: value for name, value in read.items() if value is not None}
 
 
 def _read(members: list[Schema], path: str, given: Given) -> Any:
-    kinds = [_kind(m) for m in members]
+    kinds = [_kind(m, path) for m in members]
     if kinds == ["group"]:
-        return _read_group(members[0], path, given) or None
+        return form_data(given, members[0], path) or None
     if "group" in kinds:
         number = _count(given, f"{path}?", len(members))
         if number and kinds[number - 1] == "group":  # which counts where nothing stands in it, too
-            return _read_group(members[number - 1], path, given)
+            return form_data(given, members[number - 1], path)
         return _read([members[number - 1]], path, given) if number else None
     is_list = f"{path}#" in given
     if kinds == ["rows"]:
         item = _members(members[0]["items"])[0]
         places = [f"{path}.{i}" for i in range(_count(given, f"{path}#", MOST_ROWS))]
-        rows = [_read_group(item, place, given) for place in places if f"{place}!" not in given]
+        rows = [form_data(given, item, place) for place in places if f"{place}!" not in given]
         return rows if is_list else None
     values = [v.strip() for v in given.get(path, []) if v.strip()]
-    if _choices(path) and _one_kind(kinds) == "yaml":
+    if kinds == ["several"]:
         return values or ([] if is_list else None)
     return _value(values[0], kinds) if values else None
 
@@ -272,30 +265,19 @@ def _is_open(path: str) -> bool:
 
 def _choices(path: str) -> tuple[str, ...]:
     """Names that may stand at a path, where the schema leaves them open; empty: anything."""
-    if path == "sensor":
-        return library_names()
-    if path == "processing.detectors":
-        return MODEL_DETECTORS
-    return SURFACES if path.endswith(".builtin") else ()
+    return _NAMED.get(path, SURFACES if path.endswith(".builtin") else ())
 
 
-def _kind(schema: Schema) -> str:
-    """The kind of field that a schema asks for."""
-    kind = schema.get("type")
+def _kind(schema: Schema, path: str) -> str:
+    """The kind of field that a schema asks for at a path."""
+    kind, is_named = schema.get("type"), bool(_choices(path))
     if "enum" in schema or "const" in schema:
         return "choice"
     if kind == "object":
         return "group" if "properties" in schema else "yaml"
     if kind == "array":
-        return "rows" if "$ref" in schema.get("items", {}) else "yaml"
-    return {"number": "number", "integer": "number", "boolean": "flag"}.get(str(kind), "text")
-
-
-def _one_kind(kinds: list[str]) -> str:
-    """One kind of field for several kinds of values."""
-    if len(set(kinds)) == 1:
-        return kinds[0]
-    return "yaml" if set(kinds) & {"yaml", "rows"} else "text"
+        return "rows" if "$ref" in schema.get("items", {}) else "several" if is_named else "yaml"
+    return {"number": "number", "integer": "number", "boolean": "flag"}.get(str(kind), "choice" if is_named else "text")
 
 
 def _text(value: Any) -> str:
@@ -322,11 +304,10 @@ def _limits(schema: Schema) -> str:
 
 def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     """Number of the first member that a value may be one of, from 1; 0 where there is none."""
-    if value is None:
-        return 0
+    keys = set(value) if isinstance(value, Mapping) else None
     for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
-        fits = isinstance(value, Mapping) == (kind == "group")
-        if fits and (kind != "group" or set(value) <= set(member.get("properties", ()))):
+        fits = kind != "group" if keys is None else kind == "group" and keys <= set(member["properties"])
+        if fits and value is not None:
             return number
     return 0
 
@@ -347,13 +328,13 @@ def _count(given: Given, name: str, most: int) -> int:
     return min(int(text), most) if text.isdecimal() and len(text) < 6 else 0
 
 
+SCENES = shipped("hyperval.web", "scenarios")  # of public collections: their files by name
+
+
 @lru_cache(maxsize=1)
 def predefined() -> dict[str, Scenario]:
     """Scenarios by name."""
-    known = {name: load_scenario(name) for name in builtin_scenarios()}
-    with resources.as_file(resources.files("hyperval.web") / "scenarios") as folder:
-        scenes = [load_scenario(path) for path in sorted(folder.glob("*.yaml"))]
-    return known | {scene.name: scene for scene in scenes}
+    return {name: load_scenario(SCENES.get(name, name)) for name in (*builtin_scenarios(), *SCENES)}
 
 
 def needs(source: object) -> dict[str, str]:
@@ -366,7 +347,7 @@ def needs(source: object) -> dict[str, str]:
     return lacking
 
 
-_FILES = {"file", "files", "library", "table", "measured", "replicates"}
+_FILES = {"files", "library", "table", "measured", "replicates"}
 _GREY = re.compile(r"grey-panel-\d\d")
 _MOST_TEXT = 200
 _MOST_DEPTH = 24
@@ -391,8 +372,7 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
         scenario = Scenario.model_validate(of_bounded_size(data))
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    mistakes = [*_of_names(scenario, uploads), *_of_files(data, uploads)] or list(_of_cost(scenario))
-    if mistakes:
+    if mistakes := list(_of_names(scenario, uploads)) or list(_of_cost(scenario)):
         raise Refused(422, mistakes)
     return scenario
 
@@ -438,27 +418,24 @@ def _excess(at: tuple[str, ...], value: Any) -> str:
 
 
 def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMistake]:
-    if scenario.sensor is not None and scenario.sensor not in (*library_names(), *uploads):
-        yield FieldMistake("sensor", f"no such sensor; one of {', '.join((*library_names(), *uploads))}")
+    """Names that this server does not have, and files of its own."""
+    sensors = (*library_names(), *uploads)
+    if scenario.sensor not in (None, *sensors):
+        yield FieldMistake("sensor", f"no such sensor; one of {', '.join(sensors)}")
     if scenario.atmosphere is not None and scenario.atmosphere.engine not in ("sixs", "emulator"):
         yield FieldMistake("atmosphere.engine", "this server has the engines sixs and emulator alone")
-    for at, name in _values(plain(scenario)):
-        if at[-1:] == ("builtin",) and name not in SURFACES and not _GREY.fullmatch(str(name)):
-            yield FieldMistake(".".join(at), f"no such surface; one of {', '.join(SURFACES)}")
-
-
-def _of_files(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
     # What the predefined scenarios name of data sets, anybody may name.
-    known = {target.spectrum.file for scenario in predefined().values() for target in scenario.scene.targets}
-    for at, value in _values(data):
-        is_file, path = at[-1:] == ("file",), ".".join(at)
-        if not {*at[-1:]} & _FILES or value is None or (is_file and value in uploads):
-            continue
-        if is_file and value in known:
+    known = {target.spectrum.file for one in predefined().values() for target in one.scene.targets}
+    for at, value in _values(plain(scenario)):
+        path, key = ".".join(at), at[-1] if at else ""
+        if key == "builtin" and value not in SURFACES and not _GREY.fullmatch(str(value)):
+            yield FieldMistake(path, f"no such surface; one of {', '.join(SURFACES)}")
+        elif key == "file" and value in known:
             yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
-        else:
-            words = f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}"
-            yield FieldMistake(path, words if is_file else "files of the server are not read")
+        elif key == "file" and value not in (None, *uploads):
+            yield FieldMistake(path, f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}")
+        elif key in _FILES and value is not None:
+            yield FieldMistake(path, "files of the server are not read")
 
 
 def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:

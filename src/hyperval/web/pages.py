@@ -5,15 +5,13 @@ What there is to look up: the API, made from its OpenAPI file, and sensors numbe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import AsyncIterator
 from datetime import UTC, datetime
-from functools import lru_cache
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-import jinja2
-from fastapi import APIRouter, Request
-from markupsafe import Markup
+from fastapi import APIRouter, Depends, Request
 from pydantic import BaseModel
+from starlette.datastructures import FormData
 from starlette.responses import FileResponse, HTMLResponse, Response
 
 import hyperval
@@ -22,7 +20,6 @@ from hyperval.report.html import CHARTS, LIBRARY, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
 from hyperval.storage import installed_file
-from hyperval.web.forms import Node
 from hyperval.web.refusal import FieldMistake, Refused
 from hyperval.web.store import Runs
 
@@ -43,19 +40,14 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 }  # fmt: skip
 pages = APIRouter(include_in_schema=False)
 api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
+TEMPLATES = strict_templates("hyperval.web")
+TEMPLATES.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
+TEMPLATES.filters["since"] = lambda value: f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _STATIC = {file.name: file for file in installed_file("hyperval.web", "static").iterdir() if file.suffix in _TYPES}
 _STATIC |= {name: installed_file("hyperval.report", "templates", name) for name in ("style.css", "page.js")}
 _DRAWING = zip(("bokeh.js", "bokeh-api.js", "charts.js"), (*LIBRARY, CHARTS), strict=True)
 _STATIC |= {name: installed_file(*place) for name, place in _DRAWING}
-
-
-@lru_cache(maxsize=1)
-def _environment() -> jinja2.Environment:
-    environment = strict_templates("hyperval.web")
-    environment.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
-    environment.filters["since"] = lambda value: f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
-    return environment
 
 
 def owner_of(request: Request) -> str:
@@ -69,27 +61,22 @@ def store_of(request: Request) -> Runs:
     return runs
 
 
+async def sent_form(request: Request) -> AsyncIterator[FormData]:
+    """The fields and files of a request, until it is answered."""
+    async with request.form(max_files=20, max_fields=4000) as form:
+        yield form
+
+
+SentForm = Annotated[FormData, Depends(sent_form)]
+
+
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
     """A page of the application; one that shows mistakes of a form bears the status of a refusal."""
-    text = _environment().get_template(template).render(
+    text = TEMPLATES.get_template(template).render(
         version=hyperval.__version__, notices=store_of(request).notices,
         place=request.url.path, **content,
     )  # fmt: skip
     return HTMLResponse(text, status_code=422 if content.get("errors") else status)
-
-
-def form_parts(nodes: Sequence[Node], errors: Mapping[str, list[str]], begun: str = "") -> Markup:
-    """The fields of a form.
-
-    Parameters
-    ----------
-    errors : path of a field -> what is wrong there; every group that holds one stands open
-    begun : where values are from that the form began with; empty: that is not known
-    """
-    holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}
-    names = {"begun": begun, "errors": errors, "holding": holding}
-    macros: Any = _environment().get_template("form.html.j2").make_module(names)
-    return Markup(macros.parts(nodes))  # noqa: S704 - made of escaped parts
 
 
 @pages.get("/static/{name}")

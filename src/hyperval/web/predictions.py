@@ -13,13 +13,11 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
-from importlib import resources
 from itertools import groupby
 from typing import Annotated, Any
 
 from fastapi import Query, Request
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
-from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
@@ -33,6 +31,7 @@ from hyperval.study.schema import StudyFile
 from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, notebook, prepared, study_of
 from hyperval.web.forms import (
     MOST_ROWS,
+    SCENES,
     SURFACES,
     Node,
     checked_scenario,
@@ -45,7 +44,7 @@ from hyperval.web.forms import (
     predefined,
     yaml_text,
 )
-from hyperval.web.pages import api, form_parts, owner_of, page, pages, store_of
+from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
@@ -67,7 +66,8 @@ def warm() -> None:
         needs(scenario)
         if scenario.sensor is not None:
             load_sensor(scenario.sensor)
-        form_parts(form_nodes(plain(scenario)), {})
+        form_nodes(plain(scenario))
+    TEMPLATES.get_template("form.html.j2")
 
 
 @pages.get("/")
@@ -94,14 +94,9 @@ def predict_form(
 
 
 @pages.post("/predict")
-async def predict_post(request: Request) -> Response:
+def predict_post(request: Request, form: SentForm) -> Response:
     """Add or remove a row of the form, or run it."""
-    async with request.form(max_fields=4000) as form:
-        given = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
-    return await run_in_threadpool(_posted, request, given)
-
-
-def _posted(request: Request, given: dict[str, list[str]]) -> Response:
+    given = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
     begun = given.get("begun", [""])[0]
     if given.get("action", ["run"])[0] != "run":
         return _form(request, form_data(with_action(given)), begun)
@@ -141,7 +136,7 @@ def _file(request: Request, name: str) -> str:
         return str(store_of(request).place(name[4:]) / "scenario.yaml")
     if name not in predefined():
         raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
-    return name if name in builtin_scenarios() else str(resources.files("hyperval.web") / "scenarios" / f"{name}.yaml")
+    return str(SCENES.get(name, name))
 
 
 def _first(request: Request, begun: str) -> dict[str, Any] | None:
@@ -158,9 +153,10 @@ def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Seq
     nodes = form_nodes(data, first, own.names("sensors"))
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
+    holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}  # which stand open
     return page(
-        request, "predict.html.j2", errors=errors, scenarios=predefined(),
-        changes=sum(n.changes for n in nodes), parts=form_parts(nodes, errors, begun),
+        request, "predict.html.j2", errors=errors, holding=holding, scenarios=predefined(),
+        changes=sum(n.changes for n in nodes), nodes=nodes,
         titles=titles, begun=begun, uploads=own.names("spectra"),
     )  # fmt: skip
 
@@ -363,16 +359,11 @@ def take_away(request: Request, name: str) -> Response:
 
 
 @pages.post("/trade")
-async def keep(request: Request) -> Response:
+def keep(request: Request, form: SentForm) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
-    async with request.form(max_fields=1000) as form:
-        run = await run_in_threadpool(_kept, request, form)
+    _, trade, offers = _asked(request, form)
+    run = order_study(request, study_of(offers, trade, trade.scenario, exact=True))
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
-
-
-def _kept(request: Request, given: FormData) -> WebRun:
-    _, trade, offers = _asked(request, given)
-    return order_study(request, study_of(offers, trade, trade.scenario, exact=True))
 
 
 def order_study(request: Request, study: StudyFile) -> WebRun:

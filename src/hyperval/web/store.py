@@ -26,7 +26,6 @@ from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from importlib import resources
 from multiprocessing import set_forkserver_preload
 from pathlib import Path
 from queue import Full
@@ -41,7 +40,7 @@ from hyperval.executors import NOTHING, Cancelled, Process, TaskFailed, TaskPool
 from hyperval.progress import set_listener
 from hyperval.report import first_screen
 from hyperval.run import Run, is_run, provenance_of
-from hyperval.storage import size_of, write_text
+from hyperval.storage import installed_file, size_of, write_text
 from hyperval.web.refusal import Refused, said
 
 MEGABYTE = 1_000_000
@@ -96,6 +95,8 @@ EVERYBODY = ""  # the owner of what commands wrote
 MOST_LISTED = 40
 _COMMANDS = ("hyperval", "__main__.py")  # by which this program is started
 _STUDY_COLUMNS = ("subject", "method", "metric", "value", "unit", "reason")
+_DRAWING = installed_file("hyperval.figures", "charts.js"), installed_file("hyperval.web", "static", "map.js")
+_SCRIPTS = hashlib.sha256(b"".join(file.read_bytes() for file in _DRAWING)).hexdigest()[:8]
 COLLECTION = "collection"  # folder of a run that keeps what its campaign simulates
 Files = Mapping[str, str | Path]  # name in the folder of a run -> its text, or the path of what is copied
 
@@ -176,13 +177,7 @@ def summary_of(kind: str, results: Path) -> dict[str, Any]:
 
 def view_name(stem: str) -> str:
     """The name of a file that the scripts of this version draw."""
-    return f"{stem}-{_scripts()}.json"
-
-
-@lru_cache(maxsize=1)
-def _scripts() -> str:
-    files = resources.files("hyperval.figures") / "charts.js", resources.files("hyperval.web") / "static" / "map.js"
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:8]
+    return f"{stem}-{_SCRIPTS}.json"
 
 
 class Runs:
@@ -536,16 +531,13 @@ class _Place:
         try:
             return "result", self._future.result(_TICK_S)
         except TimeoutError:
-            return self._told()
+            with suppress(OSError, ValueError):
+                return "progress", tuple(json.loads((self._folder / _NEWS).read_text("utf-8")))
+            return ("progress", ("", 0, None)) if self._folder == _NOWHERE else NOTHING
         except TaskFailed as error:
             return "error", error
         except Exception as error:  # the scheduler or a worker has gone
             return "error", TaskFailed(f"the cluster could not carry it out ({type(error).__name__})")
-
-    def _told(self) -> tuple[str, Any]:
-        with suppress(OSError, ValueError):
-            return "progress", tuple(json.loads((self._folder / _NEWS).read_text("utf-8")))
-        return ("progress", ("", 0, None)) if self._folder == _NOWHERE else NOTHING
 
     def end(self) -> None:
         """Call the task off."""

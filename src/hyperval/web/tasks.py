@@ -10,9 +10,8 @@ import base64
 import json
 import math
 import shutil
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -27,6 +26,7 @@ from hyperval.collection import CollectionSection, CubeSource
 from hyperval.config import load_model, write_draft
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, refusal, refuse
+from hyperval.executors import under_command
 from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
 from hyperval.imagery import open_raster, record
 from hyperval.observe import open_source
@@ -108,32 +108,22 @@ def draw(folder: str, earlier: str | None = None) -> None:
     _write(Path(folder) / view_name(name), charts_of(*sides))
 
 
-@contextmanager
-def _command(*words: str) -> Iterator[None]:
-    """What the provenance of a run names as its command: that which gives the same."""
-    own, sys.argv = sys.argv, ["hyperval", *words]
-    try:
-        yield
-    finally:
-        sys.argv = own
-
-
 def files(folder: str) -> None:
     """Write the folder that ``hyperval predict`` writes of the scenario."""
-    with _command("predict", "scenario.yaml"):
+    with under_command("hyperval", "predict", "scenario.yaml"):
         predict_to_folder(str(Path(folder) / "scenario.yaml"), Path(folder) / "results")
 
 
 def study(folder: str) -> dict[str, Any]:
     """Evaluate the study of a folder."""
-    with _command("study", "study.yaml"):
+    with under_command("hyperval", "study", "study.yaml"):
         study_to_folder(Path(folder) / "study.yaml", Path(folder) / "results")
     return summary_of("study", Path(folder) / "results")
 
 
 def campaign(folder: str, path: str) -> dict[str, Any]:
     """Run a campaign into a folder."""
-    with _command("validate", Path(path).name):
+    with under_command("hyperval", "validate", Path(path).name):
         code = validate([Path(path)], Path(folder) / "results")
     return summary_of("validation", Path(folder) / "results") | {"exit_code": code}
 
@@ -155,7 +145,7 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     named = StarterSources(files["cube"][0], files["regions"], targets, spectra, **about)
     text, guesses = starter_campaign(named, place, name)
     write_draft(place / "campaign.yaml", "campaign", text)
-    with _command("observe", "campaign.yaml"):
+    with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
     return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
 

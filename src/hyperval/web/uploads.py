@@ -10,15 +10,14 @@ import re
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractAsyncContextManager, suppress
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from unicodedata import normalize
 
-from fastapi import Request
+from fastapi import Depends, Request
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
-from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
@@ -27,12 +26,11 @@ from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.forms import marked
-from hyperval.web.pages import api, owner_of, page, pages
+from hyperval.web.pages import SentForm, api, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
-MOST_FILES = 20
 _MOST_KEPT = 50
 _SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
 PARTS = {  # of a collection -> endings of the names of its files
@@ -165,26 +163,8 @@ class StatedCollection(BaseModel):
     scale: float | None = Field(None, gt=0.0, allow_inf_nan=False)
 
 
-@pages.get("/bring")
-def bring(request: Request) -> Response:
-    """The form."""
-    return _page(request, {})
-
-
-@pages.post("/uploads")
-async def uploads_page(request: Request) -> Response:
-    """Take files: a cube runs through the empirical pipeline, spectra and sensor files are kept."""
-    async with form_of(request) as form:
-        try:
-            taken = await run_in_threadpool(take_files, request, form)
-        except Refused as refusal:
-            given = {name: value for name, value in form.items() if isinstance(value, str)}
-            return _page(request, given, to_show(refusal))
-    return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
-
-
-def form_of(request: Request) -> AbstractAsyncContextManager[FormData]:
-    """The fields and files of a request, for a block.
+def sent_files(request: Request, form: SentForm) -> FormData:
+    """The fields and files of a request.
 
     Raises
     ------
@@ -192,7 +172,27 @@ def form_of(request: Request) -> AbstractAsyncContextManager[FormData]:
     """
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
         raise Refused(422, [FieldMistake("body", "files come as multipart/form-data")])
-    return request.form(max_files=MOST_FILES, max_fields=200)
+    return form
+
+
+SentFiles = Annotated[FormData, Depends(sent_files)]
+
+
+@pages.get("/bring")
+def bring(request: Request) -> Response:
+    """The form."""
+    return _page(request, {})
+
+
+@pages.post("/uploads")
+def uploads_page(request: Request, form: SentFiles) -> Response:
+    """Take files: a cube runs through the empirical pipeline, spectra and sensor files are kept."""
+    try:
+        taken = take_files(request, form)
+    except Refused as refusal:
+        given = {name: value for name, value in form.items() if isinstance(value, str)}
+        return _page(request, given, to_show(refusal))
+    return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
 
 
 def _page(request: Request, given: Mapping[str, str], mistakes: Sequence[FieldMistake] = ()) -> Response:
@@ -233,8 +233,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
         lacking = [field for field in _NEEDED if not parts[field] or (field == "cube" and len(parts[field]) > 1)]
         mistakes += [FieldMistake(field, _NEEDED[field]) for field in lacking if field not in wrong]
-        texts = ((name, str(form.get(name) or "").strip()) for name in StatedCollection.model_fields)
-        given = {name: text for name, text in texts if text}
+        given = {name: text for name in StatedCollection.model_fields if (text := str(form.get(name) or "").strip())}
         try:
             stated = StatedCollection.model_validate(given)
         except ValidationError as error:
@@ -274,13 +273,12 @@ _FORM = {"multipart/form-data": {"schema": {"type": "object", "properties": _BOD
 
 
 @api.post("/uploads", status_code=201, openapi_extra={"requestBody": {"required": True, "content": _FORM}})
-async def uploads(request: Request) -> UploadAnswer:
+def uploads(request: Request, form: SentFiles) -> UploadAnswer:
     """Bring a cube with regions and spectra, on which the empirical pipeline runs.
 
     Field spectra and sensor files without a cube are kept for the scenarios of this session.
     """
-    async with form_of(request) as form:
-        taken = await run_in_threadpool(take_files, request, form)
+    taken = take_files(request, form)
     if isinstance(taken, WebRun):
         return UploadAnswer(run=answer_of(request, taken))
     return UploadAnswer(kept=taken)
