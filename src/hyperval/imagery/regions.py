@@ -79,7 +79,7 @@ def geometry_of(stated: Any, where: str) -> BaseGeometry:
     return shapely.force_2d(made)
 
 
-def polygon_mask(exterior: npt.ArrayLike, shape: tuple[int, int], *, where: str) -> Mask:
+def polygon_mask(exterior: npt.ArrayLike, shape: tuple[int, int], *, where: str, touched: bool = False) -> Mask:
     """(lines, samples) mask of the pixels whose centre lies in a polygon.
 
     Parameters
@@ -87,6 +87,7 @@ def polygon_mask(exterior: npt.ArrayLike, shape: tuple[int, int], *, where: str)
     exterior : (n, 2) vertices (sample, line) in continuous pixel coordinates, n >= 3
     shape : (lines, samples) of the image
     where : what stands in messages
+    touched : take every pixel that the polygon touches, for targets smaller than a pixel
 
     Raises
     ------
@@ -95,10 +96,10 @@ def polygon_mask(exterior: npt.ArrayLike, shape: tuple[int, int], *, where: str)
     polygon = geometry_of({"type": "Polygon", "coordinates": [np.asarray(exterior, float).tolist()]}, where)
     if not inside_image(vertices := shapely.get_coordinates(polygon), shape).all():
         raise outside_error(vertices, shape, where)
-    return burned([polygon], shape)
+    return _burned([polygon], shape, touched=touched)
 
 
-def burned(polygons: Sequence[BaseGeometry], shape: tuple[int, int], *, touched: bool = False) -> Mask:
+def _burned(polygons: Sequence[BaseGeometry], shape: tuple[int, int], *, touched: bool = False) -> Mask:
     """(lines, samples) mask of the pixels whose centre lies in polygons, or which these touch."""
     if not polygons:
         return np.zeros(shape, bool)
@@ -282,7 +283,7 @@ def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path,
     polygons = [p for p in drawings if p.geom_type in _AREAS]
     points = shapely.get_coordinates([p for p in drawings if p.geom_type in _POINTS])
     inside = inside_image(points, shape)
-    mask = burned(polygons, shape) | point_mask(points[inside], shape)
+    mask = _burned(polygons, shape) | point_mask(points[inside], shape)
     mask.flat[np.concatenate([*(p for p in parts if isinstance(p, np.ndarray)), np.zeros(0, np.int64)])] = True
     left = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape).all()]
     if (left or not inside.all()) and not mask.any():
@@ -298,7 +299,7 @@ def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path,
         notes.append(f"{WARNING}leaves the image: {gone}, {pixels} pixels are left")
     for stated in (p for p in parts if isinstance(p, int) and p != pixels):
         notes.append(f"has {stated} pixels as its file says; {pixels} have their centre inside")
-    return Region(name, mask | burned(polygons, shape, touched=True) if touched else mask, str(path), tuple(notes))
+    return Region(name, mask | _burned(polygons, shape, touched=True) if touched else mask, str(path), tuple(notes))
 
 
 def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> float:

@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-import shapely
 from affine import Affine
 from rasterio.crs import CRS
 
@@ -183,12 +182,12 @@ def read_targets(
         if not roi.inside_image(corners, shape).all():
             mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
             raise roi.outside_error(corners, shape, where, f"the target {name!r}", mend)
-        outline = shapely.Polygon(corners) if width > 0 else shapely.Point(centre)
-        grown = outline.buffer(doubt / pixel_m) if doubt > 0 else outline
-        mask = roi.burned([grown], shape, touched=True) if grown.area > 0 else roi.point_mask([centre], shape)
+        drawn = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else None
+        mask = roi.point_mask([centre], shape) if drawn is None else drawn
+        placed = cut_out(roi.guard(mask, doubt / pixel_m) if doubt > 0 else mask)
         side = width if width == length and width > 0 and figure is _SQUARE else math.nan
         pixel = (math.floor(centre[1]), math.floor(centre[0]))
-        out[name] = TargetObject(name, material, side, area, shape, *cut_out(mask), pixel, dict(row))
+        out[name] = TargetObject(name, material, side, area, shape, *placed, pixel, dict(row))
     refuse(not out, "target.none", path)
     return list(out.values())
 
