@@ -82,10 +82,6 @@ class Setting(NamedTuple):
     ground_km: float
     height_km: float | None
 
-    def card(self) -> str:
-        """Cards igeom = 0; the date only sets the Earth-Sun distance, which is applied elsewhere."""
-        return f"0\n{self.solar_zenith:.4f} {self.relative_azimuth:.4f} {self.view_zenith:.4f} 0.0 1 1\n"
-
     @property
     def cosines(self) -> tuple[float, float]:
         """Of the zenith angles of sun and view [1]."""
@@ -98,12 +94,6 @@ Aerosol = tuple[str, float, float]
 Run = tuple[str, Array]  # its deck, and the wavelengths that its answer is looked at [nm]
 
 
-def altitude_card(altitude_km: float) -> str:
-    """Altitude as 6S wants it, negative; zero must not be written as -0."""
-    text = f"{altitude_km:.5f}"
-    return "0" if float(text) == 0.0 else f"-{text}"
-
-
 def deck(
     setting: Setting, atmosphere: str, spectral: str, aerosol: Aerosol | None = None, reflectance: float = 0.0
 ) -> str:
@@ -114,12 +104,13 @@ def deck(
     spectral : "-1\\nWL" (one wavelength, um) or "-2\\nFROM TO" (table in steps of 2.5 nm)
     """
     (card, depth, below), height = aerosol or ("", 0.0, 0.0), setting.height_km
+    # Angles by igeom = 0; the date only sets the Earth-Sun distance, which is applied elsewhere.
+    sun = f"0\n{setting.solar_zenith:.4f} {setting.relative_azimuth:.4f} {setting.view_zenith:.4f} 0.0 1 1\n"
     haze = f"{card}\n0\n{depth:.6f}\n" if aerosol else "0\n-1\n"
-    sensor = {None: "-1000\n", 0.0: "0\n"}.get(height)  # in space, on the ground
-    if sensor is None:
-        sensor = f"{altitude_card(float(height or 0.0))}\n-1.0 -1.0\n{below:.6f}\n"
-    ground = f"{altitude_card(setting.ground_km)}\n{sensor}{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n"
-    return setting.card() + atmosphere + haze + ground
+    # 6S wants altitudes negative, but zero must not be -0.
+    ground, above = (f"{0.0 - round(km or 0.0, 5):.5f}" for km in (setting.ground_km, height))
+    sensor = {None: "-1000\n", 0.0: "0\n"}.get(height, f"{above}\n-1.0 -1.0\n{below:.6f}\n")  # in space, on the ground
+    return f"{sun}{atmosphere}{haze}{ground}\n{sensor}{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n"
 
 
 # What is read of the answer to a single-wavelength run: its words, and which of the numbers behind them.

@@ -199,12 +199,7 @@ MAX_SOLAR_ZENITH_DEG = 85.0  # a plane-parallel solver is not valid for a lower 
 SPACE_KM = 100.0
 
 AtmosphereModel = Literal[
-    "tropical",
-    "midlatitude-summer",
-    "midlatitude-winter",
-    "subarctic-summer",
-    "subarctic-winter",
-    "us-standard-1962",
+    "tropical", "midlatitude-summer", "midlatitude-winter", "subarctic-summer", "subarctic-winter", "us-standard-1962"
 ]
 _MODELS: tuple[str, ...] = get_args(AtmosphereModel)
 Share = Annotated[float, Field(ge=0.0, le=1.0)]

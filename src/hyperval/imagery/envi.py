@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -149,15 +149,11 @@ def pixel_area_m2(transform: Affine | None, crs: CRS | None, entries: Mapping[st
 
 @dataclass(frozen=True, eq=False)
 class EnviRaster(Raster):
-    """An ENVI data file whose size is exactly what its header says."""
+    """An ENVI data file whose size is exactly what its ``header`` says."""
+
+    header: EnviHeader = field(kw_only=True)
 
     kind = "ENVI image"
-
-    @property
-    def header(self) -> EnviHeader:
-        """The header that describes the file."""
-        assert self.description.header is not None  # noqa: S101 - it is opened by one
-        return self.description.header
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
         shape, order = (count, self.samples, self.bands), _ORDERS[self.header.interleave]
@@ -201,8 +197,8 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     gains = max(named, key=lambda p: len(p.stem), default=None)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains)
-    image_size = parsed.lines, parsed.samples, parsed.bands
-    return EnviRaster(data, *image_size, parsed.dtype, about, transform_of(parsed), crs_of(parsed), others)
+    image_size, place = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
+    return EnviRaster(data, *image_size, parsed.dtype, about, *place, others, header=parsed)
 
 
 @dataclass(eq=False)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -501,19 +502,11 @@ def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
     path = companion(raster.path, "obs")
     if path is None:
         return None
-    try:
-        angles = _sun_in_bands(path, raster.size[:2])
-    except HypervalError:
-        return None
-    zenith = None if angles is None else median_angle(angles)
-    return None if zenith is None else (zenith, path.name)
-
-
-def _sun_in_bands(path: Path, shape: tuple[int, int]) -> Array | None:
-    """Zenith angles of the sun in some lines of a file of observation geometry; None where it is of another size."""
-    angles = open_raster(path)
-    bands = [i for i, name in enumerate(angles.description.band_names) if _SUN_ZENITH.search(name)]
-    if len(bands) != 1 or angles.size[:2] != shape:
-        return None
-    lines = [angles.read_some_bands(int(n), 1, bands).ravel() for n in some_lines(angles.lines, SAMPLED_LINES)]
-    return np.concatenate(lines).astype(float)
+    with suppress(HypervalError):
+        angles = open_raster(path)
+        bands = [i for i, name in enumerate(angles.description.band_names) if _SUN_ZENITH.search(name)]
+        if len(bands) == 1 and angles.size[:2] == raster.size[:2]:
+            lines = [angles.read_some_bands(int(n), 1, bands).ravel() for n in some_lines(angles.lines, SAMPLED_LINES)]
+            zenith = median_angle(np.concatenate(lines).astype(float))
+            return None if zenith is None else (zenith, path.name)
+    return None
