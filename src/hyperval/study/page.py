@@ -45,11 +45,7 @@ class KneePoint(NamedTuple):
 
 
 def knee(
-    x: npt.ArrayLike,
-    y: npt.ArrayLike,
-    *,
-    logarithmic: bool = False,
-    bend: Literal["any", "concave", "convex"] = "any",
+    x: npt.ArrayLike, y: npt.ArrayLike, *, logarithmic: bool = False, bend: Literal["any", "concave", "convex"] = "any"
 ) -> KneePoint:
     """The point of greatest curvature of y(x) once both axes run from 0 to 1.
 

@@ -28,7 +28,7 @@ from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import detection_at
 from hyperval.model.stated import state_entries
-from hyperval.model.world import column_of, fits
+from hyperval.model.world import column_of, fits, in_file
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import numbers_of, path_parts, setting, with_settings
@@ -224,7 +224,8 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     for field, names, known in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
-        ("detector", [trade.detector], ("", *p.detectors)), ("moved", trade.moved, p.inputs),
+        ("detector", [trade.detector], ("", *p.detectors)),
+        ("moved", trade.moved, [key for key in p.inputs if in_file(key)]),  # which the study can set
     ):  # fmt: skip
         wrong = [name for name in names if name not in known]
         refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(known))
