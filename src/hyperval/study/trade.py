@@ -408,7 +408,7 @@ class Progress(NamedTuple):
         return [*(words for _, words in self.needed), *([most + points] if most else [])]
 
 
-def piece(source: str, trade: Trade, number: int, before: Progress | None = None) -> Progress:
+def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress:
     """The next piece: points twice as dense as before, then the required values, then the limits of each family."""
     p = prepared(source, trade)
     study, (columns, labels) = study_of(p, trade, source), _families(p, trade)
@@ -417,11 +417,11 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     steps += [("required", 0)] if trade.wanted is not None else []
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
     blank = np.full((families, _known(trade, 1).size, subjects), np.nan)
-    before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", 0)
+    before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", len(steps))
     values, limits, needed, remarks = before.values.copy(), before.limits.copy(), before.needed, {**before.remarks}
-    what, step = steps[number]
+    what, step = steps[-before.left]
     if what == "points":
-        new = _known(trade, step) & ~(_known(trade, steps[number - 1][1]) if number else np.False_)
+        new = _known(trade, step) & ~(_known(trade, 2 * step) if before.figure else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
         some = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
         values.reshape(-1, subjects)[rows], told = plan.output_values(_world(p, trade), some, study.outputs)
@@ -430,9 +430,9 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
         needed = _required(p, trade, study)
     else:
         limits[step] = _limits(p, trade, study.inputs[-1], {path: column[step] for path, column in columns.items()})
-    stride = _STRIDES[min(number, len(_STRIDES) - 1)]
+    stride = step if what == "points" else _STRIDES[-1]
     drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, study, values, limits, labels)
-    return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1, remarks)
+    return Progress(values, limits, needed, statement(drawn), before.left - 1, remarks)
 
 
 def _questions(p: Prepared, trade: Trade) -> list[Required]:

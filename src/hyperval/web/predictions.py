@@ -328,13 +328,11 @@ def curve(request: Request) -> Response:
     ask = store_of(request).ask
 
     def pieces() -> Iterator[str]:
-        number, before = 0, None
+        told = None
         try:
-            while before is None or before.left:
-                before = told = Progress(*ask("trade_piece", source=source, trade=trade, number=number, before=before))
-                number += 1
-                shown = {"figure": told.figure, "needed": told.said, "left": told.left}
-                yield json.dumps(shown) + "\n"
+            while told is None or told.left:
+                told = Progress(*ask("trade_piece", source=source, trade=trade, before=told))
+                yield json.dumps({"figure": told.figure, "needed": told.said, "left": told.left}) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 
