@@ -343,10 +343,8 @@ class Results(_Shown, ResultTable):
         y = np.arange(float(len(rows)))
         values = {"x": rows["value"].to_numpy(), "low": rows["lower"].to_numpy(), "high": rows["upper"].to_numpy()}
         marks = [Mark("dots", {"y": y, **values}, "value", SOURCES[0], marker="circle", along="x")]
-        marks += [
-            Mark("dots", {"x": rows[side].to_numpy(), "y": y}, "limit", SOURCES[5], marker="tick", along="x")
-            for side in ("limit_low", "limit_high")
-        ]
+        ends = rows[["limit_low", "limit_high"]].to_numpy().T.ravel()
+        marks.append(Mark("dots", {"x": ends, "y": np.tile(y, 2)}, "limit", SOURCES[5], marker="tick", along="x"))
         labels = rows[["subject", "method", "metric"]].astype(str).agg(" ".join, axis=1)
         part = Part(Axis.named(labels.to_list(), 80), tuple(marks))
         return _drawn(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))

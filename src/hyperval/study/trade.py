@@ -412,7 +412,7 @@ def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress
     """The next piece: points twice as dense as before, then the required values, then the limits of each family."""
     p = prepared(source, trade)
     study, (columns, labels) = study_of(p, trade, source), _families(p, trade)
-    families, subjects = len(labels) // len(trade.subject), len(trade.subject)
+    families, subjects, along = len(labels) // len(trade.subject), len(trade.subject), study.inputs[-1]
     steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
     steps += [("required", 0)] if trade.wanted is not None else []
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
@@ -429,9 +429,9 @@ def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress
     elif what == "required":
         needed = _required(p, trade, study)
     else:
-        limits[step] = _limits(p, trade, study.inputs[-1], {path: column[step] for path, column in columns.items()})
+        limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()})
     stride = step if what == "points" else _STRIDES[-1]
-    drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, study, values, limits, labels)
+    drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, along, values, limits, labels)
     return Progress(values, limits, needed, statement(drawn), before.left - 1, remarks)
 
 
@@ -552,10 +552,8 @@ def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: A
     return tuple(marks)
 
 
-def _curves(
-    p: Prepared, trade: Trade, study: StudyFile, values: Array, limits: Array, labels: Sequence[str]
-) -> Figure:  # fmt: skip
-    axis, x = _axis(study.inputs[-1])
+def _curves(p: Prepared, trade: Trade, along: Input, values: Array, limits: Array, labels: Sequence[str]) -> Figure:
+    axis, x = _axis(along)
     lines = [(x, line) for line in np.moveaxis(values, 1, 2).reshape(-1, x.size)]
     marks = _lines(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
     rules = _present(p, trade) + ((("y", trade.wanted),) if trade.wanted is not None else ())

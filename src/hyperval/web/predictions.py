@@ -191,9 +191,7 @@ class PredictionOrder(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str | None = Field(None, max_length=100, description="a predefined scenario")
     scenario: Annotated[Scenario | None, small("scenario")] = Field(None, description="in place of the name")
-    settings: Annotated[dict[str, Setting], small("")] = Field(
-        default_factory=dict, max_length=100, description="dotted path: value"
-    )
+    settings: Annotated[dict[str, Setting], small("")] = Field({}, max_length=100, description="dotted path: value")
 
 
 class ScenarioAnswer(BaseModel):
