@@ -16,7 +16,7 @@ from functools import partial
 from itertools import groupby
 from typing import Annotated, Any
 
-from fastapi import Query, Request
+from fastapi import Request
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
@@ -46,7 +46,7 @@ from hyperval.web.forms import (
 )
 from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
-from hyperval.web.runs import RunAnswer, answer_of, run, run_of
+from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
 
@@ -220,9 +220,7 @@ def scenarios() -> list[ScenarioAnswer]:
 
 
 @api.post("/predictions", status_code=201)
-def predictions(
-    request: Request, order: PredictionOrder, wait: float = Query(10.0, ge=0, le=60, description="seconds, at most")
-) -> RunAnswer:
+def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> RunAnswer:
     """Predict a scenario, and wait for the numbers."""
     if (order.name is None) == (order.scenario is None):
         raise Refused(422, [FieldMistake("name", "give either name or scenario")])
