@@ -17,9 +17,9 @@ ZENITH, SIGNAL = "atmosphere.solar_zenith_deg", "sensor_changes.signal_factor"
 def whole(source, **asked):
     """What is asked, complete, and what stands when all pieces have come."""
     trade = completed(Trade(**asked), prepared(source, Trade(**asked)))
-    number, now = 0, None
+    now = None
     while now is None or now.left:
-        number, now = number + 1, piece(source, trade, number, now)
+        now = piece(source, trade, now)
     return trade, now
 
 

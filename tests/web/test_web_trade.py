@@ -34,8 +34,8 @@ def test_what_is_taken_away_gives_the_numbers_of_the_page(server, client, tmp_pa
     assert client.get(f"{server.address}/{text.split()[2].rpartition('=')[2]}").json()["title"] == "StudyFile"
     trade = Trade(x_from=0.01, moved={ZENITH[3:]: 50.0}, background=["asphalt", "grass"])
     trade, now = completed(trade, prepared("yellow-planks-asphalt", trade)), None
-    for number in range(4):
-        now = piece("yellow-planks-asphalt", trade, number, now)
+    for _ in range(4):
+        now = piece("yellow-planks-asphalt", trade, now)
     table = api.open(tmp_path / "out").to_dataframe()
     np.testing.assert_allclose(table["pd"], now.values[:, :, 0].ravel(), rtol=1e-9)
     assert all(f" = {v:.4g} for" in w for v, w in zip(table["required-pd"][::33], told["needed"], strict=True))

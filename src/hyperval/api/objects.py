@@ -343,10 +343,8 @@ class Results(_Shown, ResultTable):
         y = np.arange(float(len(rows)))
         values = {"x": rows["value"].to_numpy(), "low": rows["lower"].to_numpy(), "high": rows["upper"].to_numpy()}
         marks = [Mark("dots", {"y": y, **values}, "value", SOURCES[0], marker="circle", along="x")]
-        marks += [
-            Mark("dots", {"x": rows[side].to_numpy(), "y": y}, "limit", SOURCES[5], marker="tick", along="x")
-            for side in ("limit_low", "limit_high")
-        ]
+        ends = rows[["limit_low", "limit_high"]].to_numpy().T.ravel()
+        marks.append(Mark("dots", {"x": ends, "y": np.tile(y, 2)}, "limit", SOURCES[5], marker="tick", along="x"))
         labels = rows[["subject", "method", "metric"]].astype(str).agg(" ".join, axis=1)
         part = Part(Axis.named(labels.to_list(), 80), tuple(marks))
         return _drawn(Panels(Axis("value, 95 % interval, limits"), (part,)), ax, 1.0 + 0.25 * max(len(rows), 4))
@@ -420,30 +418,27 @@ class Validation(_Tables):
         ------
         UsageError : no such side, product or subject, or a product whose covariance is not kept.
         """
-        matrix = f"{product}_error_covariance"
         kept = [name for name in SPECTRA if name != "snr"]
         have = [f"{at} {name} {one}" for at, own in self.both.items() for name in kept for one in getattr(own, name)]
         if f"{side} {product} {subject}" not in have:
             raise UsageError(f"no {side} {product} of {subject!r} with a covariance", expected=", ".join(have))
         one = self.sides[side].sel(subject=subject, drop=True)
-        u = one[f"{product}_standard_uncertainty"].to_numpy()
+        u, stated = one[f"{product}_standard_uncertainty"].to_numpy(), one[product].attrs
         scale = np.where(u > 0, u, 1.0)
-        correlation = one[matrix].to_numpy() / np.outer(scale, scale)
+        correlation = one[f"{product}_error_covariance"].to_numpy() / np.outer(scale, scale)
         np.fill_diagonal(correlation, 1.0)
-        unit, matrix = one[product].attrs["units"], f"err_corr_{product}"
+        matrix = f"err_corr_{product}"
         of_u = {
-            "units": unit, "pdf_shape": "gaussian", "err_corr_1_dim": "band", "err_corr_1_form": "err_corr_matrix",
-            "err_corr_1_units": [], "err_corr_1_params": [matrix],
+            "units": stated["units"], "pdf_shape": "gaussian", "err_corr_1_dim": "band",
+            "err_corr_1_form": "err_corr_matrix", "err_corr_1_units": [], "err_corr_1_params": [matrix],
         }  # fmt: skip
-        return xr.Dataset(
-            {
-                product: ("band", one[product].to_numpy(), {**one[product].attrs, "unc_comps": [f"u_{product}"]}),
-                f"u_{product}": ("band", u, of_u),
-                matrix: (("band", "band_2"), correlation, {"units": "1"}),
-            },
-            {"wavelength": ("band", one["wavelength"].to_numpy())},
-            {"subject": subject, "side": side},
-        )
+        columns = {
+            product: ("band", one[product].to_numpy(), {**stated, "unc_comps": [f"u_{product}"]}),
+            f"u_{product}": ("band", u, of_u),
+            matrix: (("band", "band_2"), correlation, {"units": "1"}),
+        }
+        at = {"wavelength": ("band", one["wavelength"].to_numpy())}
+        return xr.Dataset(columns, at, {"subject": subject, "side": side})
 
     def to_xarray(self) -> xr.DataTree:
         """Both sides as the groups of ``products.nc``."""

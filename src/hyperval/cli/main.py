@@ -50,8 +50,7 @@ Output = Annotated[Path, Option("--output", "-o", help="Folder for the results; 
 AnyOutput = Annotated[Path | None, Option("--output", "-o", help="Folder for the results; replaced as a whole.")]
 
 Scheduler = Annotated[
-    str | None,
-    Option(help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786."),
+    str | None, Option(help="Address of a Dask scheduler that shares the work out, such as tcp://node:8786.")
 ]
 
 
@@ -136,8 +135,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 Campaigns = Annotated[list[Path] | None, Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
 Sensors = Annotated[
-    list[str] | None,
-    Option(metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all."),
+    list[str] | None, Option(metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all.")
 ]
 Baselines = Annotated[Path | None, Option(help="Folder of accepted numbers [validation/baselines].")]
 Header = Annotated[Path | None, Option(help="ENVI header that does not lie beside the image.")]
@@ -302,13 +300,11 @@ def drift(
     """Print a row for each day of finished runs, and the change in a year with its interval."""
     refuse(within is not None and not within[0] < within[1], "drift.within", within=within)
     days = hyperval.run.days_of(folders, product, subject, metric)
-    print_table(
-        ("time", "campaign", metric, "lower", "upper"),
-        [
-            (f"{when:%Y-%m-%dT%H:%M:%SZ}", row.campaign, *(f"{x:.6g}" for x in (row.value, row.lower, row.upper)))
-            for when, row in days
-        ],
-    )
+    rows = [
+        (f"{when:%Y-%m-%dT%H:%M:%SZ}", row.campaign, *(f"{x:.6g}" for x in (row.value, row.lower, row.upper)))
+        for when, row in days
+    ]
+    print_table(("time", "campaign", metric, "lower", "upper"), rows)
     years = [when.timestamp() / hyperval.run.SECONDS_PER_YEAR for when, _ in days]
     trend = hyperval.compare.drift(years, [row.value for _, row in days])
     words = f"{metric} changes by {trend.value:+.3g} in a year, 95 % interval "
@@ -348,9 +344,7 @@ def metrics(
 
 @command("explain line1_rad.img", "explain scene.mat --key data")
 def explain(
-    file: Annotated[Path, Argument(help="An image, or a file of spectra.")],
-    header: Header = None,
-    key: Key = None,
+    file: Annotated[Path, Argument(help="An image, or a file of spectra.")], header: Header = None, key: Key = None
 ) -> int:
     """Say what a file is as the reader sees it: every number's origin, what is not known, and what mends it."""
     for row in hyperval.api.explain(file, header=header, key=key):
@@ -369,8 +363,7 @@ def init(
     ] = None,
     header: Header = None,
     quantity: Annotated[
-        Literal["radiance", "reflectance", "counts"] | None,
-        Option(help="What the image holds, where it does not say."),
+        Literal["radiance", "reflectance", "counts"] | None, Option(help="What the image holds, where it does not say.")
     ] = None,
     unit: Annotated[str | None, Option(help="Unit of the radiance, where the image does not say.")] = None,
     sensor: Annotated[str | None, Option(help="Sensor of the library, or a sensor file.")] = None,
@@ -457,10 +450,8 @@ def power(
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
     done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
-    print_table(
-        ("injected error", *(table.campaign for table in done)),
-        [(name, *(table.errors[name].words for table in done)) for name in names],
-    )
+    rows = [(name, *(table.errors[name].words for table in done)) for name in names]
+    print_table(("injected error", *(table.campaign for table in done)), rows)
     for item in tables:
         if item.skipped:
             note(f"{item.campaign}: skipped: {item.skipped}")
@@ -474,8 +465,7 @@ def power(
 
 @command("predict yellow-planks-asphalt -o out", "predict scenario.yaml -o out")
 def predict(
-    scenario: Annotated[str, Argument(help="A scenario file, or the name of a built-in scenario.")],
-    output: Output,
+    scenario: Annotated[str, Argument(help="A scenario file, or the name of a built-in scenario.")], output: Output
 ) -> int:
     """Run the forward model alone."""
     return finished(campaign.predict_to_folder(scenario, output), output)
@@ -499,8 +489,7 @@ def validate(
     campaigns: Annotated[list[Path], Argument(help="Campaign files.")],
     output: AnyOutput = None,
     dry_run: Annotated[
-        bool,
-        Option("--dry-run", help="List files, values to fill in, comparisons, and criteria that stay undecided."),
+        bool, Option("--dry-run", help="List files, values to fill in, comparisons, and criteria that stay undecided.")
     ] = False,
     junit: Annotated[Path | None, Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
     scheduler: Scheduler = None,

@@ -520,10 +520,8 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
     for d, detector in enumerate(counts.detectors):
         value, *ends = (float(each[d]) * scale for each in (ranks.value, ranks.lower, ranks.upper))
         own = [row(name, value, ends, unit=unit, n=m, reason=why)] if group == EVERY_OBJECT and value == value else []
-        own += [
-            row(f"rank_{name}", ranks.rank[d], (ranks.rank_lower[d], ranks.rank_upper[d]), n=m, reason=words),
-            row(f"first_{name}", ranks.first[d], n=m, reason=first),
-        ]
+        rank = row(f"rank_{name}", ranks.rank[d], (ranks.rank_lower[d], ranks.rank_upper[d]), n=m, reason=words)
+        own += [rank, row(f"first_{name}", ranks.first[d], n=m, reason=first)]
         rows += named(own, PRODUCT, group, f"{detector}/object")
     return rows
 
@@ -776,12 +774,8 @@ def benchmark(
         run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores))
         results = in_order(where, run, jobs, ahead=max(1, len(jobs)))
         done = list(track(results, "campaigns", len(jobs), show=False if here else None))
-        record: dict[str, Any] = {
-            "command": command_without_output(),
-            "seed": seed,
-            "extensions": {Path(p).name: sha256_of(Path(p)) for p in extensions},
-            "campaigns": {d.campaign: d.provenance for d in done},
-        }
+        read, each = {Path(p).name: sha256_of(Path(p)) for p in extensions}, {d.campaign: d.provenance for d in done}
+        record = {"command": command_without_output(), "seed": seed, "extensions": read, "campaigns": each}
         figures, simulated = benchmark_figures(done), {d.campaign for d in done if d.simulated}
         drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
         rows = ResultTable(row for d in done for row in d.table)

@@ -45,11 +45,7 @@ class KneePoint(NamedTuple):
 
 
 def knee(
-    x: npt.ArrayLike,
-    y: npt.ArrayLike,
-    *,
-    logarithmic: bool = False,
-    bend: Literal["any", "concave", "convex"] = "any",
+    x: npt.ArrayLike, y: npt.ArrayLike, *, logarithmic: bool = False, bend: Literal["any", "concave", "convex"] = "any"
 ) -> KneePoint:
     """The point of greatest curvature of y(x) once both axes run from 0 to 1.
 
@@ -181,15 +177,11 @@ def stated_figures(study: StudyFile, table: pd.DataFrame, knees: Sequence[CurveK
     return [replace(figure, name=name) for name, figure in made.items()]
 
 
-def _figure(
-    study: StudyFile, plot: Plot, view: Panels, told: str, against: tuple[str, str], notes: str, width_in: float,
-    legend_title: str = "",
-) -> Figure:  # fmt: skip
-    """What a plot shows: its view, in words, against what in full and in short, and what is to be said of it."""
+def _figure(study: StudyFile, plot: Plot, view: Panels, against: tuple[str, str], notes: str, **more: Any) -> Figure:
+    """What a plot shows: its view, against what in full and in short words, and what is to be said of it."""
     of = study.columns[plot.output]
     full, short = (plot.title or said for said in (of.words + against[0], (of.label or of.name) + against[1]))
-    more: dict[str, Any] = {"head": short, "legend_title": legend_title, "width_in": width_in}
-    return Figure("", "study", full + notes, (replace(view, words=told),), **more)
+    return Figure("", "study", full + notes, (view,), head=short, **more)
 
 
 def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFrame, dict[str, Any], str]:
@@ -243,8 +235,8 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
     against = f" against {item.words}", f" against {item.label or item.name}"
     legend_title = study.columns[family].words if family else ""
-    view = Panels(across, (Part(y, tuple(marks[::-1])),))
-    return _figure(study, plot, view, "; ".join(said), against, notes, 8.6, legend_title)
+    view = Panels(across, (Part(y, tuple(marks[::-1])),), words="; ".join(said))
+    return _figure(study, plot, view, against, notes, width_in=8.6, legend_title=legend_title)
 
 
 def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
@@ -266,7 +258,7 @@ def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cur
     words = f"from {number_text(value.min())} to {number_text(value.max())}" if value.size else "empty"
     against = f" over {across.words} and {up.words}", f" over {across.label or across.name} and {up.label or up.name}"
     axis = Axis(across.words, plot.scale, ends=(float(edges[0][0]), float(edges[0][-1])))
-    return _figure(study, plot, Panels(axis, (part,)), words, against, notes, 7.6)
+    return _figure(study, plot, Panels(axis, (part,), words=words), against, notes, width_in=7.6)
 
 
 def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
@@ -297,7 +289,7 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
     notes = f"; line: as the scenario stands, {number_text(base)}; at the ends the input's values, "
     notes += "blue where the output is lowest, orange where it is highest"
     against = ": each input alone over its values", ": each input alone"
-    return _figure(study, plot, Panels(x, (part,)), "; ".join(said), against, notes, 9.0)
+    return _figure(study, plot, Panels(x, (part,), words="; ".join(said)), against, notes, width_in=9.0)
 
 
 def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:

@@ -28,7 +28,7 @@ from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import detection_at
 from hyperval.model.stated import state_entries
-from hyperval.model.world import column_of, fits
+from hyperval.model.world import column_of, fits, in_file
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import numbers_of, path_parts, setting, with_settings
@@ -224,7 +224,8 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     for field, names, known in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
-        ("detector", [trade.detector], ("", *p.detectors)), ("moved", trade.moved, p.inputs),
+        ("detector", [trade.detector], ("", *p.detectors)),
+        ("moved", trade.moved, [key for key in p.inputs if in_file(key)]),  # which the study can set
     ):  # fmt: skip
         wrong = [name for name in names if name not in known]
         refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(known))
@@ -407,20 +408,20 @@ class Progress(NamedTuple):
         return [*(words for _, words in self.needed), *([most + points] if most else [])]
 
 
-def piece(source: str, trade: Trade, number: int, before: Progress | None = None) -> Progress:
+def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress:
     """The next piece: points twice as dense as before, then the required values, then the limits of each family."""
     p = prepared(source, trade)
     study, (columns, labels) = study_of(p, trade, source), _families(p, trade)
-    families, subjects = len(labels) // len(trade.subject), len(trade.subject)
+    families, subjects, along = len(labels) // len(trade.subject), len(trade.subject), study.inputs[-1]
     steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
     steps += [("required", 0)] if trade.wanted is not None else []
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
     blank = np.full((families, _known(trade, 1).size, subjects), np.nan)
-    before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", 0)
+    before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", len(steps))
     values, limits, needed, remarks = before.values.copy(), before.limits.copy(), before.needed, {**before.remarks}
-    what, step = steps[number]
+    what, step = steps[-before.left]
     if what == "points":
-        new = _known(trade, step) & ~(_known(trade, steps[number - 1][1]) if number else np.False_)
+        new = _known(trade, step) & ~(_known(trade, 2 * step) if before.figure else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
         some = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
         values.reshape(-1, subjects)[rows], told = plan.output_values(_world(p, trade), some, study.outputs)
@@ -428,10 +429,10 @@ def piece(source: str, trade: Trade, number: int, before: Progress | None = None
     elif what == "required":
         needed = _required(p, trade, study)
     else:
-        limits[step] = _limits(p, trade, study.inputs[-1], {path: column[step] for path, column in columns.items()})
-    stride = _STRIDES[min(number, len(_STRIDES) - 1)]
-    drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, study, values, limits, labels)
-    return Progress(values, limits, needed, statement(drawn), len(steps) - number - 1, remarks)
+        limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()})
+    stride = step if what == "points" else _STRIDES[-1]
+    drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, along, values, limits, labels)
+    return Progress(values, limits, needed, statement(drawn), before.left - 1, remarks)
 
 
 def _questions(p: Prepared, trade: Trade) -> list[Required]:
@@ -551,10 +552,8 @@ def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: A
     return tuple(marks)
 
 
-def _curves(
-    p: Prepared, trade: Trade, study: StudyFile, values: Array, limits: Array, labels: Sequence[str]
-) -> Figure:  # fmt: skip
-    axis, x = _axis(study.inputs[-1])
+def _curves(p: Prepared, trade: Trade, along: Input, values: Array, limits: Array, labels: Sequence[str]) -> Figure:
+    axis, x = _axis(along)
     lines = [(x, line) for line in np.moveaxis(values, 1, 2).reshape(-1, x.size)]
     marks = _lines(labels, lines, np.moveaxis(limits, 1, 2).reshape(-1, x.size, 2))
     rules = _present(p, trade) + ((("y", trade.wanted),) if trade.wanted is not None else ())

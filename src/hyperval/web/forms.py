@@ -115,9 +115,7 @@ class Node:
 
 
 def form_nodes(
-    data: Mapping[str, Any] | None = None,
-    begun: Mapping[str, Any] | None = None,
-    sensors: tuple[str, ...] = (),
+    data: Mapping[str, Any] | None = None, begun: Mapping[str, Any] | None = None, sensors: tuple[str, ...] = ()
 ) -> tuple[Node, ...]:
     """The parts of the form of a scenario, filled in with ``data``; files that lie on the server are no part of it.
 

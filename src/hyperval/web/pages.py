@@ -72,10 +72,8 @@ SentForm = Annotated[FormData, Depends(sent_form)]
 
 def page(request: Request, template: str, /, status: int = 200, **content: Any) -> HTMLResponse:
     """A page of the application; one that shows mistakes of a form bears the status of a refusal."""
-    text = TEMPLATES.get_template(template).render(
-        version=hyperval.__version__, notices=store_of(request).notices,
-        place=request.url.path, **content,
-    )  # fmt: skip
+    every = {"version": hyperval.__version__, "notices": store_of(request).notices, "place": request.url.path}
+    text = TEMPLATES.get_template(template).render(every, **content)
     return HTMLResponse(text, status_code=422 if content.get("errors") else status)
 
 

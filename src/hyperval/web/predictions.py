@@ -16,7 +16,7 @@ from functools import partial
 from itertools import groupby
 from typing import Annotated, Any
 
-from fastapi import Query, Request
+from fastapi import Request
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
@@ -46,7 +46,7 @@ from hyperval.web.forms import (
 )
 from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
-from hyperval.web.runs import RunAnswer, answer_of, run, run_of
+from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
 
@@ -191,9 +191,7 @@ class PredictionOrder(BaseModel):
     model_config = ConfigDict(extra="forbid")
     name: str | None = Field(None, max_length=100, description="a predefined scenario")
     scenario: Annotated[Scenario | None, small("scenario")] = Field(None, description="in place of the name")
-    settings: Annotated[dict[str, Setting], small("")] = Field(
-        default_factory=dict, max_length=100, description="dotted path: value"
-    )
+    settings: Annotated[dict[str, Setting], small("")] = Field({}, max_length=100, description="dotted path: value")
 
 
 class ScenarioAnswer(BaseModel):
@@ -222,9 +220,7 @@ def scenarios() -> list[ScenarioAnswer]:
 
 
 @api.post("/predictions", status_code=201)
-def predictions(
-    request: Request, order: PredictionOrder, wait: float = Query(10.0, ge=0, le=60, description="seconds, at most")
-) -> RunAnswer:
+def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> RunAnswer:
     """Predict a scenario, and wait for the numbers."""
     if (order.name is None) == (order.scenario is None):
         raise Refused(422, [FieldMistake("name", "give either name or scenario")])
@@ -328,13 +324,11 @@ def curve(request: Request) -> Response:
     ask = store_of(request).ask
 
     def pieces() -> Iterator[str]:
-        number, before = 0, None
+        told = None
         try:
-            while before is None or before.left:
-                before = told = Progress(*ask("trade_piece", source=source, trade=trade, number=number, before=before))
-                number += 1
-                shown = {"figure": told.figure, "needed": told.said, "left": told.left}
-                yield json.dumps(shown) + "\n"
+            while told is None or told.left:
+                told = Progress(*ask("trade_piece", source=source, trade=trade, before=told))
+                yield json.dumps({"figure": told.figure, "needed": told.said, "left": told.left}) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 

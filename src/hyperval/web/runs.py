@@ -57,6 +57,8 @@ def run_of(request: Request, run_id: str) -> WebRun:
 
 
 OwnRun = Annotated[WebRun, Depends(run_of)]
+Wait = Annotated[float, Query(ge=0, le=60, description="seconds, at most")]
+Number = Annotated[int, Query(ge=0, lt=1_000_000)]
 
 
 @pages.get("/runs")
@@ -72,7 +74,7 @@ def runs(request: Request) -> list[RunAnswer]:
 
 
 @api.get("/runs/{run_id}")
-def run(request: Request, run_id: str, wait: float = Query(0.0, ge=0, le=60)) -> RunAnswer:
+def run(request: Request, run_id: str, wait: Wait = 0.0) -> RunAnswer:
     """A run of this session; with ``wait`` once it has ended, or after so many seconds."""
     store_of(request).wait(run_of(request, run_id), wait)
     return answer_of(request, run_of(request, run_id))
@@ -292,9 +294,7 @@ def map_data(request: Request, run: OwnRun, name: str) -> Response:
 
 
 @pages.get("/runs/{run_id}/pixel.json")
-def pixel_data(
-    request: Request, run: OwnRun, line: int = Query(ge=0, lt=1_000_000), sample: int = Query(ge=0, lt=1_000_000)
-) -> Response:
+def pixel_data(request: Request, run: OwnRun, line: Number, sample: Number) -> Response:
     """The chart of a pixel's spectrum beside the predicted ones."""
     if run.kind != "validation":
         raise Refused(409, "spectra of pixels stand beside predictions, which a validation has")

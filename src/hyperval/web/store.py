@@ -463,9 +463,8 @@ class WorkerPool(TaskPool):
     ):  # fmt: skip
         self._stack = ExitStack()
         set_forkserver_preload([module])
-        start: Callable[[], Worker] = partial(
-            Process, partial(carried_out, module), partial(_warm, module), memory_bytes
-        )
+        perform, prepare = partial(carried_out, module), partial(_warm, module)
+        start: Callable[[], Worker] = partial(Process, perform, prepare, memory_bytes)
         if scheduler is not None:
             at = self._stack.enter_context(workers(scheduler=scheduler))
             start, count = partial(_Place, at, module), at.width
