@@ -56,6 +56,7 @@ _NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
 _FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
+_FRACTIONS |= dict.fromkeys(("sr-1", "sr^-1", "1/sr", "/sr"), "sr-1")
 
 
 # What is opened: a mapping from names to arrays ---------------------------------------------------------------------
@@ -509,14 +510,18 @@ def _axes(array: xr.DataArray, band_axis: str) -> str:
 
 
 def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says."""
+    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says.
+
+    >>> _quantity("sr^-1", "Rrs"), _quantity("1/sr", "sea")
+    (('reflectance', 'sr-1', ()), (None, 'sr-1', ()))
+    """
     if is_radiance(unit):
         return "radiance", unit, ()
     known = _FRACTIONS.get((unit or "1").lower())
     if known is None:
         return None, None, (f"the array states its unit as {unit!r}, which is not known",)
     named = re.search("reflectance|rfl|rrs", name, re.IGNORECASE)
-    return "reflectance" if named else None, known if named or known == "percent" else None, ()
+    return "reflectance" if named else None, known if named or known != "1" else None, ()
 
 
 def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:

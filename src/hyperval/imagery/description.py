@@ -274,6 +274,8 @@ class Description:
             if quantity == "radiance" and unit and own and to_internal(unit, quantity) != to_internal(own, quantity):
                 raise refusal("scale.unit", where, own=own, by=f" ({note})" * bool(stated.unit), unit=unit)
         factor, name = _unit_factor(quantity, unit or own)
+        if quantity == "reflectance" and factor != 1.0:
+            note = f"{note}; ".removeprefix("; ") + f"x {factor:g} (unit {unit or own})"
         gain, offset = (np.broadcast_to(factor * np.asarray(v, float), bands).copy() for v in stated[:2])
         return Scale(gain, offset, note, name)
 
