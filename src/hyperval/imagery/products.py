@@ -82,9 +82,7 @@ class ProductTree:
 
     def texts(self, reference: str | None) -> tuple[str, ...]:
         """The texts or numbers of a small array or an attribute as text, none where the file has none."""
-        value = self.raw(reference)
-        listed = () if value is None else np.ravel(value)
-        return tuple(v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in listed)
+        return arrays.texts_of(self.raw(reference))
 
     def text(self, reference: str | None) -> str | None:
         """The same as one text; None when the file has none."""
@@ -235,8 +233,7 @@ def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tupl
         divisor = tree.number(array.divisor)
         refuse(divisor == 0, "product.divisor", tree.path, name=array.divisor)
         return 1.0 / divisor, -tree.number(array.subtract) if array.subtract is not None else 0.0
-    gain, offset = (arrays.stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
-    return 1.0 if gain is None else gain, offset or 0.0
+    return arrays.packing(image.attrs)
 
 
 def _unit(tree: ProductTree) -> tuple[str, tuple[str, ...]]:
