@@ -94,12 +94,12 @@ def changed(path: Path, product: str, change) -> Path:
     return path
 
 
-def test_corners_of_prisma_at_edges_and_the_other_name_of_a_system(tmp_path):
+def test_box_of_prisma_corners_at_edges_and_the_other_name_of_a_system(tmp_path):
     shells.tree(tmp_path / "a.h5", "prisma", "L2D")
     shells.tree(tmp_path / "b.h5", "aviris", "reflectance")
     with h5py.File(tmp_path / "a.h5", "r+") as file, h5py.File(tmp_path / "b.h5", "r+") as other:
-        file.attrs["Product_LRcorner_easting"] = 600_000.0 + 30 * SAMPLES
-        file.attrs["Product_LRcorner_northing"] = 4_900_000.0 - 30 * LINES
+        file.attrs["Product_URcorner_easting"] = 600_000.0 + 30 * SAMPLES
+        file.attrs["Product_LLcorner_northing"] = 4_900_000.0 - 30 * LINES
         other["transverse_mercator"].attrs["crs_wkt"] = other["transverse_mercator"].attrs.pop("spatial_ref")
     cube = open_cube(tmp_path / "a.h5", quantity="reflectance")
     assert cube.transform == Affine(30.0, 0, 600_000, 0, -30.0, 4_900_000)
