@@ -94,12 +94,12 @@ def changed(path: Path, product: str, change) -> Path:
     return path
 
 
-def test_corners_of_prisma_at_edges_and_the_other_name_of_a_system(tmp_path):
+def test_box_of_prisma_corners_at_edges_and_the_other_name_of_a_system(tmp_path):
     shells.tree(tmp_path / "a.h5", "prisma", "L2D")
     shells.tree(tmp_path / "b.h5", "aviris", "reflectance")
     with h5py.File(tmp_path / "a.h5", "r+") as file, h5py.File(tmp_path / "b.h5", "r+") as other:
-        file.attrs["Product_LRcorner_easting"] = 600_000.0 + 30 * SAMPLES
-        file.attrs["Product_LRcorner_northing"] = 4_900_000.0 - 30 * LINES
+        file.attrs["Product_URcorner_easting"] = 600_000.0 + 30 * SAMPLES
+        file.attrs["Product_LLcorner_northing"] = 4_900_000.0 - 30 * LINES
         other["transverse_mercator"].attrs["crs_wkt"] = other["transverse_mercator"].attrs.pop("spatial_ref")
     cube = open_cube(tmp_path / "a.h5", quantity="reflectance")
     assert cube.transform == Affine(30.0, 0, 600_000, 0, -30.0, 4_900_000)
@@ -217,7 +217,7 @@ def test_every_layout_names_its_source_and_states_what_is_read():
         assert all(ARRAY_KEYS.fullmatch(key) for array in tree.arrays for key in array)
         assert all(re.fullmatch("[lsb]{3}", array.dimensions) for array in tree.arrays)
         assert tree.quantity in ("radiance", "reflectance")
-        assert tree.unit == "1" or to_internal(tree.unit, "radiance") > 0
+        assert tree.unit in ("1", "sr-1") or to_internal(tree.unit, "radiance") > 0
     assert all(to_internal(s.radiance_unit, "radiance") > 0 and s.source for s in layouts().sidecars)
 
 

@@ -156,6 +156,7 @@ class Draft:
         stated = "counts" if silent else about.quantity or told_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
+        refuse(quantity == "deviations", "scale.deviations", sources.cube, quantity="radiance or reflectance")
         lines, samples, bands = self.raster.size
         cube: Entry = {"path": self.reference(sources.cube)}
         cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"

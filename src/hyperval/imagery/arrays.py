@@ -28,7 +28,8 @@ from rasterio.crs import CRS
 from hyperval.data import Array
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5, trial
-from hyperval.imagery.description import Description, ListedBands, Raster, crs_of_wkt, gdal_transform
+from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform
+from hyperval.spectra.text import title_words
 from hyperval.units import in_nm, is_radiance, plausible
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ _NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
 _FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
+_FRACTIONS |= dict.fromkeys(("sr-1", "sr^-1", "1/sr", "/sr"), "sr-1")
 
 
 # What is opened: a mapping from names to arrays ---------------------------------------------------------------------
@@ -365,6 +367,22 @@ def array_raster(
     return ArrayRaster(store.path, *size, dtype, description, *position, store=store, pieces=pieces)
 
 
+def packing(attributes: Mapping[str, Any]) -> tuple[float, float]:
+    """Gain and offset of packed numbers by the attributes that the CF conventions have for them.
+
+    >>> packing({"scale_factor": np.array([2e-4])}), packing({"add_offset": 0.5})
+    ((0.0002, 0.0), (1.0, 0.5))
+    """
+    gain, offset = (stated(attributes, name) for name in ("scale_factor", "add_offset"))
+    return 1.0 if gain is None else gain, offset or 0.0
+
+
+def texts_of(value: Any) -> tuple[str, ...]:
+    """The texts or numbers of an attribute or a small array as texts, none of None."""
+    listed = () if value is None else np.ravel(value)
+    return tuple(v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in listed)
+
+
 def stated(attributes: Mapping[str, Any], *names: str) -> float | None:
     """The number in the first of some attributes that holds a single one, a no-data value by default; None without."""
     found = (attributes.get(name) for name in names or _FILLS)
@@ -477,13 +495,13 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     beside, wave = chosen.bands
     axes = _axes(array, str(wave.dims[0]))
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
-    quantity, unit, notes = _quantity(_stated_unit(array), str(array.name))
+    quantity, unit, notes = _quantity(_stated_unit(array), str(array.name), str(array.attrs.get("long_name", "")))
     good, width = (_beside(beside, wave, name) for name in (_GOOD, _WIDTH))
     centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
     about = Description(
         product=f"array {str(array.name)!r}",
         bands=ListedBands(np.where(centre > 0, centre, np.nan), width, _stated_unit(wave), flags),
-        packing=(float(array.encoding.get("scale_factor", 1.0)), float(array.encoding.get("add_offset", 0.0))),
+        packing=packing(array.encoding),
         quantity=quantity,
         unit=unit,
         sensor=str(data.attrs.get("instrument", data.attrs.get("sensor", ""))),
@@ -508,15 +526,23 @@ def _axes(array: xr.DataArray, band_axis: str) -> str:
     return "".join(letters.get(str(d), "-") for d in array.dims)
 
 
-def _quantity(unit: str | None, name: str) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says."""
+def _quantity(unit: str | None, name: str, title: str) -> tuple[str | None, str | None, tuple[str, ...]]:
+    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says.
+
+    Deviations where the name or the title says so.
+
+    >>> _quantity("sr^-1", "Rrs", ""), _quantity("1/sr", "sea", ""), _quantity("", "unc", "Reflectance Uncertainty")
+    (('reflectance', 'sr-1', ()), (None, 'sr-1', ()), ('deviations', None, ()))
+    """
+    if any(title_words(words)[1] for words in (name, title)):
+        return "deviations", None, ()
     if is_radiance(unit):
         return "radiance", unit, ()
     known = _FRACTIONS.get((unit or "1").lower())
     if known is None:
         return None, None, (f"the array states its unit as {unit!r}, which is not known",)
-    named = re.search("reflectance|rfl|rrs", name, re.IGNORECASE)
-    return "reflectance" if named else None, known if named or known == "percent" else None, ()
+    named = re.search("reflectance|rfl|(?<![a-z])rrs", name, re.IGNORECASE)
+    return "reflectance" if named else None, known if named or known != "1" else None, ()
 
 
 def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
@@ -622,7 +648,8 @@ def open_matrix(
 ) -> ArrayRaster:
     """The image (lines, samples, bands) of a MATLAB, NumPy or bare HDF5 file, or its map of the shape ``plane``.
 
-    Neither unit nor scale stand in such files; wavelengths do where an array of as many numbers is named so.
+    Unit, scale and no data are those of attributes of HDF5 that the CF conventions have for them; wavelengths those
+    of an array of as many numbers that is named so.
 
     Raises
     ------
@@ -664,4 +691,11 @@ def open_matrix(
         for names in beside.values()
     )
     own = None if wave is None else ListedBands(wave, width)
-    return array_raster(store, (piece,), Description(f"array {name!r} of a {kind} file", own))
+    keys = (*_FILLS, "scale_factor", "add_offset", "units", "long_name") if tree else ()
+    with store.kept_open() as file:
+        held = {key: file[name].attrs.get(key) for key in keys}
+    unit, title = (" ".join(texts_of(held.get(key))) for key in ("units", "long_name"))
+    quantity, known, notes = _quantity(unit, name.rpartition("/")[2], title)
+    scale = Scale(*packing(held), f"scale of the array {name!r}")
+    about = Description(f"array {name!r} of a {kind} file", own, scale, quantity, known, stated(held), notes=notes)
+    return array_raster(store, (piece,), about)

@@ -46,6 +46,7 @@ PLAUSIBLE = {
                     "reflectance times 10000)"),
     "radiance": (200.0, "(what multiplies the stored values) or unit:"),
 }  # fmt: skip
+_LOWEST = -0.1  # of these, that the median is not below: a dark image of noise and path radiance taken off too much
 _DARK = 0.01  # reflectance that nothing reaches in an image that was scaled twice
 _FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
 _MOST_LISTED = 5
@@ -292,10 +293,17 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
 
     ``scale`` is what the caller states.
 
+    >>> import xarray as xr
+    >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
+    >>> packed = xr.DataArray(np.full((2, 2, 2), [-20.0, -19.0]), nm, ("y", "x", "b"))
+    >>> open_cube(packed, quantity="reflectance")
+    Traceback (most recent call last):
+    hyperval.errors.InputError: xarray: half of the reflectance values lie below -19.5...
+
     Raises
     ------
-    InputError : values that are too large for the quantity: a scale that was not stated.  Reflectances that the scale
-        of the file makes of numbers that are reflectances as they stand: it was applied before.
+    InputError : values that are too large or too low for the quantity: a scale that was not stated.  Reflectances that
+        the scale of the file makes of numbers that are reflectances as they stand: it was applied before.
     """
     stored = cube.raster.some_pixels()[:, cube.stored_band]
     values = cube._scaled(stored, np.dtype(float))
@@ -315,10 +323,10 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     limit, how = PLAUSIBLE.get(cube.quantity, (np.inf, ""))
     judged = values[:, cube.axis.good]
     judged = judged[np.isfinite(judged).all(axis=1)]
-    high = float(np.percentile(judged, 95)) if judged.size else 0.0
-    if high > limit:
-        unit = "" if cube.unit == "1" else f" {cube.unit}"
-        raise refusal("scale.implausible", cube.raster.path, cube=cube, unit=unit, high=high, limit=limit, how=how)
+    middle, high = np.percentile(judged, (50, 95)).tolist() if judged.size else (0.0, 0.0)
+    told = {"cube": cube, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
+    refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **told)
+    refuse(middle < (least := _LOWEST * limit), "scale.low", cube.raster.path, middle=middle, least=least, **told)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
         by = cube.scaling.source or "its unit"
         raise refusal("scale.twice", cube.raster.path, by=by, most=judged.max(), gain=gain[0])

@@ -100,7 +100,7 @@ class Description:
     product : in words, "" for a plain image
     bands : as listed, None where the file lists none
     scale : as stated
-    quantity : "radiance" or "reflectance", None when the files do not say
+    quantity : "radiance", "reflectance" or "deviations" of either, None when the files do not say
     unit : of the scaled values, None when the files do not say
     ignore_value : stored value that means no data
     sensor : name of the instrument, "" when unknown
@@ -258,7 +258,8 @@ class Description:
         UsageError : another unit than the file's, one that nobody states or that is unknown, a scale that is none.
         """
         if self.quantity is not None and quantity not in ("counts", "other", self.quantity):
-            raise refusal("scale.quantity", where, holds=self.quantity, quantity=quantity)
+            name = "scale.deviations" if self.quantity == "deviations" else "scale.quantity"
+            raise refusal(name, where, holds=self.quantity, quantity=quantity)
         if scale is not None:
             refuse(not np.isfinite(scale) or scale <= 0, "scale.number", scale=scale)
             # It multiplies the packed values, and gives a reflectance as a fraction.
@@ -274,6 +275,8 @@ class Description:
             if quantity == "radiance" and unit and own and to_internal(unit, quantity) != to_internal(own, quantity):
                 raise refusal("scale.unit", where, own=own, by=f" ({note})" * bool(stated.unit), unit=unit)
         factor, name = _unit_factor(quantity, unit or own)
+        if quantity == "reflectance" and factor != 1.0:
+            note = f"{note}; ".removeprefix("; ") + f"x {factor:g} (unit {unit or own})"
         gain, offset = (np.broadcast_to(factor * np.asarray(v, float), bands).copy() for v in stated[:2])
         return Scale(gain, offset, note, name)
 
@@ -488,6 +491,7 @@ def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
 
 
 _LEAST_FILLED = 8  # bands that hold one number by no chance
+_MOST_FILLS = 3
 
 
 def filled(stored: npt.NDArray[Any], ignore: float | None = None) -> Mask:
@@ -519,9 +523,12 @@ def fill_notes(stored: npt.NDArray[Any], ignore: float | None) -> list[str]:
     >>> fill_notes(np.full((4, 8), -50) * [[1], [1], [0], [1]], -9999.0)
     ['warning: 3 of 4 pixels seen hold -50 in every band: taken for no data, which nothing states']
     """
-    found = zip(*np.unique(stored[filled(stored.T, ignore), -1], return_counts=True), strict=True)
-    seen, what = f"of {len(stored)} pixels seen hold", "in every band: taken for no data, which nothing states"
-    return [f"warning: {n} {seen} {of:g} {what}" for of, n in found if of not in (0, ignore)]
+    found = stored[filled(stored.T, ignore), -1]
+    found = found[~np.isin(found, (0, np.nan if ignore is None else ignore))]
+    listed = [f"{of:g}" for of in np.unique(found)]
+    which = " or ".join(listed[:_MOST_FILLS]) + ", ..." * (len(listed) > _MOST_FILLS)
+    said = f"warning: {found.size} of {len(stored)} pixels seen hold {which} in every band"
+    return [f"{said}: taken for no data, which nothing states"] * bool(listed)
 
 
 _WORDS = "imagery/acquisition.yaml"

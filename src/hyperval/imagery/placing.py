@@ -227,6 +227,13 @@ class LocationTable(LookupTable):
     ...     away = table.to_pixel([[480.0, 490.0]], where="", beyond=True)
     >>> bool(np.abs(found - offsets).max() < 0.5), bool(np.abs(away - [-20.0, 10.0]).max() < 3.0)
     (True, True)
+    >>> line, sample = np.indices((60, 30)) + 0.5
+    >>> turning = (40.0 + sample + 6.0 * np.sin(line / 2.0)) * np.exp(1j * line / 40.0)
+    >>> with TemporaryDirectory() as folder:
+    ...     igm = write_cube(f"{folder}/igm", np.stack([500.0 - turning.real, 500.0 + turning.imag], -1), data_type=5)
+    ...     table = location_table(open_raster(igm), (60, 30))
+    ...     bool(np.abs(table.to_pixel([[-94.0, 585.0]], where="", beyond=True)).max() > 300.0)
+    True
     """
 
     def _areas(self) -> Iterator[float | None]:
@@ -272,8 +279,8 @@ class LocationTable(LookupTable):
 
     def _place(self, xy: Array, where: str, beyond: bool) -> Array:
         tree, nodes, scale = self._coarse
-        line, sample = (int(v) for v in nodes[tree.query(xy * scale)[1]])
-        before = line, sample
+        line, sample = nearest = tuple(int(v) for v in nodes[tree.query(xy * scale)[1]])
+        before = nearest
         for _ in range(_STEPS):
             fit = self._fit(line, sample)
             if fit is None:
@@ -286,6 +293,8 @@ class LocationTable(LookupTable):
                     return np.asarray(place)
                 break
             before, (line, sample) = (line, sample), near
+        if beyond and (fit := self._fit(*nearest)) is not None:  # the planes of a line that turns lead nowhere
+            return np.asarray(nearest[::-1] + np.linalg.solve(fit[1], xy - fit[0]) + 0.5)
         what = f"the image, whose places are in {self.crs or 'an unknown system'}"
         raise refusal("place.nowhere", where, place=f"({xy[0]:.8g}, {xy[1]:.8g})", what=what)
 

@@ -23,7 +23,7 @@ from rasterio.errors import CRSError
 
 from hyperval.data import Array
 from hyperval.envi_header import parse_header
-from hyperval.errors import needed, package_table, reader, refusal, refuse
+from hyperval.errors import WARNING, needed, package_table, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform, some_lines
 from hyperval.imagery.envi import crs_of, transform_of
@@ -82,9 +82,7 @@ class ProductTree:
 
     def texts(self, reference: str | None) -> tuple[str, ...]:
         """The texts or numbers of a small array or an attribute as text, none where the file has none."""
-        value = self.raw(reference)
-        listed = () if value is None else np.ravel(value)
-        return tuple(v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in listed)
+        return arrays.texts_of(self.raw(reference))
 
     def text(self, reference: str | None) -> str | None:
         """The same as one text; None when the file has none."""
@@ -235,8 +233,7 @@ def _scale(tree: ProductTree, array: ProductLayout, image: h5py.Dataset) -> tupl
         divisor = tree.number(array.divisor)
         refuse(divisor == 0, "product.divisor", tree.path, name=array.divisor)
         return 1.0 / divisor, -tree.number(array.subtract) if array.subtract is not None else 0.0
-    gain, offset = (arrays.stated(image.attrs, name) for name in ("scale_factor", "add_offset"))
-    return 1.0 if gain is None else gain, offset or 0.0
+    return arrays.packing(image.attrs)
 
 
 def _unit(tree: ProductTree) -> tuple[str, tuple[str, ...]]:
@@ -280,8 +277,9 @@ def _position(tree: ProductTree, piece: arrays.Piece) -> Position:
 
 
 def _from_corners(tree: ProductTree, lines: int, samples: int, crs: CRS | None) -> Position:
-    """From the corners of the product, which are centres or edges of pixels: whichever gives the pixel its size."""
-    west, north, east, south = (tree.number(r) for r in tree.layout.corner_pixels)
+    """From the box around the corners, which are centres or edges of pixels: whichever gives the pixel its size."""
+    each = [np.concatenate([tree.floats(r)[:1] for r in references]) for references in tree.layout.corner_pixels]
+    (west, east), (south, north) = ((np.min(v, initial=np.inf), np.max(v, initial=-np.inf)) for v in each)
     size = float(tree.layout.pixel_size)
     for inner, kind in ((1, "centres"), (0, "edges")):
         if samples > inner < lines and np.allclose(
@@ -290,7 +288,8 @@ def _from_corners(tree: ProductTree, lines: int, samples: int, crs: CRS | None) 
             half = 0.5 * size * inner
             note = f"the corners of the product are taken as {kind} of pixels, which gives {size:g} m"
             return Affine(size, 0.0, west - half, 0.0, -size, north + half), crs, (note,)
-    raise refusal("product.corners", tree.path, across=east - west, along=north - south, size=size)
+    what = f"corners {east - west:g} x {north - south:g} m apart do not give pixels of {size:g} m"
+    return None, None, (f"{WARNING}{what}: they place nothing",)
 
 
 def _crs(tree: ProductTree) -> CRS | None:

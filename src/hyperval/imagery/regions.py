@@ -40,7 +40,7 @@ from hyperval.errors import WARNING, HypervalError, InputError, needed, reader, 
 from hyperval.imagery import arrays
 from hyperval.imagery.cube import HDF5, MATRICES, Cube, kind_of, open_raster
 from hyperval.imagery.description import Raster, crs_of_wkt, equals
-from hyperval.imagery.placing import MAX_VERTICES, LookupTable
+from hyperval.imagery.placing import MAX_VERTICES, LookupTable, table_of
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
@@ -193,26 +193,44 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
 
     ``variable`` : which map of a MATLAB or NumPy file, where it holds several
 
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import location_table, write_cube
+    >>> at, xy = Affine(1, 0, 500, 0, -1, 900), np.meshgrid(np.arange(500.5, 508), np.arange(899.5, 891, -1))
+    >>> with TemporaryDirectory() as folder:
+    ...     table = location_table(open_raster(write_cube(f"{folder}/igm", np.stack(xy, -1), data_type=5)), (9, 8))
+    ...     of, maps = np.ones((9, 8, 1)), [Path(f"{folder}/{moved}") for moved in (0, 7)]
+    ...     for path in maps:
+    ...         write_cube(path, of, data_type=1, transform=at @ Affine.translation(int(path.name), 0)).name
+    ...     raster_of_size(maps[0], ImageGrid((9, 8), table)).size
+    ...     with suppress(InputError):
+    ...         raster_of_size(maps[1], ImageGrid((9, 8), table)).size
+    '0'
+    '7'
+    (9, 8, 1)
+
     Raises
     ------
     InputError : one of another size, or one that says that it lies elsewhere.
     """
-    path, shape, position = checked_file(path, what="image file"), image.shape, image.transform
+    path, shape, position, crs = checked_file(path, what="image file"), image.shape, image.transform, image.crs
     kind = kind_of(path)
     raster: Raster | None = None
     if kind in MATRICES and header_beside(path) is None:
         with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
             raster = arrays.open_matrix(path, str(kind), variable, shape)
     raster = raster or open_raster(path)
-    told = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape}
-    refuse(raster.size[:2] != shape, "image.size", path, **told)
-    if raster.transform is not None and isinstance(position, Affine) and (raster.crs is None) == (image.crs is None):
-        off = _pixels_off(raster, position, image.crs)
-        refuse(off > _OFF_GRID, "image.elsewhere", path, off=off, own=raster.crs, crs=image.crs, name=path.name)
+    if raster.transform is not None and isinstance(image, Cube) and (table := table_of(image.raster)[0]) is not None:
+        position, crs = table, table.crs
+    on_map = raster.transform is not None and position is not None and (raster.crs is None) == (crs is None)
+    raw = "image.on_map" if on_map and not isinstance(position, Affine) else ""
+    told = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape, "own": raster.crs}
+    refuse(raster.size[:2] != shape, raw or "image.size", path, **told)
+    off = _pixels_off(raster, position, crs) if on_map else 0.0
+    refuse(off > _OFF_GRID, raw or "image.elsewhere", path, off=off, crs=crs, **told)
     return raster
 
 
-def _pixels_off(raster: Raster, transform: Affine, crs: CRS | None) -> float:
+def _pixels_off(raster: Raster, transform: Position, crs: CRS | None) -> float:
     """How many pixels of an image of its size a corner of a raster lies at most off that of the image.
 
     >>> at, utm, size = Affine(2.0, 0.0, 5e5, 0.0, -2.0, 4e6), CRS.from_epsg(32618), (60, 60, 1, np.dtype("u1"))
@@ -223,7 +241,7 @@ def _pixels_off(raster: Raster, transform: Affine, crs: CRS | None) -> float:
     corners = np.array([(x, y) for x in (0.0, raster.samples) for y in (0.0, raster.lines)])
     xy = np.column_stack(needed(raster.transform, "region.no_position") @ corners.T)
     xy = xy if raster.crs is None else reprojected(xy, raster.crs, crs, str(raster.path))
-    return float(np.abs(map_to_pixel(xy, transform, where=str(raster.path)) - corners).max())
+    return float(np.abs(map_to_pixel(xy, transform, where=str(raster.path), beyond=True) - corners).max())
 
 
 def named_crs(name: str, where: str) -> CRS:

@@ -125,9 +125,15 @@ class FieldSpectrum:
 
 
 def reflectance_factor(unit: str) -> float:
-    """What multiplies a reflectance in ``unit`` ("fraction", "percent", "scaled:F") to give a fraction."""
+    """What multiplies a reflectance in ``unit`` ("fraction", "percent", "scaled:F") to give a fraction.
+
+    A remote-sensing reflectance [sr-1] times pi is that of a surface that is as bright from everywhere.
+
+    >>> [round(reflectance_factor(unit), 5) for unit in ("percent", "scaled:10000", "sr-1")]
+    [0.01, 0.0001, 3.14159]
+    """
     head, _, tail = unit.partition(":")
-    scale = {"fraction": 1.0, "1": 1.0, "percent": 100.0, "%": 100.0}.get(unit) or number_of(tail)
+    scale = {"fraction": 1.0, "1": 1.0, "percent": 100.0, "%": 100.0, "sr-1": 1.0 / np.pi}.get(unit) or number_of(tail)
     wrong = (tail and head.strip() != "scaled") or not (np.isfinite(scale) and scale > 0)
     refuse(wrong, "spectrum.reflectance_unit", unit=unit)
     return 1.0 / scale

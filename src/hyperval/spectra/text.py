@@ -96,7 +96,7 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
     check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
     replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
     unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
-    counted = [i for i in range(2, len(titles)) if _names(titles[i])[0] in ("n", "count", "number", "replicates")]
+    counted = [i for i in range(2, len(titles)) if title_words(titles[i])[0] in ("n", "count", "number", "replicates")]
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
     records, others = list[FieldSpectrum](), {*spread.values(), *counted}
@@ -111,7 +111,7 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
         record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], where, unit)
         own = percent_in(titles[spread[i]]) if i in spread else None
         refuse(own not in (None, record.unit or "fraction"), "text.spread", where, title=titles[spread.get(i, 0)])
-        named, is_spread = _names(titles[i])
+        named, is_spread = title_words(titles[i])
         if columns is None and is_spread and (not named or len(titles) == 2):
             record = replace(record, quantity="a standard deviation")
         notes = ("a standard deviation of 0 everywhere is none",) if unmeasured else ()
@@ -121,7 +121,7 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
 
 
-def _names(title: str) -> tuple[str, bool]:
+def title_words(title: str) -> tuple[str, bool]:
     """What a title names beside what any column might be called, and whether it says standard deviation."""
     bare = _POWER.sub(lambda m: "" if power_unit(m.group().strip()) else m.group(), title)
     words = " ".join(re.findall(r"[^\W\d_]+|\d+", re.sub("(?<=[a-z])(?=[A-Z])", " ", bare))).lower()
@@ -138,7 +138,7 @@ def _deviations(titles: list[str]) -> dict[int, int]:
     """
     found, means, is_spread = dict[int, int](), dict[str, int](), True
     for i, title in enumerate(titles[1:], start=1):
-        behind, (name, is_spread) = 0 if is_spread else i - 1, _names(title)
+        behind, (name, is_spread) = 0 if is_spread else i - 1, title_words(title)
         if not is_spread:
             means[name] = i
         elif mean := means.pop(name, behind * (not name)):
