@@ -708,7 +708,7 @@ def unmeasured_tails(classes: Iterable[BackgroundClass], surfaces: Mapping[str, 
 
     >>> from hyperval.api import load_scenario, predict
     >>> plain = load_scenario("yellow-planks-asphalt")
-    >>> predict(plain.with_values({"scene.classes.asphalt.tail_dof": "measured"})).notes[-2]
+    >>> predict(plain.with_values({"scene.classes.asphalt.tail_dof": "measured"})).notes[-3]
     "warning: tail_dof: measured of 'asphalt', whose spectrum and covariance are of no region of an image: it is normal"
     """
     for c in classes:
