@@ -508,7 +508,7 @@ def order(check: SensorCheck) -> Values:
     except UsageError as error:
         table = check.sensor.specification.bands.table or ()
         wrong = int(np.count_nonzero(np.diff([row[0] for row in table]) <= 0))
-        yield Found(max(wrong, 1), words=error.what)
+        yield Found(max(wrong, 1), words="; ".join(filter(None, (error.what, error.mend))))
     else:
         yield Found(0.0)
 

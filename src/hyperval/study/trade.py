@@ -84,7 +84,7 @@ class Offer(Model):
     ----------
     path, together : pattern of what it moves, and whether all that is of the pattern moves as one
     group, name, unit, column : where it stands, what it is called, also in a table
-    low, high, spacing : range of its axis and slider, and how they run;  least : below which it is no value
+    low, high, spacing : range of its axis and slider, and how they run
     now : value in the scenario, NaN where it states none
     paths : what it moves, by the first of which it is picked;  slider : whether the page has one for it
     """
@@ -95,7 +95,6 @@ class Offer(Model):
     unit: str = "1"
     low: float
     high: float
-    least: float = Field(-math.inf, allow_inf_nan=True)
     spacing: Literal["linear", "log"] = "linear"
     slider: bool = False
     together: bool = False
@@ -216,6 +215,9 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     Traceback (most recent call last):
     hyperval.errors.UsageError: at:atmosphere.meteorological_range_km: 5 km is beyond the emulator of the atmosphere
       expected: 7.716 km or more
+    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_from=-5.0), prepared("panels", Trade()))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: x_from: -5 deg: it should be greater than or equal to 0
 
     Raises
     ------
@@ -252,9 +254,13 @@ def completed(trade: Trade, p: Prepared) -> Trade:
 
 
 def _check(p: Prepared, where: str, key: str, value: float) -> None:
-    """Refuse a value of an input below the least, or at which the atmosphere is not emulated, in the input's unit."""
+    """Refuse a value that the scenario does not take, or at which the atmosphere is not emulated, in its own unit."""
     offer, inside = p.inputs[key], p.inputs[key].now
-    refuse(value < offer.least, "trade.least", where, value=offer.told(value), least=offer.told(offer.least))
+    try:
+        plan.try_changes(p.world, dict.fromkeys(offer.paths, value))
+    except UsageError as error:
+        what = error.what.rpartition(": ")[2].replace("Input should", "it should")
+        raise UsageError(f"{offer.told(value)}: {what}", where=where, expected=error.expected) from error
     if key.startswith("atmosphere.") and not (is_known := partial(_is_emulated, p, key.partition(".")[2]))(value):
         outside = value
         while abs(outside - inside) > 1e-6 * abs(inside):
