@@ -85,7 +85,7 @@ def _of_curve(curve: RocCurve) -> Iterator[Result]:
             limits = (curve.pd_lower[at], curve.pd_upper[at]) if curve.has_limits else None
             yield row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target)
     if curve.n_target is None:
-        unknown = {} if curve.has_limits else {"lower": math.nan, "upper": math.nan}
+        unknown: dict[str, Any] = {} if curve.has_limits else {"lower": math.nan, "upper": math.nan}
         yield from (replace(item, **unknown) for item in detection.area_rows(curve, None))
         return
     levels = (*detection.ALWAYS, *detection.IF_BACKGROUND_ALLOWS)
