@@ -216,10 +216,17 @@ def shipped(package: str, folder: str) -> dict[str, Path]:
 
 
 def file_of(name_or_path: str | Path, known: Mapping[str, Path], kind: str) -> Path:
-    """The file of what goes by its name or by its path; UsageError where it is neither."""
+    """The file of what goes by its name or by its path; UsageError where it is neither.
+
+    >>> file_of("place/casi-150", {"casi-1500": Path("casi-1500.yaml")}, "sensor")
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: unknown sensor 'place/casi-150'; did you mean 'casi-1500'?
+      expected: a YAML file or one of casi-1500
+    """
     path = known.get(str(name_or_path), Path(name_or_path))
     if path.suffix not in (".yaml", ".yml") and not path.exists():
-        raise UsageError(f"unknown {kind} {str(path)!r}", expected="a YAML file or one of " + ", ".join(known))
+        hints = "".join(f"; did you mean {near!r}?" for near in difflib.get_close_matches(path.name, known, n=1))
+        raise UsageError(f"unknown {kind} {str(path)!r}{hints}", expected="a YAML file or one of " + ", ".join(known))
     return path
 
 

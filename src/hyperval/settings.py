@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import Any
 
 from pydantic import BaseModel
@@ -75,7 +76,7 @@ def with_settings(model: M, changes: Mapping[str, Any]) -> M:
 def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
     """What stands at a part of a configuration, with another value where the rest of the path leads."""
     if not parts:
-        return value
+        return _plain(value)
     here, (part, *rest) = ".".join(path_parts(path)[: -len(parts)]), parts
     if at is None or isinstance(at, dict):  # what is left out is made; unknown keys are found when it is checked
         entries = at or {}
@@ -86,6 +87,13 @@ def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
     number, items = _key(at, part, path), list(at)
     items[number] = _changed(items[number], rest, value, path)
     return items
+
+
+def _plain(value: Any) -> Any:
+    """A value as a file has it: paths are texts."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return str(value) if isinstance(value, PurePath) else value
 
 
 def path_parts(path: str) -> list[str]:

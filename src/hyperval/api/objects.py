@@ -284,6 +284,7 @@ class _Side(_Tables):
         ------
         UsageError : no such curve, or a probability that it does not reach.
         """
+        refuse(np.ndim(pfa) > 0, "api.pfa_list", subject=subject)
         asked = (subject, detector, unit)
         keys = [key for key in self.products.roc if all(a in (None, k) for a, k in zip(asked, key, strict=True))]
         if not keys:

@@ -189,7 +189,8 @@ def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
     else:
         then = run.before.versions
         changed = [f"{k} {then[k]} is now {v}" for k, v in run.versions.items() if k in then and then[k] != v]
-        alike = "the code, the campaign's files or its data: the versions of all packages are as accepted"
+        of = "the code or the sensor file" if run.kind == "sensor" else "the code, the campaign's files or its data"
+        alike = f"{of}: the versions of all packages are as accepted"
         note(f"{run.owner}: {len(wrong)} of {len(run.rows)} numbers are not as accepted")
         note(f"  likely cause: {'; '.join(changed) or alike}")
         note(f"  if the change is meant: {run.acceptance(baselines)}")

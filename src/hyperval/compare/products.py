@@ -5,7 +5,9 @@ Rows of one side alone, where there is nothing to compare with.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -41,7 +43,8 @@ def product_rows(products: Products, side: str) -> Iterator[Result]:
     for product in SPECTRA:
         unit = "uW cm-2 sr-1 nm-1" if product == "radiance" else "1"
         for subject, estimate in getattr(products, product).items():
-            half = Z95 * estimate.standard_uncertainty
+            u = estimate.standard_uncertainty
+            half = Z95 * np.where(u > 0.0, u, np.nan)  # none is stated
             rows = (
                 row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=float(at), n=estimate.n)
                 for b, at in enumerate(products.axis.centre_nm)
@@ -79,10 +82,11 @@ def _of_curve(curve: RocCurve) -> Iterator[Result]:
     for decade in range(-9, 0):
         at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
         if abs(np.log10(curve.pfa[at]) - decade) <= 1e-6:
-            limits = (curve.pd_lower[at], curve.pd_upper[at])
+            limits = (curve.pd_lower[at], curve.pd_upper[at]) if curve.has_limits else None
             yield row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target)
     if curve.n_target is None:
-        yield from detection.area_rows(curve, None)
+        unknown: dict[str, Any] = {} if curve.has_limits else {"lower": math.nan, "upper": math.nan}
+        yield from (replace(item, **unknown) for item in detection.area_rows(curve, None))
         return
     levels = (*detection.ALWAYS, *detection.IF_BACKGROUND_ALLOWS)
     rows = [item for pfa in levels for item in detection.alarm_rows(None, curve, pfa)]

@@ -151,7 +151,8 @@ def _view(
     known = [(e.mean, e.standard_uncertainty) for e in both if e is not None]
 
     def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
-        ends = robust_limits([mark.numbers[end][keep] for mark in marks for end in ("low", "high")], trim)
+        values = [mark.numbers.get(end, mark.numbers["y"])[keep] for mark in marks for end in ("low", "high")]
+        ends = robust_limits(values, trim)
         return Part(Axis(label, ends=ends), tuple(marks), rules)
 
     # Dashes on top, so that neither hides the other.

@@ -119,7 +119,7 @@ def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:
     for mark in marks:
         if mark.label:
             entries.setdefault(mark.label, _handle(mark))
-    if any(mark.kind in ("line", "steps") and {"low", "half"} & set(mark.columns) for mark in marks):
+    if any(mark.kind in ("line", "steps") and "low" in mark.numbers for mark in marks):
         entries["95 % interval"] = Patch(color=GREY, alpha=0.3, linewidth=0)
     if views[0].x.absorption:
         entries["absorption band"] = Patch(color=_ABSORPTION)

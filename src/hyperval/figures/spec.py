@@ -124,11 +124,18 @@ class Mark:
 
     @property
     def numbers(self) -> dict[str, Array]:
-        """The columns, with low and high where half is given."""
+        """The columns, with low and high where half is given; without both where no uncertainty is stated.
+
+        >>> x = np.array([1.0, 2.0])
+        >>> [list(Mark("line", {"x": x, "y": x, "half": half}).numbers) for half in (x, 0.0 * x)]
+        [['x', 'y', 'low', 'high'], ['x', 'y']]
+        """
         out = {name: np.atleast_1d(np.asarray(values, float)) for name, values in self.columns.items()}
         if "half" in out:
             half = out.pop("half")
             out |= {"low": out["y"] - half, "high": out["y"] + half}
+        if self.kind != "area" and "low" in out and not np.any(out["low"] < out["high"]):
+            del out["low"], out["high"]
         return out
 
     def told_at(self, place: float) -> str:

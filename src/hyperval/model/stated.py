@@ -688,15 +688,34 @@ class Stated(Keeps):
         return {**vars(self), "kept": {}}
 
 
+def _region_of(c: BackgroundClass) -> str | None:
+    """The region of the collection that a class has its law from."""
+    return c.spectrum.measured if c.covariance is None else c.covariance.measured
+
+
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float:
     """Degrees of freedom of a class; infinity: Gaussian.
 
     A tail that was fitted to a region of the collection counts where the class says ``tail_dof: measured``.
     """
-    from_region = c.spectrum.measured if c.covariance is None else c.covariance.measured
-    if c.tail_dof is None and from_region is not None:
+    if c.tail_dof is None and _region_of(c) is not None:
         return np.inf
     return (c.tail_dof if isinstance(c.tail_dof, float) else surface.tail_dof) or np.inf
+
+
+def unmeasured_tails(classes: Iterable[BackgroundClass], surfaces: Mapping[str, SurfaceStatistics]) -> Iterator[str]:
+    """What is to be said of classes with tails as measured, of which nothing was measured.
+
+    >>> from hyperval.api import load_scenario, predict
+    >>> plain = load_scenario("yellow-planks-asphalt")
+    >>> predict(plain.with_values({"scene.classes.asphalt.tail_dof": "measured"})).notes[-3]
+    "warning: tail_dof: measured of 'asphalt', whose spectrum and covariance are of no region of an image: it is normal"
+    """
+    for c in classes:
+        is_known = _region_of(c) is not None or surfaces[c.name].tail_dof is not None or surfaces[c.name].components
+        if c.tail_dof == "measured" and not is_known:
+            of = "whose spectrum and covariance are of no region of an image"
+            yield f"warning: tail_dof: measured of {c.name!r}, {of}: it is normal"
 
 
 def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[Law]:
@@ -747,6 +766,7 @@ def read_files(
     scene, sources = scenario.scene, Sources(true, measured, find, axis, source.read)
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
     notes += uncovered_bands(scenario, surfaces, true)
+    notes += unmeasured_tails(scene.classes, surfaces)
     labelled, around = replace(sources, axis=axis, nominal=None), scene.adjacency.spectrum
     signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
     surroundings = None if around is None else without_gaps(sources.spectrum(around, "surroundings").mean)

@@ -27,7 +27,7 @@ from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, grouped, row_name
-from hyperval.run import Run, is_run, read_products
+from hyperval.run import Run, is_run, provenance_of, read_products
 from hyperval.storage import installed_file, whole_folder
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
@@ -358,6 +358,8 @@ def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int
     ------
     InputError, UsageError : as of :func:`run_drawings`, or products of which nothing can be drawn.
     """
+    of = [name for name in ("study", "sensor") if name in provenance_of(run).get("configuration", {})]
+    refuse(of, "results.drawn", run, of=of, folder=run / "figures")
     drawings = run_drawings(run, kind, journal)
     refuse(not drawings, "results.figures", run)
     with whole_folder(output) as folder:

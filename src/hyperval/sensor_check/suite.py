@@ -408,6 +408,7 @@ class Check:
     absent: str = ""
     remarks: bool = False
     needed: bool = False
+    usual: bool = False
 
     def outcome(self, value: float) -> Outcome:
         """Of a value against the range."""
@@ -423,7 +424,9 @@ class Check:
         for found in measured or ([Found(outcome=Outcome.NONE)] if self.absent else []):
             outcome = self.outcome(found.value) if found.outcome is None else found.outcome
             informs, broken = outcome is Outcome.NONE, outcome is Outcome.ERROR
-            role = Role.INFORM if informs else Role.GATE
+            if self.usual and outcome is Outcome.AGREES:
+                continue
+            role = Role.INFORM if informs or self.usual else Role.GATE
             reason = self.reason.format(found.words) if measured else self.absent
             if outcome is Outcome.AGREES and not self.remarks:
                 reason = ""
@@ -505,7 +508,7 @@ def order(check: SensorCheck) -> Values:
     except UsageError as error:
         table = check.sensor.specification.bands.table or ()
         wrong = int(np.count_nonzero(np.diff([row[0] for row in table]) <= 0))
-        yield Found(max(wrong, 1), words=error.what)
+        yield Found(max(wrong, 1), words="; ".join(filter(None, (error.what, error.mend))))
     else:
         yield Found(0.0)
 
@@ -540,7 +543,7 @@ def spacing(check: SensorCheck) -> Values:
     """Median width over spacing of neighbours; of bands that stand apart it is not judged."""
     ratio, touch = neighbour_ratio(check.axis), _contiguous(check)
     if touch.any():
-        words = "out of range: is sigma given for FWHM, half widths for full, or nm for um?"
+        words = "out of range: is sigma given for FWHM, half widths for full, or um for nm?"
         yield Found(float(np.median(ratio[touch])), words=words)
     elif ratio.size:
         yield Found(float(np.median(ratio)), words="the bands of this sensor stand apart", outcome=Outcome.NONE)
@@ -571,6 +574,14 @@ def outside_arms(check: SensorCheck) -> Values:
         inside = (axis.centre_nm >= low - 0.5 * axis.fwhm_nm) & (axis.centre_nm <= high + 0.5 * axis.fwhm_nm)
         outside = axis.centre_nm[~inside.any(axis=0)]
         yield Found(outside.size, words=", ".join(f"{w:g} nm" for w in outside[:5]))
+
+
+def bands_of_two_arms(check: SensorCheck) -> Values:
+    """Bands in the ranges of two arms."""
+    w, ranges = check.axis.centre_nm, [arm.range_nm for arm in check.sensor.specification.arms]
+    shared = w[sum(((low <= w) & (w <= high)).astype(int) for low, high in ranges) > 1] if ranges else w[:0]
+    if shared.size:
+        yield Found(shared.size, words=f"from {shared[0]:g} to {shared[-1]:g} nm")
 
 
 def bands_of_arm(check: SensorCheck) -> Values:
@@ -647,6 +658,36 @@ def quantisation(check: SensorCheck) -> Values:
         parts = check.noise.breakdown(check.sunlit(DARK))
         ratio = np.where(check.axis.good, np.sqrt(parts.quantisation / (parts.shot + parts.fixed)), 0.0)
         yield _worst(check.axis, ratio, f"reflectance {DARK:g}")
+
+
+def calibration_end(check: SensorCheck, of: str) -> Values:
+    """The least or greatest C_R; none where it is left out, as 0."""
+    values = check.noise.calibration_percent
+    if np.any(values > 0.0):
+        yield _worst(check.axis, values, least=of == "lowest")
+
+
+def fixed_noise_over(check: SensorCheck, of: str) -> Values:
+    """Fixed noise over that of rounding, where it is least, or over full scale, where it is greatest.
+
+    >>> from hyperval.sensor.specification import load_sensor
+    >>> file = load_sensor("casi-1500").specification
+    >>> for electrons in (100.0, 0.04, 40_000.0):
+    ...     noise = file.arms[0].fixed_noise_electrons.model_copy(update={"value": electrons})
+    ...     arms = (file.arms[0].model_copy(update={"fixed_noise_electrons": noise}),)
+    ...     check = SensorCheck(Sensor(file.model_copy(update={"arms": arms})))
+    ...     print([r.metric for line in CHECKS if line.measure == "fixed_noise_over" for r in line.rows(check)])
+    []
+    ['lowest_fixed_noise_over_rounding']
+    ['highest_fixed_noise_over_full_scale']
+    """
+    noise, step = check.noise, np.asarray(check.noise.lsb_electrons)
+    if noise.constant is None and np.all(noise.fixed_noise > 0.0):
+        scale = step / math.sqrt(12.0) if of == "rounding" else step * 2.0 ** np.asarray(noise.bits, float)
+        at = _worst(check.axis, noise.fixed_noise / scale, least=of == "rounding")
+        k = int(np.flatnonzero(noise.fixed_noise / scale == at.value)[0])
+        beside = np.broadcast_to(scale, noise.fixed_noise.shape)[k]
+        yield at._replace(words=f"{noise.fixed_noise[k]:.3g} electrons beside {beside:.3g} of {of} at {at.words}")
 
 
 def saturation(check: SensorCheck) -> Values:

@@ -274,18 +274,23 @@ def try_values(study: StudyFile, world: World) -> None:
     """
     for item in study.moving:
         for value in values_to_try(item):
-            changes = point_of(item, value)
             try:
-                refuse((at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0, "study.pfa", at=at)
-                for path in [path for path in changes if not in_file(path)]:
-                    entry, number = find(world.stated, path), changes.pop(path)
-                    if not entry.low <= number <= entry.high:
-                        expected = f"a number from {entry.low:g} to {entry.high:g}"
-                        raise UsageError(f"{path} at {value!r}", expected=expected)
-                if changes:
-                    with_settings(world.stated.scenario, changes)
+                try_changes(world, point_of(item, value))
             except UsageError as error:
                 raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
+
+
+def try_changes(world: World, changes: dict[str, Any]) -> None:
+    """Refuse values at dotted paths that the scenario or the model does not take."""
+    changes = dict(changes)
+    refuse((at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0, "study.pfa", at=at)
+    for path in [path for path in changes if not in_file(path)]:
+        entry, number = find(world.stated, path), changes.pop(path)
+        if not entry.low <= number <= entry.high:
+            expected = f"a number from {entry.low:g} to {entry.high:g}"
+            raise UsageError(f"{path} at {float(number)}", expected=expected)
+    if changes:
+        with_settings(world.stated.scenario, changes)
 
 
 def point_of(item: Moving, value: Any) -> dict[str, Any]:

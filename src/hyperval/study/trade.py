@@ -21,7 +21,7 @@ from pydantic import Field
 
 from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS, Array, Mask
-from hyperval.errors import UsageError, package_table, refuse
+from hyperval.errors import UsageError, package_table, refusal, refuse
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
 from hyperval.model.intervals import Z95
@@ -111,6 +111,10 @@ class Offer(Model):
     def words(self) -> str:
         """Name with unit."""
         return self.name + (f" [{self.unit}]" if self.unit != "1" else "")
+
+    def told(self, value: float) -> str:
+        """A value of it with its unit."""
+        return f"{value:.4g}" + (f" {self.unit}" if self.unit != "1" else "")
 
     def ends(self, low: float | None, high: float | None) -> tuple[float, float]:
         """Ends of an axis where they are stated, else about the value in the scenario."""
@@ -207,10 +211,13 @@ def _offers(world: World) -> Iterator[Offer]:
 def completed(trade: Trade, p: Prepared) -> Trade:
     """What is asked, with all that was left open filled in.
 
-    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_to=85.0), prepared("panels", Trade()))
+    >>> completed(Trade(moved={"atmosphere.meteorological_range_km": 5.0}), prepared("yellow-planks-asphalt", Trade()))
     Traceback (most recent call last):
-    hyperval.errors.UsageError: x_to: outside the range of the emulator: solar zenith [deg] is 84.9
-      expected: 0 to 75
+    hyperval.errors.UsageError: at:atmosphere.meteorological_range_km: 5 km is beyond the emulator of the atmosphere
+      expected: 7.716 km or more
+    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_from=-5.0), prepared("panels", Trade()))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: x_from: -5 deg: it should be greater than or equal to 0
 
     Raises
     ------
@@ -237,15 +244,39 @@ def completed(trade: Trade, p: Prepared) -> Trade:
             low, high = p.inputs[key].ends(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
             refuse(not low < high, "trade.ends", f"{field}_to", high=high, low=low)
             refuse(p.inputs[key].spacing == "log" and low <= 0.0, "trade.log", f"{field}_from")
-            filled |= (ends := {f"{field}_from": low, f"{field}_to": high})
-            for where, end in ends.items() if key.startswith("atmosphere.") else ():
-                try:
-                    p.world.stated.atmosphere.run({key.partition(".")[2]: end})
-                except UsageError as error:
-                    raise UsageError(error.what, where=where, expected=error.expected) from error
+            filled |= {f"{field}_from": low, f"{field}_to": high}
+            for where, end in ((f"{field}_from", low), (f"{field}_to", high)):
+                _check(p, where, key, end)
+    for key, value in trade.moved.items():
+        _check(p, f"at:{key}", key, value)
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
     refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, most=_MOST_LINES)
     return trade.model_copy(update=filled)
+
+
+def _check(p: Prepared, where: str, key: str, value: float) -> None:
+    """Refuse a value that the scenario does not take, or at which the atmosphere is not emulated, in its own unit."""
+    offer, inside = p.inputs[key], p.inputs[key].now
+    try:
+        plan.try_changes(p.world, dict.fromkeys(offer.paths, value))
+    except UsageError as error:
+        what = error.what.rpartition(": ")[2].replace("Input should", "it should")
+        raise UsageError(f"{offer.told(value)}: {what}", where=where, expected=error.expected) from error
+    if key.startswith("atmosphere.") and not (is_known := partial(_is_emulated, p, key.partition(".")[2]))(value):
+        outside = value
+        while abs(outside - inside) > 1e-6 * abs(inside):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if is_known(middle) else (inside, middle)
+        near = (inside, 1.0005 * inside, 0.9995 * inside)  # rounded, it is to be taken
+        end = next((v for v in near if is_known(float(f"{v:.4g}"))), inside)
+        limit = f"{offer.told(end)} or {'more' if value < inside else 'less'}"
+        raise refusal("trade.emulated", where, value=offer.told(value), limit=limit)
+
+
+def _is_emulated(p: Prepared, name: str, value: float) -> bool:
+    with suppress(UsageError):
+        return bool(p.world.stated.atmosphere.run({name: value}))
+    return False
 
 
 def _usual(p: Prepared, target: str) -> str:
@@ -469,9 +500,10 @@ def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float,
     for label, (i, (q, answer)) in zip(labels, product(range(len(labels) // len(found)), found), strict=True):
         value, why = float(answer.solutions[i]), answer.reasons.get(i, "").replace(q.output, KINDS[trade.output])
         why = why.replace("no solution", "not reached in this range")
-        unit = f" {offer.unit}" if offer.unit != "1" else ""
-        words = f"{offer.name} = {value:.4g}{unit} for {KINDS[trade.output]} = {trade.wanted:g}"
+        words = f"{offer.name} = {offer.told(value)} for {KINDS[trade.output]} = {trade.wanted:g}"
         words = f"{words} ({why})" if why and math.isfinite(value) else why or words
+        if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
+            words += f"; along {offer.name} alone, {p.inputs[trade.y].name} at {p.inputs[trade.y].told(now)}"
         told.append((value, f"{label}: {words}" if len(labels) > 1 else words))
     return tuple(told)
 

@@ -18,7 +18,7 @@ from fastapi import Depends, Form, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
-from hyperval.config import load_yaml
+from hyperval.config import load_yaml, twice
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
 from hyperval.web.forms import needs
@@ -226,11 +226,25 @@ def known_campaigns(request: Request) -> dict[str, CampaignAnswer]:
 
 
 def campaigns_of(settings: ServerSettings) -> Iterator[CampaignAnswer]:
-    """The campaigns of a server's folder; a file is read again when it has changed."""
-    for path in sorted(settings.campaigns.glob("*/campaign*.yaml")) if settings.campaigns is not None else ():
+    """The campaigns of a server's folder, those of one name by their files; a file is read again when it has changed.
+
+    >>> from tempfile import mkdtemp
+    >>> place = Path(mkdtemp())
+    >>> for name in ("one", "two"):
+    ...     _ = (place / name).mkdir(), (place / name / "campaign.yaml").write_text("name: copied")
+    >>> [one.name for one in campaigns_of(ServerSettings(place, place))]
+    ['one/campaign.yaml', 'two/campaign.yaml']
+    """
+    found, folder = list[CampaignAnswer](), settings.campaigns or Path()
+    for path in sorted(folder.glob("*/campaign*.yaml")) if settings.campaigns is not None else ():
         with suppress(OSError):
             state = path.stat()
-            yield from _read(path, state.st_mtime_ns, state.st_size)
+            found += _read(path, state.st_mtime_ns, state.st_size)
+    several = twice(one.name for one in found)
+    for one in found:
+        file = one.path.relative_to(folder).as_posix()
+        own = {"name": file, "title": f"{one.title} ({file})"} if one.name in several else {}
+        yield one.model_copy(update=own)
 
 
 @lru_cache(maxsize=256)
@@ -252,7 +266,8 @@ def campaigns_page(request: Request) -> Response:
     runs = store_of(request).of(owner_of(request), "validation")
     known = known_campaigns(request)
     lacking = {name: needs(campaign.path.read_text("utf-8")) for name, campaign in known.items()}
-    return page(request, "validate.html.j2", campaigns=known, lacking=lacking, runs=runs)
+    has_folder = request.app.state.settings.campaigns is not None
+    return page(request, "validate.html.j2", campaigns=known, lacking=lacking, runs=runs, has_folder=has_folder)
 
 
 @pages.post("/validate")

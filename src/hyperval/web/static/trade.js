@@ -150,5 +150,12 @@ form.addEventListener("change", ({ target }) => {
     location.assign(`/trade?${chosen}`);
   } else if (target.type !== "range" && !target.name.startsWith("at:")) changed();
 });
+// Enter takes what is typed, as leaving the field does; the button alone orders a run.
+form.addEventListener("keydown", (event) => {
+  if (event.key !== "Enter" || event.target.tagName !== "INPUT") return;
+  event.preventDefault();
+  event.target.blur();
+  event.target.focus();
+});
 remember();
 live("&limits=1").then(curve);
