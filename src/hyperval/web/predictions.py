@@ -51,13 +51,7 @@ from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
 
 _WAIT_S = 5.0
-_FREE: dict[str, Any] = {
-    "schema": 1,
-    "name": "free",
-    "sensor": "prospectir-vs",
-    "atmosphere": {},
-    "scene": {"classes": [], "targets": []},
-}
+_FREE: dict[str, Any] = {"schema": 1, "name": "free", "sensor": "prospectir-vs", "atmosphere": {}, "scene": {}}
 
 
 def warm() -> None:
