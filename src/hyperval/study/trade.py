@@ -567,7 +567,7 @@ def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules
 
 
 def _y_axis(trade: Trade) -> Axis:
-    unit = " [uW cm-2 sr-1 nm-1]" if trade.output == "radiance" else ""
+    unit = " [µW cm⁻² sr⁻¹ nm⁻¹]" if trade.output == "radiance" else ""
     return Axis(KINDS[trade.output] + unit, ends=None if trade.is_spectral else (-0.03, 1.03))
 
 
