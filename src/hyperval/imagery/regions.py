@@ -45,7 +45,6 @@ from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
 
-Placing = Callable[[BaseGeometry, str], BaseGeometry]
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 _OFF_GRID = 0.25  # [pixel] that a raster may lie off the image; half of one puts a pixel on another
 FARTHEST = 1e9  # [pixel] from the image: no drawing, but numbers in another unit
@@ -161,31 +160,31 @@ class ImageGrid:
     coordinates: str | None = None
     name_field: str | None = None
 
-    def placing(self, stated: CRS | None, where: str) -> Placing:
-        """A function from a geometry of a file in a stated system to continuous pixel coordinates.
+    def place(self, geometry: BaseGeometry, stated: CRS | None, where: str) -> BaseGeometry:
+        """A geometry of a file in a stated system, in continuous pixel coordinates.
 
         Raises
         ------
-        InputError : the file states another system than ``coordinates``.
+        InputError : the file states another system than ``coordinates``, or it cannot be placed.
         """
         means, crs = self.coordinates, self.crs
         if means == "map" and stated is not None and crs is not None and stated != crs:
             raise refusal("region.other_system", where, stated=stated, told=f"the cube in {crs}")
         if means == "lonlat" and stated is not None and not stated.is_geographic:
             raise refusal("region.other_system", where, stated=stated, told="not in longitude and latitude")
-
-        def place(geometry: BaseGeometry, where: str) -> BaseGeometry:
-            if means == "pixel":
-                return geometry
-            if means != "map":
-                system = stated or CRS.from_epsg(4326)
-                geometry = shapely.transform(geometry, lambda xy: reprojected(xy, system, crs, where))
-            if self.transform is not None and not isinstance(self.transform, Affine):
-                geometry = self.transform.divided(geometry, where)
-            of_area = geometry.area > 0.0  # of which a part may lie beyond the image
-            return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where, beyond=of_area))
-
-        return place
+        if means == "pixel":
+            return geometry
+        if means is None and stated is None:  # degrees are assumed
+            xy = shapely.get_coordinates(geometry)
+            for x, y in xy[np.any(np.abs(xy) > (180.0, 90.0), axis=1)]:
+                raise refusal("geojson.degrees", where, x=x, y=y)
+        if means != "map":
+            system = stated or CRS.from_epsg(4326)
+            geometry = shapely.transform(geometry, lambda xy: reprojected(xy, system, crs, where))
+        if self.transform is not None and not isinstance(self.transform, Affine):
+            geometry = self.transform.divided(geometry, where)
+        of_area = geometry.area > 0.0  # of which a part may lie beyond the image
+        return shapely.transform(geometry, lambda xy: map_to_pixel(xy, self.transform, where=where, beyond=of_area))
 
 
 def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = None) -> Raster:
@@ -378,14 +377,14 @@ def _xml_parts(definition: ElementTree.Element, grid: ImageGrid, where: str) -> 
     in_pixels = system.lower() == "none"
     source = None if in_pixels else crs_of_wkt(system)
     refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
-    place = replace(grid, coordinates="pixel" if in_pixels else None).placing(source, where)
+    grid = replace(grid, coordinates="pixel" if in_pixels else None)
     for child in (child for child in definition if child.tag != "CoordSysStr"):
         made: list[dict[str, Any]] = [{"type": child.tag}]
         if child.tag in _POINTS:
             made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
         elif child.tag in _AREAS:
             made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
-        yield from (place(geometry_of(one, where), where) for one in made)
+        yield from (grid.place(geometry_of(one, where), source, where) for one in made)
 
 
 def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
@@ -575,20 +574,13 @@ def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
     stated = named_crs(name, str(path)) if isinstance(name, str) else None
     assumed = grid.coordinates is None and stated is None
     refuse(assumed and grid.transform is None, "geojson.no_position", path)
-    placed = grid.placing(stated, str(path))
-
-    def place(geometry: BaseGeometry, where: str) -> BaseGeometry:
-        if assumed and (xy := shapely.get_coordinates(geometry))[np.any(np.abs(xy) > (180.0, 90.0), axis=1)].size:
-            raise refusal("geojson.degrees", where, x=xy[0, 0], y=xy[0, 1])
-        return placed(geometry, where)
-
     features = []
     for number, feature in enumerate(items, start=1):
         geometry = _within(feature, "geometry") if _within(feature, "type") == "Feature" else feature
         own, known = _within(feature, "id"), _within(feature, "properties")
         fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
         features.append((geometry, known if isinstance(known, dict) else {}, fallback))
-    return _named(features, place, grid, f"{path}: ")
+    return _named(features, stated, grid, f"{path}: ")
 
 
 def _within(data: Any, *keys: str) -> Any:
@@ -598,7 +590,7 @@ def _within(data: Any, *keys: str) -> Any:
     return data
 
 
-def _named(features: Iterable[Feature], place: Placing, grid: ImageGrid, where: str) -> Drawn:
+def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, where: str) -> Drawn:
     """Features under the names that an attribute gives them, else their own.
 
     Raises
@@ -614,7 +606,7 @@ def _named(features: Iterable[Feature], place: Placing, grid: ImageGrid, where: 
         named = next((lower[c] for c in columns if lower.get(c) is not None), None)
         name = ("" if named is None or named != named else str(named).strip()) or fallback
         at = f"{at} ({name})"
-        yield name, at, [place(geometry_of(geometry, at), at)]
+        yield name, at, [grid.place(geometry_of(geometry, at), stated, at)]
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -667,7 +659,7 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
                 rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
                 names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
                 features = zip(shapes, rows, names, strict=True)
-                yield from _named(features, grid.placing(own, where), grid, f"{where}, ")
+                yield from _named(features, own, grid, f"{where}, ")
     except (DataLayerError, DataSourceError) as error:
         raise refusal("vector.unreadable", path, why=error) from error
 
