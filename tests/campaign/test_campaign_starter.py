@@ -65,8 +65,8 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
 
 
 def test_what_cannot_be_guessed_is_left_to_be_filled_in(small, sources, capsys):
-    folder = small.folder / "draft"
-    assert cli.run([*sources, "--unit", UNIT, "-o", str(folder)]) == 0
+    (header := small.collection / "small_rad.hdr").write_text(header.read_text() + "acquisition time = 2012-07-18\n")
+    assert cli.run([*sources, "--unit", UNIT, "-o", str(folder := small.folder / "draft")]) == 0
     assert any(re.search("to fill in.*these 16 bands.*--sensor", str(i)) for i in dry_run([folder / "campaign.yaml"]))
     folder = small.folder / "second"
     assert cli.run([*sources, "--unit", UNIT, "--sensor", str(small.folder / "sensor.yaml"), "-o", str(folder)]) == 0

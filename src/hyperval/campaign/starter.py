@@ -421,10 +421,12 @@ class Draft:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         if not sources.time_utc:
+            told = place.cube.raster.description.entries.get("acquisition time", "")
             with suppress(UsageError):  # of no time, or in a form that is not clear
-                when = parse_utc(place.cube.raster.description.entries.get("acquisition time", ""))
-                stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}"
-                self.guess("time")
+                when, clock = parse_utc(told), re.search("[T ]([0-9].*)", told)
+                stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
+                if clock and not re.search("[Zz+-]", clock[1]):
+                    self.guess("time")
         state |= {key: value for key, value in stated.items() if value}
         own = Path(sources.sensor or "")
         sensor = self.reference(own) if own.is_file() else sources.sensor or self._library_sensor(place)

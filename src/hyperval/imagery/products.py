@@ -156,7 +156,9 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
             good &= ~((wavelength >= low) & (wavelength <= high))
         sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
-        entries = {key: text for key, reference in (layout.entries or {}).items() if (text := tree.text(reference))}
+        parts = {key: [of] if isinstance(of, str) else of for key, of in (layout.entries or {}).items()}
+        stated = {key: "T".join(filter(None, map(tree.text, references))) for key, references in parts.items()}
+        entries = {key: text for key, text in stated.items() if text}
         unit, unit_notes = _unit(tree)
         centre, widths = np.where(wavelength > 0, wavelength, np.nan), None if np.isnan(width).all() else width
         about = Description(
@@ -476,6 +478,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     instruments = properties.get("instruments") or [properties.get("platform") or properties.get("constellation") or ""]
     sensor = str(instruments[0]) if isinstance(instruments, list) else str(instruments)
     width = column("eo:full_width_half_max", "full_width_half_max")
+    when = properties.get("datetime") or properties.get("start_datetime")
     said = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
     quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in said else None
     gain, offset = (column(f"raster:{n}", n, default=v) for n, v in (("scale", 1.0), ("offset", 0.0)))
@@ -487,6 +490,6 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
         quantity=quantity,
         unit=unit if quantity == "radiance" else None,
         sensor=sensor,
-        entries={"sensor": sensor, "acquisition time": str(properties.get("datetime") or "")},
+        entries={"sensor": sensor, "acquisition time": str(when or "")},
         ignore_value=float(nodata.pop()) if len(nodata) == 1 else None,
     )
