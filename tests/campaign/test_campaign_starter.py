@@ -65,8 +65,8 @@ def test_a_radiance_collection_becomes_a_campaign_that_a_dry_run_calls_ready(sma
 
 
 def test_what_cannot_be_guessed_is_left_to_be_filled_in(small, sources, capsys):
-    folder = small.folder / "draft"
-    assert cli.run([*sources, "--unit", UNIT, "-o", str(folder)]) == 0
+    (header := small.collection / "small_rad.hdr").write_text(header.read_text() + "acquisition time = 2012-07-18\n")
+    assert cli.run([*sources, "--unit", UNIT, "-o", str(folder := small.folder / "draft")]) == 0
     assert any(re.search("to fill in.*these 16 bands.*--sensor", str(i)) for i in dry_run([folder / "campaign.yaml"]))
     folder = small.folder / "second"
     assert cli.run([*sources, "--unit", UNIT, "--sensor", str(small.folder / "sensor.yaml"), "-o", str(folder)]) == 0
@@ -98,12 +98,8 @@ def delivery(tmp_path):
     rng, w = np.random.default_rng(5), W
     lawn, court, felt = 0.05 + 0.4 * (w > 700.0), 0.1 + 0.0002 * (w - 450.0), np.where(w < 600.0, 0.1, 0.6)
     image = np.where(np.arange(40)[None, :, None] < 20, lawn, court) * rng.normal(1.0, 0.05, (40, 40, 1))
-    names = {
-        "court": np.s_[10:30, 30:38],
-        "lawn": np.s_[34:39, 2:8],
-        "black": np.s_[0:5, 22:28],
-        "white": np.s_[0:5, 32:38],
-    }
+    names = {"court": np.s_[10:30, 30:38], "lawn": np.s_[34:39, 2:8], "black": np.s_[0:5, 22:28]}
+    names |= {"white": np.s_[0:5, 32:38], "single pixel": np.s_[37:38, 15:16]}
     image[names["black"]], image[names["white"]] = 0.04, 0.6
     felts = [(8, 5, 1.0), (14, 10, 0.5), (20, 5, 1.0), (26, 10, 0.5)]
     for line, sample, side in felts:
@@ -113,7 +109,7 @@ def delivery(tmp_path):
     classes = np.zeros((40, 40, 1), np.uint8)
     for number, part in enumerate(names.values(), 1):
         classes[part] = number
-    kinds = "file type = ENVI Classification", "classes = 5", f"class names = {{none, {', '.join(names)}}}"
+    kinds = "file type = ENVI Classification", "classes = 6", f"class names = {{none, {', '.join(names)}}}"
     written(tmp_path / "map.img", classes, *kinds, bands=None)
     table = np.column_stack([w, lawn, court, felt, 0.04 + 0 * w, 0.6 + 0 * w])
     head = "wavelength_nm,lawn,court,felt,black,white"
@@ -134,6 +130,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     cube, line, scene = campaign.collection.cube, campaign.collection.empirical_line, campaign.scenarios[0].scene
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
     assert [p.region for p in line.panels] == ["black", "white"]  # by their flat spectra: no name says panel
+    assert [c.name for c in scene.classes] == ["court", "lawn"]  # a single pixel has no spread
     assert scene.targets[0].host == "lawn"  # no class is drawn around them: what is seen there is like the lawn
     subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
     assert subjects == {"felt 1 m": 1.0, "felt 0.5 m": 0.5}

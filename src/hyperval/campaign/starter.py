@@ -391,7 +391,8 @@ class Draft:
         """Classes, panels, atmosphere and sensor of the model; UsageError where nothing has a reflectance."""
         ground = [region for region in place.regions if region not in panels and place.pixels_of(region).any()]
         measured = self.quantity == "reflectance" or "empirical_line" in self.collection
-        classes = [region for region in ground if measured or region in matched]
+        single = [region for region in ground if place.pixels_of(region).sum() == 1]  # whose spread nothing tells
+        classes = [region for region in ground if (measured and region not in single) or region in matched]
         refuse(not classes, "starter.ground", names=", ".join(ground) or "regions")
         pixels = np.array([place.pixels_of(region).sum() for region in classes], float)
         shares = np.round(pixels / pixels.sum(), 4)
@@ -400,10 +401,13 @@ class Draft:
         for region, share in zip(classes, shares, strict=True):
             surfaces.append({"name": region, "fraction": round(float(share), 4), "spectrum": {"measured": region}})
             if region in matched:
-                spread = {"measured": region} if measured else {"relative_sd": 0.1}
+                spread = {"measured": region} if measured and region not in single else {"relative_sd": 0.1}
                 surfaces[-1] |= {"spectrum": matched[region].source, "covariance": spread}
         scene: Entry = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
-        self.guess("classes")
+        alone = ", ".join(region for region in single if region not in classes)
+        self.guess(
+            "classes", without=f"; single pixels have no spread and are none: {alone}" * bool(measured and alone)
+        )
         if known := [{"name": panel, "spectrum": matched[panel].source} for panel in panels if panel in matched]:
             scene["panels"] = known
         flight = self._flight(place) if self.quantity == "radiance" else {}
@@ -421,10 +425,12 @@ class Draft:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         if not sources.time_utc:
+            told = place.cube.raster.description.entries.get("acquisition time", "")
             with suppress(UsageError):  # of no time, or in a form that is not clear
-                when = parse_utc(place.cube.raster.description.entries.get("acquisition time", ""))
-                stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}"
-                self.guess("time")
+                when, clock = parse_utc(told), re.search("[T ]([0-9].*)", told)
+                stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
+                if clock and not re.search("[Zz+-]", clock[1]):
+                    self.guess("time")
         state |= {key: value for key, value in stated.items() if value}
         own = Path(sources.sensor or "")
         sensor = self.reference(own) if own.is_file() else sources.sensor or self._library_sensor(place)

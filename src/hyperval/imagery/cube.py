@@ -380,6 +380,7 @@ def open_raster(
     elif header is None and ending == ".xml":
         data = checked_file(image_of(data, variable), what="GeoTIFF")
     refuse(data.suffix.lower() == ".hdr", "image.is_header", data)
+    refuse(data.suffix.lower() == ".json", "image.is_item", data)
     kind = kind_of(data)
     if kind == _TIFF:
         return open_tiff(data, header)

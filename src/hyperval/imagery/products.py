@@ -156,7 +156,9 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
             good &= ~((wavelength >= low) & (wavelength <= high))
         sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
-        entries = {key: text for key, reference in (layout.entries or {}).items() if (text := tree.text(reference))}
+        parts = {key: [of] if isinstance(of, str) else of for key, of in (layout.entries or {}).items()}
+        stated = {key: "T".join(filter(None, map(tree.text, references))) for key, references in parts.items()}
+        entries = {key: text for key, text in stated.items() if text}
         unit, unit_notes = _unit(tree)
         centre, widths = np.where(wavelength > 0, wavelength, np.nan), None if np.isnan(width).all() else width
         about = Description(
@@ -447,12 +449,17 @@ def _stac_assets(image: Path) -> Iterator[tuple[Path, dict[str, Any], dict[str, 
         assets = item.get("assets") if isinstance(item, dict) and "stac_version" in item else None
         for asset in assets.values() if isinstance(assets, dict) else ():
             href = asset.get("href") if isinstance(asset, dict) else None
-            if isinstance(href, str) and href.rsplit("/", 1)[-1] == image.name:
+            if isinstance(href, str) and href.partition("?")[0].rsplit("/", 1)[-1] == image.name:
                 yield path, item, asset
 
 
 def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Description | None:
-    """What an item says of the bands of an asset (extensions eo and raster, STAC 1.0 and 1.1)."""
+    """What an item says of the bands of an asset (extensions eo and raster, STAC 1.0 and 1.1).
+
+    >>> bands = [{"center_wavelength": 0.5, "raster:scale": 0.1}, {"center_wavelength": 0.6}]
+    >>> _from_asset({}, {"bands": bands}, 2).notes
+    ('warning: 1 bands have no number as raster:scale: taken as 1',)
+    """
     given = item.get("properties")
     properties: dict[str, Any] = given if isinstance(given, dict) else {}
     of_asset = asset.get("bands") or asset.get("eo:bands")
@@ -463,10 +470,16 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     details = [d if isinstance(d, dict) else {} for d in raster] if isinstance(raster, list) else []
     details = [asset | of_band for of_band in (details if len(details) == bands else [{}] * bands)]
 
+    notes: list[str] = []
+
     def column(*names: str, default: float | None = None) -> Array | None:
         each = zip(listed, details, strict=True)
-        values = [next((d[n] for n in names for d in of_band if d.get(n) is not None), default) for of_band in each]
-        return np.array(values, float) if all(isinstance(value, int | float) for value in values) else None
+        values = [next((d[n] for n in names for d in of_band if d.get(n) is not None), None) for of_band in each]
+        known = [isinstance(value, int | float) for value in values]
+        if default is not None and not all(known) and values != [None] * bands:
+            notes.append(f"{WARNING}{bands - sum(known)} bands have no number as {names[0]}: taken as {default:g}")
+            return np.array([v if k else default for v, k in zip(values, known, strict=True)], float)
+        return np.array(values, float) if all(known) else None
 
     centre = column("eo:center_wavelength", "center_wavelength")
     if centre is None:
@@ -476,6 +489,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     instruments = properties.get("instruments") or [properties.get("platform") or properties.get("constellation") or ""]
     sensor = str(instruments[0]) if isinstance(instruments, list) else str(instruments)
     width = column("eo:full_width_half_max", "full_width_half_max")
+    when = properties.get("datetime") or properties.get("start_datetime")
     said = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
     quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in said else None
     gain, offset = (column(f"raster:{n}", n, default=v) for n, v in (("scale", 1.0), ("offset", 0.0)))
@@ -487,6 +501,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
         quantity=quantity,
         unit=unit if quantity == "radiance" else None,
         sensor=sensor,
-        entries={"sensor": sensor, "acquisition time": str(properties.get("datetime") or "")},
+        entries={"sensor": sensor, "acquisition time": str(when or "")},
         ignore_value=float(nodata.pop()) if len(nodata) == 1 else None,
+        notes=tuple(notes),
     )

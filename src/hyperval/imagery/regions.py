@@ -591,22 +591,34 @@ def _within(data: Any, *keys: str) -> Any:
 
 
 def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, where: str) -> Drawn:
-    """Features under the names that an attribute gives them, else their own.
+    """Features under the names that an attribute gives them, else their own; those without geometry are left out.
+
+    >>> half = {"type": "Polygon", "coordinates": [[[0, 0], [2, 0], [2, 2], [0, 0]]]}
+    >>> grid = ImageGrid((3, 3), coordinates="pixel")
+    >>> drawn = _named([(None, {}, "a"), (half, {}, "b")], None, grid, "")
+    >>> [(name, parts[1:]) for name, _, parts in drawn]
+    [('b', ['warning: is of a file of 2 features, of which 1 have no geometry'])]
 
     Raises
     ------
     UsageError : the attribute that is to name them is not there.
     """
     columns = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
-    for number, (geometry, known, fallback) in enumerate(features, start=1):
+    listed = list(features)
+    lacking = sum(geometry is None for geometry, *_ in listed)
+    note = [f"{WARNING}is of a file of {len(listed)} features, of which {lacking} have no geometry"] * bool(lacking)
+    for number, (geometry, known, fallback) in enumerate(listed, start=1):
         at = f"{where}feature {number}"
+        if geometry is None and lacking < len(listed):
+            continue
         lower = {str(key).lower(): value for key, value in known.items()}
         if grid.name_field is not None and columns[0] not in lower:
             raise refusal("region.property", at, name=grid.name_field, known=", ".join(known) or "none")
         named = next((lower[c] for c in columns if lower.get(c) is not None), None)
         name = ("" if named is None or named != named else str(named).strip()) or fallback
         at = f"{at} ({name})"
-        yield name, at, [grid.place(geometry_of(geometry, at), stated, at)]
+        yield name, at, [grid.place(geometry_of(geometry, at), stated, at), *note]
+        note = []
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
