@@ -19,6 +19,9 @@ MOST_MISTAKES = 40  # of one request
 _WORDS = {
     "finite_number": "is not a finite number",
     "float_parsing": "is not a number, such as 0.5",
+    "tuple_type": "is not a list, such as 0.1, 0.6",
+    "list_type": "is not a list, such as 450, 700",
+    "dict_type": "is not a number, nor one for each name, such as {VNIR: 0.3}",
     "missing": "is missing",
     "extra_forbidden": "is not a known field",
 }

@@ -15,6 +15,7 @@ from contextlib import suppress
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,9 @@ import numpy.typing as npt
 from hyperval import api
 from hyperval.campaign import StarterSources, jobs_of, observe, predict_to_folder, starter_campaign, validate
 from hyperval.collection import CollectionSection, CubeSource
-from hyperval.config import load_model, write_draft
+from hyperval.config import load_model, parse_yaml, placeholders, write_draft
 from hyperval.datasets import InputLog
+from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, refusal, refuse
 from hyperval.executors import under_command
 from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
@@ -135,19 +137,36 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     ----------
     parts : of the collection -> names of files;  stated : what a person says of it;  most : values of the cube
     """
-    place, about = Path(folder), dict(stated)
+    place = Path(folder)
     files = {part: [place / COLLECTION / name for name in names] for part, names in parts.items()}
-    raster = open_raster(files["cube"][0])
-    refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
-    header = {what: value for what, value, _ in record(raster) if what != "assumed"}
-    spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
-    name, targets = about.pop("name"), next(iter(files["targets"]), None)
-    named = StarterSources(files["cube"][0], files["regions"], targets, spectra, **about)
-    text, guesses = starter_campaign(named, place, name)
+    text, guesses, header = _drafted(place, files, stated, most)
     write_draft(place / "campaign.yaml", "campaign", text)
     with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
     return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
+
+
+def _drafted(
+    place: Path, files: Mapping[str, list[Path]], stated: Mapping[str, Any], most: int
+) -> tuple[str, list[str], dict[str, str]]:
+    """The campaign of the files of each part, what is guessed in it, and what the header says."""
+    cube, about, targets = files["cube"][0], dict(stated), next(iter(files["targets"]), None)
+    beside = None if header_beside(cube) else files["header"][0]
+    raster = open_raster(cube, header=beside)
+    refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
+    header = {what: value for what, value, _ in record(raster) if what != "assumed"}
+    spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
+    name = about.pop("name")
+    named = StarterSources(cube, files["regions"], targets, spectra, header=beside, **about)
+    return (*starter_campaign(named, place, name), header)
+
+
+def draft(files: Mapping[str, list[str]], stated: Mapping[str, Any], most: int) -> list[tuple[str, str]]:
+    """Entries of the campaign of the files that these leave open, and what they are."""
+    paths = {part: [Path(file) for file in own] for part, own in files.items()}
+    with TemporaryDirectory(prefix="hyperval-draft-") as place:
+        text, *_ = _drafted(Path(place), paths, stated, most)
+    return [(one.key, one.what) for one in placeholders(*parse_yaml(text), "")]
 
 
 def sensor(path: str) -> None:
@@ -266,6 +285,6 @@ def _write(path: Path, content: Any) -> None:
 
 TASKS: Mapping[str, Callable[..., Any]] = {
     "prediction": predict, "draw": draw, "files": files, "study": study, "validation": campaign,
-    "pipeline": pipeline, "score_map": score_map, "pixel": pixel, "sensor": sensor,
+    "pipeline": pipeline, "draft": draft, "score_map": score_map, "pixel": pixel, "sensor": sensor,
     "collection": collection, "trade_live": live, "trade_piece": piece,
 }  # fmt: skip

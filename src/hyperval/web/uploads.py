@@ -97,7 +97,9 @@ class Uploads:
         """Keep a file under its field; a new one takes the place of one of its name, and of any other of a cube."""
         name, place = normalize("NFC", file.filename or ""), self.folder / field
         if not _NAME.fullmatch(name) or len(name.encode()) > 240:  # most file systems take 255 bytes
-            raise Refused(422, [FieldMistake(field, f"not a name for a file kept here: {_NAME_WORDS}")])
+            odd = "".join(dict.fromkeys(c for c in name if c.isprintable() and not re.match(r"[\w .@+()-]", c)))
+            words = f"not a name for a file kept here{f', for its {odd}' if odd else ''}: {_NAME_WORDS}"
+            raise Refused(422, [FieldMistake(field, words)])
         place.mkdir(parents=True, exist_ok=True)
         part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
         try:
@@ -242,10 +244,23 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         raise Refused(422, mistakes)
     if not is_cube:
         return list(own.names())
+    about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
+    sent = {part: [str(path) for of, path in files.values() if of == part] for part in PARTS}
+    try:
+        asked = state.runs.ask("draft", files=sent, **about)
+    except Refused as refusal:
+        if refusal.status_code != 409:
+            raise
+        raise Refused(422, [FieldMistake("cube", mistake.message) for mistake in refusal.mistakes]) from refusal
+    for key, what in asked:
+        field, words = key.rpartition(".")[2], re.sub(r" \(--[a-z-]+\)", "", f"the files do not say it: {what}")
+        if key.startswith("collection."):
+            mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
+    if mistakes:
+        raise Refused(422, mistakes)
     run: WebRun = state.runs.order(
         own.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
-        {f"collection/{name}": path for name, (_, path) in files.items()},
-        parts=parts, stated=stated.model_dump(exclude_none=True), most=state.settings.samples,
+        {f"collection/{name}": path for name, (_, path) in files.items()}, parts=parts, **about,
     )  # fmt: skip
     for field in PARTS.keys() - {*_OF_SCENARIOS}:
         shutil.rmtree(own.folder / field, ignore_errors=True)
