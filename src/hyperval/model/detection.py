@@ -19,6 +19,7 @@ from scipy.special import ndtr
 
 from hyperval.data import LINEAR_DETECTORS, Array, Index, Mask
 from hyperval.errors import UsageError, needed, refuse
+from hyperval.model import roc
 from hyperval.model.ace import Exceedance, ace_exceedance, ace_space, ace_threshold, exceedance_at
 from hyperval.model.fill import FillDistribution
 from hyperval.model.filters import LinearFilter, filter_base
@@ -33,17 +34,6 @@ from hyperval.model.radiance import (
     seen_classes,
     target_pixels,
     usable_bands,
-)
-from hyperval.model.roc import (
-    WHOLE,
-    ClassScores,
-    Host,
-    RocArea,
-    RocScores,
-    curve_area,
-    false_alarm_grid,
-    log10_false_alarm_at,
-    probit,
 )
 from hyperval.model.stated import Keeps, distinct
 from hyperval.model.world import World, settled
@@ -205,7 +195,7 @@ class Evaluation(Keeps):
         self.scenario, self.axis, self.targets = self.stated.scenario, self.stated.axis, self.stated.targets
         self.shift = np.broadcast_to(shift, (world.size,))
         grid = self.scenario.processing.false_alarm_grid
-        self.pfa = false_alarm_grid(grid.lowest, grid.per_decade)
+        self.pfa = roc.false_alarm_grid(grid.lowest, grid.per_decade)
         self.at, self.which = world.of_light
         self.light = light_of(self.at)
         self.usable = usable_bands(self.at, self.light)
@@ -284,7 +274,7 @@ class Evaluation(Keeps):
             return self.world.pixel_fills[number]
         return self.once(("fills", number), lambda: self.world.fills(number, True))
 
-    def scores(self, population: str, detector: str, objects: bool = False) -> RocScores | AceScores:
+    def scores(self, population: str, detector: str, objects: bool = False) -> roc.RocScores | AceScores:
         """What the ROC of a target population needs in each truth (3.26-3.29), pixel by pixel; ``objects``: where an
         object is detected when one of its pixels is.
 
@@ -305,7 +295,7 @@ class Evaluation(Keeps):
         scored = [one.any_of(of_truth(values, u), of_truth(fills.weights, u)) for u, one in enumerate(each)]
         return AceScores(self.pfa, each, scored)
 
-    def _scores(self, target: int, detector: str, fills: FillDistribution) -> RocScores:
+    def _scores(self, target: int, detector: str, fills: FillDistribution) -> roc.RocScores:
         rows, response = self.responses(target, detector, target)
         gain = np.broadcast_to(self.world.column("target_gain")[:, target], len(self))
         values = np.nan_to_num(fills.values)
@@ -315,16 +305,16 @@ class Evaluation(Keeps):
         host = self.host(target, detector, np.arange(len(self)), 1.0 - values, *bare)
         if fills.shape is not None:
             means, sds = (x.reshape(-1, *fills.shape) for x in (means, sds))
-        return RocScores(*self.classes(target, detector), means, sds, wide(fills.weights, len(self)), host)
+        return roc.RocScores(*self.classes(target, detector), means, sds, wide(fills.weights, len(self)), host)
 
     def host(
         self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
-    ) -> Host | None:
+    ) -> roc.Host | None:
         """The host of a target in some truths, as :class:`Host` has it; None: one normal law in all."""
         laws, parts, _ = self.host_laws(target)
         classes, which = self.classes(target, detector)
         scores = classes.rows(which[truths]).of(laws)
-        host = Host(share, mean, variance, replace(scores, fraction=np.broadcast_to(parts, scores.mean.shape)))
+        host = roc.Host(share, mean, variance, replace(scores, fraction=np.broadcast_to(parts, scores.mean.shape)))
         return None if host.normal.all() else host
 
     def host_laws(self, target: int) -> tuple[Index, Array, Array]:
@@ -333,16 +323,16 @@ class Evaluation(Keeps):
         laws = [j for j, law in enumerate(self.stated.laws) if law.owner == owner]
         return np.array(laws), np.array([self.stated.laws[j].weight for j in laws]), self.world.law_dof[:, laws]
 
-    def classes(self, target: int, detector: str) -> tuple[ClassScores, Index]:
+    def classes(self, target: int, detector: str) -> tuple[roc.ClassScores, Index]:
         """Scores of the background's laws for each different combination of light, classes and tails."""
 
-        def made() -> tuple[ClassScores, Index]:
+        def made() -> tuple[roc.ClassScores, Index]:
             _, means, sds = self.filters[self.targets[target].name, detector]
             dof, fraction = self.world.law_dof, self.at.law_fraction
             first, which = distinct([self.which, *(dof.T if len(dof) > 1 else ())], len(self))
             light = self.which[first]
             tails, fractions = (wide(at_rows(x, at), first.size) for x, at in ((dof, first), (fraction, light)))
-            return ClassScores(fractions, means[light], sds[light], tails), which
+            return roc.ClassScores(fractions, means[light], sds[light], tails), which
 
         return self.once(("classes", target, detector), made)
 
@@ -430,7 +420,7 @@ class AcePixels(NamedTuple):
         [[0.64], [0.4]]
         """
         error = np.max([e.standard_error for e in self.at_nodes], axis=0)
-        z = probit([e.probability for e in self.at_nodes])  # (nodes, S)
+        z = roc.probit([e.probability for e in self.at_nodes])  # (nodes, S)
         distinct, inverse = np.unique(np.nan_to_num(fills).round(6), return_inverse=True)
         table = ndtr(np.stack([np.interp(distinct, self.nodes, row) for row in z.T], axis=1))  # (fills, S)
         missed = np.where(np.isnan(fills)[..., None], 1.0, (1.0 - table)[inverse.reshape(fills.shape)]).prod(axis=1)
@@ -470,11 +460,11 @@ class AceScores(NamedTuple):
 
     def log10_false_alarm(self, pd: Array) -> Array:
         """log10 P_FA (n,) at which P_D is ``pd`` (n,)."""
-        return np.array([log10_false_alarm_at(c, float(at), c.pd) for c, at in zip(self.curves, pd, strict=True)])
+        return np.array([roc.log10_false_alarm_at(c, float(at), c.pd) for c, at in zip(self.curves, pd, strict=True)])
 
-    def auc(self, area: RocArea = WHOLE) -> Array:
+    def auc(self, area: roc.RocArea = roc.WHOLE) -> Array:
         """Area under the ROC (n,), or another."""
-        return np.array([curve_area(curve, area) for curve in self.curves])
+        return np.array([roc.curve_area(curve, area) for curve in self.curves])
 
     def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, None]]:
         """How the background scores in some truths, by draws; the preset P_FA of (3.30) is not known."""
@@ -590,7 +580,7 @@ def _is_straight(low: Array, middle: Array, high: Array) -> bool:
     >>> _is_straight(*ndtr([[-2.0], [0.9], [2.0]]))
     False
     """
-    ends, within = probit([low, high]), probit([low, middle, high]).clip(-3.0, 3.0)
+    ends, within = roc.probit([low, high]), roc.probit([low, middle, high]).clip(-3.0, 3.0)
     bent = np.abs(within[[0, 2]].mean(axis=0) - within[1])
     return bool(np.all((np.abs(ndtr(ends.mean(axis=0)) - middle) < 0.05) & (bent < 1.0)))
 
@@ -637,7 +627,7 @@ def detect(
                     whole = e.scores(population, name, True)
                     pd["object"] = pd["pixel"] if whole is own else whole.detection_above(thresholds)
                 for unit, curves in pd.items():
-                    key, e.probits[population, name, unit] = (population, name, unit), probit(curves)
+                    key, e.probits[population, name, unit] = (population, name, unit), roc.probit(curves)
                     for products, u, (_, preset) in zip(out, points, behind, strict=True):
                         products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
                 of_target = own.target(at, densities=densities)

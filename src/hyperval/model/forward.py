@@ -21,6 +21,7 @@ from scipy.special import ndtr, ndtri
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import Array, Errors, Index
+from hyperval.model import radiance
 from hyperval.model.detection import Evaluation, RocKey, class_scores, detect, evaluations
 from hyperval.model.inputs import (
     UncertainInput,
@@ -32,18 +33,6 @@ from hyperval.model.inputs import (
 )
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
-from hyperval.model.radiance import (
-    Background,
-    Light,
-    light_of,
-    of_truth,
-    retrieved_covariance,
-    retrieved_reflectance,
-    seen_classes,
-    target_light,
-    target_pixel_covariance,
-    toa_reflectance,
-)
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
 from hyperval.model.stated import Origins, Stated, Truth, state_value
 from hyperval.model.world import World, find, read, settled, with_truths
@@ -177,7 +166,7 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
     for region, without in origins.left_out():
         parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
         of_parts = [settled(with_truths(read(free, part), [truth]))[0][1] for part in parts]
-        laws = [(w.law_fraction, w.law_dof, seen_classes(light_of(w), w, e.bands)) for w in of_parts]
+        laws = [(w.law_fraction, w.law_dof, radiance.seen_classes(radiance.light_of(w), w, e.bands)) for w in of_parts]
         for key, x in thresholds.items():
             row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
             scores = [ClassScores(fraction, *class_scores(seen, one), dof) for fraction, dof, seen in laws]
@@ -454,7 +443,7 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     light = e.light.rows(e.which)
     own = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
     out = {s.name: 2 * (own[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
-    full = {t.name: target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
+    full = {t.name: radiance.target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
     for number, (t, _, population) in enumerate(e.stated.populations):
         host, fills, placed = own[scene.targets[t].host], world.pixel_fills[number], shares_at(world, number)
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
@@ -490,12 +479,12 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
         level = light.level(rho)
         if not light.radiant or light.elm is not None:
             # What the empirical line is off by belongs to collected reflectance, not to the predicted one.
-            out["reflectance", name] = retrieved_reflectance(light.library_line, level)[:, 0]
+            out["reflectance", name] = radiance.retrieved_reflectance(light.library_line, level)[:, 0]
         if light.radiant:
             out["radiance", name] = level[:, 0]
             white = light.terms.diffuser_radiance
             if white is not None and e.scenario.is_of_space:
-                out["toa_reflectance", name] = toa_reflectance(level, white)[:, 0]
+                out["toa_reflectance", name] = radiance.toa_reflectance(level, white)[:, 0]
             if light.noise is not None and name in bare:
                 for key, with_c in ((name, True), (bare[name], False)):
                     out["snr", key] = light.noise.snr(level, calibration=with_c)[:, 0]
@@ -540,14 +529,14 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
     stated, world, v = e.stated, e.world.rows(np.array([u])), int(e.which[u])
     out: dict[str, Any] = {p: {} for p in ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")}
     bands, populations = len(e.axis), [p.name for _, _, p in stated.populations]
-    means = {key: of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
+    means = {key: radiance.of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
     each = e.once("reflectances", partial(reflectances, e))
     light = e.light.row(v)
     terms = light.terms if light.radiant else None
     notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ()), *stated.notes]
     if not e.scenario.uncertainty.model_dump(exclude_defaults=True):
         notes.append("the scenario states no uncertainty: intervals and tests contain little but the collection's own")
-    levels = {name: light.level(of_truth(rho, u)[0]) for name, (rho, _) in each.items()}
+    levels = {name: light.level(radiance.of_truth(rho, u)[0]) for name, (rho, _) in each.items()}
     if light.radiant and light.noise is not None:
         if light.noise.full_scale is not None:
             out["full_scale"] = {name: light.noise.full_scale_fraction(level) for name, level in levels.items()}
@@ -581,14 +570,17 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
         name: _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
         for name in levels
     }
-    around, line, slope = Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
+    around, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
     out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
         covariance, gain, others = pixels[name]
-        seen = light.pixel_covariance(levels[name], of_truth(met, u)[0], covariance, around, gain)  # (3.11)
+        seen = light.pixel_covariance(levels[name], radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
-        back = {source: retrieved_covariance(line, c) for source, c in through.items()}
-        out["radiance", name], out["reflectance", name] = (seen, through), (retrieved_covariance(line, seen), back)
+        back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
+        out["radiance", name], out["reflectance", name] = (
+            (seen, through),
+            (radiance.retrieved_covariance(line, seen), back),
+        )
     return out
 
 
@@ -601,21 +593,21 @@ def _of_surface(world: World, name: str) -> tuple[Array, float]:
     return covariance if np.all(factor == 1.0) else factor * covariance, gain
 
 
-def _mixed(world: World, light: Light, number: int) -> tuple[Array, float, Mapping[str, Array]]:
+def _mixed(world: World, light: radiance.Light, number: int) -> tuple[Array, float, Mapping[str, Array]]:
     """Covariance of target pixels of one population (3.10, 3.12), gain of the host, and errors (B, B) of the mean of
     one object at its place by source.
     """
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
-    full = {o.name: target_light(world, light, i)[0][0, 0] for i, o in enumerate(stated.targets)}
-    shade, own = target_light(world, light, t)[2], _of_surface(world, target.name)[0]
+    full = {o.name: radiance.target_light(world, light, i)[0][0, 0] for i, o in enumerate(stated.targets)}
+    shade, own = radiance.target_light(world, light, t)[2], _of_surface(world, target.name)[0]
     if np.ndim(shade):
         factor = np.asarray(shade)[0, 0]
         own = own * np.outer(factor, factor)
     host, (behind, gain) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
     fill = float(weights @ fills)  # E[f] of (3.12)
-    covariance = target_pixel_covariance(
+    covariance = radiance.target_pixel_covariance(
         fill, float(weights @ (fills - fill) ** 2), full[target.name], own, host, behind,
         target_gain=float(world.column("target_gain")[0, t]),
         fine_texture=float(world.column("fine_texture")[0, world.surface(target.name)]),

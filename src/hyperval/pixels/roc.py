@@ -35,15 +35,7 @@ from scipy import ndimage, special
 
 from hyperval.data import Array, Counts, Index, Mask
 from hyperval.errors import refuse
-from hyperval.model.intervals import (
-    Z95,
-    beyond_jeffreys_limits,
-    bounded_mean_limits,
-    clopper_pearson,
-    jackknife_directions,
-    jeffreys_limits,
-    mid_p_limits,
-)
+from hyperval.model import intervals
 from hyperval.model.roc import AREAS, WHOLE, RocArea
 from hyperval.products import AlarmsAtDetection, AreaEstimate, ExceedanceCurve, Influence, RocCurve
 
@@ -169,7 +161,7 @@ class AlarmBlocks:
         """
         k = self.scores.size - np.searchsorted(self.ascending, threshold, side="right")
         effect = self.design_effect(k)
-        return k, *jeffreys_limits(k / effect, self.scores.size / effect)
+        return k, *intervals.jeffreys_limits(k / effect, self.scores.size / effect)
 
     def half_image_factor(self, threshold: Array) -> Array:
         """(T,) factor by which P_FA of one half of the image misses that of the other, above thresholds that fall.
@@ -205,7 +197,7 @@ class AlarmBlocks:
         independent = n * p * (1.0 - p)
         variance, dof = self.variance_of_sum(by_block.astype(float))
         beyond = np.where(independent > 0.0, variance / np.maximum(independent, 1e-300), 1.0) - 1.0
-        effect = np.clip(1.0 + beyond * (special.stdtrit(dof, 0.975) / Z95) ** 2, 1.0, n)
+        effect = np.clip(1.0 + beyond * (special.stdtrit(dof, 0.975) / intervals.Z95) ** 2, 1.0, n)
         last = np.searchsorted(k, _DECADE * np.maximum(k, 1), side="right")
         decades = (effect[i : max(j, i + 1)] for i, j in enumerate(last))
         return np.log1p(k), np.array([_GREATEST * x.max() + (1.0 - _GREATEST) * x.mean() for x in decades])
@@ -237,7 +229,7 @@ class AlarmBlocks:
             middle = (low + high) // 2
             expected = np.sqrt(np.maximum(middle, 1) * n * pfa)
             effect = self.design_effect(np.maximum(middle, expected))
-            below, above = beyond_jeffreys_limits(middle / effect, n / effect, pfa)
+            below, above = intervals.beyond_jeffreys_limits(middle / effect, n / effect, pfa)
             there = np.stack([~above[0], below[1]])
             low, high = np.where(there | (low == high), low, middle + 1), np.where(there, middle, high)
         return low[0], low[1]
@@ -377,7 +369,7 @@ def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: n
         rest = (k - alarms[own]) / np.maximum(n - pixels[own], 1)[:, None]
         without[own] = np.log(np.maximum(rate + n / pixels.sum() * (rest - k / n), least))
         if len(each) > 1:
-            a, b = jackknife_directions(each), jackknife_directions(without[own])
+            a, b = intervals.jackknife_directions(each), intervals.jackknife_directions(without[own])
             sums += np.sum([a * b, a * a, b * b], axis=1)
     influence = Influence(number, alarms, law.threshold, np.exp(np.concatenate(every) - without))
     correlation = sums[0] / np.sqrt(np.maximum(sums[1] * sums[2], 1e-300))
@@ -529,7 +521,7 @@ def alarms_at_detection(
 
     def limits(count: int, confidence: float) -> list[float]:
         effect = background.design_effect(count)
-        return [float(x) for x in clopper_pearson(count / effect, n / effect, confidence)]
+        return [float(x) for x in intervals.clopper_pearson(count / effect, n / effect, confidence)]
 
     out = []
     for q in pd:
@@ -609,7 +601,7 @@ def logit_interval(
     """
     trials = min(m, n)
     if value <= 0.0 or value >= 1.0 or variance <= 0.0:
-        low, high = (float(x) for x in clopper_pearson(round(value * trials), trials))
+        low, high = (float(x) for x in intervals.clopper_pearson(round(value * trials), trials))
         return min(low, value), max(high, value)
     tail = 0.5 + LEVEL / 2.0
     if quantile is None:
@@ -635,7 +627,7 @@ def interval_of_mean(
     low, high = logit_interval(value, variance, m, n)
     if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _LOST_ENOUGH:
         return low, high
-    least, greatest = bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFE * (1.0 - LEVEL))
+    least, greatest = intervals.bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFE * (1.0 - LEVEL))
     normal = float(special.ndtri(0.5 + LEVEL / 2.0))
     half = normal * np.sqrt(background_variance)
     near = logit_interval(value, variance, m, np.inf, quantile=normal)
@@ -745,7 +737,7 @@ def empirical_roc(
     detected = above(threshold, alarms == n)
     every = p >= 1.0  # declares everything, whatever the sample
     few, many = above(greatest, every), above(least, np.isneginf(least))
-    pd, (low, high) = detected / m, mid_p_limits(detected, m)
+    pd, (low, high) = detected / m, intervals.mid_p_limits(detected, m)
     lower, upper = _widened(pd, (np.where(every, 1.0, low), high), pd - few / m, many / m - pd)
     effect = background.design_effect(alarms)
     return RocCurve(p, pd, lower, upper, threshold, unit, int(m), n, background_area_km2, alarms, effect)
@@ -784,13 +776,13 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
     for curve in curves:
         n = int(curve.n_target or 0)
         pd, low, high = (values[-size:] for values in (curve.pd, curve.pd_lower, curve.pd_upper))
-        own = mid_p_limits(np.rint(pd * n), n)
+        own = intervals.mid_p_limits(np.rint(pd * n), n)
         detected += np.rint(pd * n)
         # What was added in quadrature to the binomial limits.
         below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - own[0]) ** 2, 0.0))
         above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (own[1] - pd) ** 2, 0.0))
     pd = detected / total
-    lower, upper = _widened(pd, mid_p_limits(detected, total), below, above)
+    lower, upper = _widened(pd, intervals.mid_p_limits(detected, total), below, above)
     n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
     areas = pooled_areas([c.areas for c in curves], n_background or 0)
     first = min((c.alarms_before_first for c in curves if c.alarms_before_first is not None), default=None)
