@@ -137,7 +137,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
     elif cube.quantity == "radiance":
         gain = np.array([irradiance for _, irradiance in COLOURS])
     thinned = (picture[:: max(1, picture[..., 0].size // STRETCH_PIXELS)] - offset) / gain
-    high = max(float(np.nanpercentile(thinned, 99.0)), np.finfo(np.float32).tiny)
+    high = max(float(np.nanpercentile(thinned, 99.0)), float(np.finfo(np.float32).tiny))
     colours = np.empty(picture.shape, np.uint8)
     for row, values in zip(colours, picture, strict=True):  # the whole picture in float64 would be the run's peak
         row[:] = np.rint(255.0 * np.clip(np.nan_to_num((values - offset) / gain) / high, 0.0, 1.0) ** GAMMA)
