@@ -258,8 +258,8 @@ class Description:
         UsageError : another unit than the file's, one that nobody states or that is unknown, a scale that is none.
         """
         if self.quantity is not None and quantity not in ("counts", "other", self.quantity):
-            name = "scale.deviations" if self.quantity == "deviations" else "scale.quantity"
-            raise refusal(name, where, holds=self.quantity, quantity=quantity)
+            told = {"holds": self.quantity, "quantity": quantity}
+            raise refusal("scale.deviations" if self.quantity == "deviations" else "scale.quantity", where, **told)
         if scale is not None:
             refuse(not np.isfinite(scale) or scale <= 0, "scale.number", scale=scale)
             # It multiplies the packed values, and gives a reflectance as a fraction.

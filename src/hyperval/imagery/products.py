@@ -156,9 +156,8 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
             good &= ~((wavelength >= low) & (wavelength <= high))
         sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
-        listed = {key: [of] if isinstance(of, str) else of for key, of in (layout.entries or {}).items()}
-        stated = {key: "T".join(filter(None, map(tree.text, references))) for key, references in listed.items()}
-        entries = {key: text for key, text in stated.items() if text}
+        told = {key: [of] if isinstance(of, str) else of for key, of in (layout.entries or {}).items()}
+        entries = {key: text for key, of in told.items() if (text := "T".join(filter(None, map(tree.text, of))))}
         unit, unit_notes = _unit(tree)
         centre, widths = np.where(wavelength > 0, wavelength, np.nan), None if np.isnan(width).all() else width
         about = Description(

@@ -221,11 +221,11 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
     if raster.transform is not None and isinstance(image, Cube) and (table := table_of(image.raster)[0]) is not None:
         position, crs = table, table.crs
     on_map = raster.transform is not None and position is not None and (raster.crs is None) == (crs is None)
-    raw = "image.on_map" if on_map and not isinstance(position, Affine) else ""
+    raw = on_map and not isinstance(position, Affine)
     told = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape, "own": raster.crs}
-    refuse(raster.size[:2] != shape, raw or "image.size", path, **told)
+    refuse(raster.size[:2] != shape, "image.on_map" if raw else "image.size", path, **told)
     off = _pixels_off(raster, position, crs) if on_map else 0.0
-    refuse(off > _OFF_GRID, raw or "image.elsewhere", path, off=off, crs=crs, **told)
+    refuse(off > _OFF_GRID, "image.on_map" if raw else "image.elsewhere", path, off=off, crs=crs, **told)
     return raster
 
 
