@@ -127,7 +127,8 @@ class OneOf(Model):
             for names in (self.one_of, self.at_most_one_of, self.together)
         )
         if self.one_of and len(one) != 1:
-            raise ValueError(f"give exactly one of {', '.join(self.one_of)}" + (f": {one} are given" if one else ""))
+            both = f": {' and '.join(one)} are given" if one else ""
+            raise ValueError(f"give exactly one of {', '.join(self.one_of)}{both}")
         if len(most) > 1:
             raise ValueError(f"give {' or '.join(self.at_most_one_of)}, not both")
         if together and len(together) < len(self.together):

@@ -288,7 +288,7 @@ def compare_distribution(predicted: PixelDistribution | None, observed: PixelDis
         return
     o, dof, ends = observed, observed.leading_tail_dof, (observed.leading_lower, observed.leading_upper)
     note = said("tails", law=predicted)
-    why = f"{note}; in {o.dimension} bands"
+    why = f"{note}; in {o.dimension} bands" if o.dimension else "the law that is predicted"
     yield row("background_tail_dof", o.tail_dof, (o.tail_lower, o.tail_upper), n=o.n, reason=why)
     if not math.isnan(dof):
         why = f"{note}; in the {o.leading_dimension} leading components"

@@ -33,7 +33,8 @@ Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
 _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
 SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
-_NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS}
+_ENGINES = ("sixs", "emulator")  # of which the server needs no file
+_NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS, "atmosphere.engine": _ENGINES}
 _LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
 # What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
 # behind the fold, whose line tells it.
@@ -171,7 +172,7 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
 def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
     members = _members(schema)
     kinds = [_kind(m, path) for m in members]
-    hint = str(schema.get("description", "")).replace("null:", "blank:").replace("None:", "blank:")
+    hint = re.sub(r"\b(?:null|None)(?=:| or )", "blank", str(schema.get("description", "")))
     is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
     node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
     if len(kinds) == 1 or "group" not in kinds:
@@ -449,7 +450,7 @@ def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMis
     sensors = (*library_names(), *uploads)
     if scenario.sensor not in (None, *sensors):
         yield FieldMistake("sensor", f"no such sensor; one of {', '.join(sensors)}")
-    if scenario.atmosphere is not None and scenario.atmosphere.engine not in ("sixs", "emulator"):
+    if scenario.atmosphere is not None and scenario.atmosphere.engine not in _ENGINES:
         yield FieldMistake("atmosphere.engine", "this server has the engines sixs and emulator alone")
     # What the predefined scenarios name of data sets, anybody may name.
     known = {target.spectrum.file for one in predefined().values() for target in one.scene.targets}

@@ -556,7 +556,7 @@ def run(call: tuple[str, str, Mapping[str, Any]]) -> Any:
             return
         latest = time.monotonic()
         if (folder / _STOP).exists():
-            raise Cancelled("cancelled")
+            raise Cancelled("on request")
         write_text(folder / _NEWS, json.dumps([what, done, total]))
 
     with _alone:

@@ -27,7 +27,7 @@ function pointAt(curve, threshold) {
   const j = Math.max(i - 1, 0);
   const [high, low] = [curve.threshold[j], curve.threshold[i]];
   const part = after < 0 || high === low ? 1 : (high - threshold) / (high - low);
-  return { bound: "", pfa: curve.pfa[j] * (curve.pfa[i] / curve.pfa[j]) ** part, pd: curve.pd[j] + (curve.pd[i] - curve.pd[j]) * part };
+  return { bound: after < 0 && threshold < low ? "at least " : "", pfa: curve.pfa[j] * (curve.pfa[i] / curve.pfa[j]) ** part, pd: curve.pd[j] + (curve.pd[i] - curve.pd[j]) * part };
 }
 
 function curveAt(curve, threshold) {
