@@ -577,7 +577,14 @@ def outside_arms(check: SensorCheck) -> Values:
 
 
 def bands_of_two_arms(check: SensorCheck) -> Values:
-    """Bands in the ranges of two arms."""
+    """Bands in the ranges of two arms.
+
+    >>> from hyperval.sensor.specification import load_sensor
+    >>> file = load_sensor("casi-1500").specification
+    >>> arms = file.arms[0].model_copy(update={"range_nm": (1000.0, 1100.0)}), file.arms[0]
+    >>> [found.words for found in bands_of_two_arms(SensorCheck(Sensor(file.model_copy(update={"arms": arms}))))]
+    ['from 1000.98 to 1049.91 nm']
+    """
     w, ranges = check.axis.centre_nm, [arm.range_nm for arm in check.sensor.specification.arms]
     shared = w[sum(((low <= w) & (w <= high)).astype(int) for low, high in ranges) > 1] if ranges else w[:0]
     if shared.size:
