@@ -133,7 +133,7 @@ def test_validate_says_the_verdict_of_each_campaign_and_errors_even_when_quiet(c
     out, err = capsys.readouterr()
     assert (out, "three: Not run" in err) == ("", False)
     assert "one: Met. 1 acceptance criterion is met (" in err
-    assert "two: Not met. 1 acceptance criterion ended in an error" in err
+    assert "two: Ended in an error: no acceptance criterion was evaluated." in err
     assert err.endswith("acceptance criteria: 1 error, 2 not run, 1 met\n")
     assert "two: error: turf.txt: no such file\n" in err
     assert "\nthree, four: skipped: sees 3 pixels (and 1 more like it)\n" in err

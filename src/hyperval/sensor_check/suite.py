@@ -579,11 +579,11 @@ def outside_arms(check: SensorCheck) -> Values:
 def bands_of_two_arms(check: SensorCheck) -> Values:
     """Bands in the ranges of two arms.
 
-    >>> from hyperval.sensor.specification import load_sensor
-    >>> file = load_sensor("casi-1500").specification
-    >>> arms = file.arms[0].model_copy(update={"range_nm": (1000.0, 1100.0)}), file.arms[0]
-    >>> [found.words for found in bands_of_two_arms(SensorCheck(Sensor(file.model_copy(update={"arms": arms}))))]
-    ['from 1000.98 to 1049.91 nm']
+    >>> file = load_sensor("hyperion").specification
+    >>> arms = file.arms[0], file.arms[1].model_copy(update={"range_nm": (840.0, 2600.0)})
+    >>> both = (SensorCheck(Sensor(file.model_copy(update={"arms": own}))) for own in (file.arms, arms))
+    >>> [[(found.value, found.words) for found in bands_of_two_arms(check)] for check in both]
+    [[], [(9, 'from 844 to 925.41 nm')]]
     """
     w, ranges = check.axis.centre_nm, [arm.range_nm for arm in check.sensor.specification.arms]
     shared = w[sum(((low <= w) & (w <= high)).astype(int) for low, high in ranges) > 1] if ranges else w[:0]
