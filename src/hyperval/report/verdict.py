@@ -180,7 +180,8 @@ def _never_met(gates: Sequence[Result]) -> str:
         return ""
     words = f"{len(never)} of the inconclusive {'criteria' if len(never) > 1 else 'ones'} can never be met"
     times = sorted(x for row in never if math.isfinite(x := row.shortfall))
-    ends = " to ".join(dict.fromkeys(f"{x:.2g}" if x >= 1.05 else f"{max(x, 1.01):.2f}" for x in times[:1] + times[-1:]))
+    told = (f"{x:.2g}" if x >= 1.05 else f"{max(x, 1.01):.2f}" for x in times[:1] + times[-1:])
+    ends = " to ".join(dict.fromkeys(told))
     return f"{words}: what is known is {ends} times too uncertain." if ends else f"{words}."
 
 
