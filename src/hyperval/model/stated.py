@@ -561,17 +561,16 @@ class Atmosphere(Keeps):
         return replace(runs[0], **{n: np.stack([getattr(t, n) for t in runs])[:, None, :][every] for n in spectra})
 
 
-def unstated_notes(state: AtmosphericState) -> list[str]:
+def unstated_notes(state: AtmosphericState) -> Iterator[str]:
     """Gas columns that come from the standard atmosphere."""
     if state.engine != "sixs":
-        return []
-    (water, ozone), notes = gas_columns(standard_profile(state.model), state.ground_altitude_km), []
+        return
+    water, ozone = gas_columns(standard_profile(state.model), state.ground_altitude_km)
     words = f"that of the standard atmosphere {state.model} is used"
     if state.water_vapour_g_cm2 is None:
-        notes.append(f"water vapour is not stated: {words}, {water:.2f} g cm-2")
+        yield f"water vapour is not stated: {words}, {water:.2f} g cm-2"
     if state.ozone_atm_cm is None:
-        notes.append(f"ozone is not stated: {words}, {ozone:.3f} atm cm")
-    return notes
+        yield f"ozone is not stated: {words}, {ozone:.3f} atm cm"
 
 
 def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
