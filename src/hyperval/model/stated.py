@@ -55,7 +55,6 @@ Engine = Callable[[AtmosphericState], AtmosphericTerms]
 Read = dict[object, Any]  # spectra of files, by the file and how it is read
 Made = TypeVar("Made")
 
-IN_THE_OPEN = Illumination()
 SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
@@ -664,7 +663,7 @@ class Stated(Keeps):
         self.classes = [c.name for c in scene.classes]
         self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
         self.mean = np.array([s.mean for s in self.surfaces.values()])
-        lights = [t.illumination or IN_THE_OPEN for t in scene.targets]
+        lights = [t.illumination or Illumination() for t in scene.targets]
         of: dict[str, list[float]] = {
             "fraction": [c.fraction for c in scene.classes],
             "class_gain": [c.gain for c in scene.classes],
