@@ -217,7 +217,6 @@ TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the b
 ENGINE, ENGINE_LINES, ENGINE_PATH = (
     "radiative-transfer engine", "engine's fine structure", "engine's path radiance"
 )  # fmt: skip
-BLUR = "blur (PSF width)"
 
 
 def inputs_of(world: World) -> list[UncertainInput]:
@@ -313,7 +312,7 @@ def _of_image(world: World) -> Iterator[UncertainInput]:
     scenario = world.stated.scenario
     u, fills = scenario.uncertainty, [p.fill for t in scenario.scene.targets for p in t.populations]
     if u.psf_fwhm_pixels is not None and any(fill.geometry is not None for fill in fills):
-        yield number_input(world, BLUR, "sensor", "blur", u.psf_fwhm_pixels)
+        yield number_input(world, "blur (PSF width)", "sensor", "blur", u.psf_fwhm_pixels)
     for part, sd, form in _of_compensation(world):
         yield spectral_input(world, f"compensation ({part})", "sensor", f"sensor.{part}", sd, form)
 

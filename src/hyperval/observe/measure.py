@@ -564,13 +564,11 @@ def classification_errors(place: Place, task: Classification) -> dict[tuple[str,
     ------
     UsageError : a region that is none, or one with too few pixels in either half.
     """
-    axis = place.cube.axis
-    usable = place.clear_bands
     halves = {name: _halves(place, name, task) for name in task.classes}
     out = {}
     for chosen in class_sets(task):
         for choice in task.features:
-            bands = feature_bands(axis.centre_nm, usable, choice.bands_nm)
+            bands = feature_bands(place.cube.axis.centre_nm, place.clear_bands, choice.bands_nm)
             trained = [statistics_of(halves[name][0][0][:, bands]) for name in chosen]
             laws = [ClassLaw(s.mean, s.covariance) for s in trained]
             psi = class_features(laws, choice.pca)
