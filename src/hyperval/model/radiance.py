@@ -215,6 +215,7 @@ def target_pixel_covariance(
     host_covariance: npt.ArrayLike,
     *,
     target_gain: float = 1.0,
+    host_gain: float = 1.0,
     fine_texture: float = 0.0,
     formulation: Formulation = "corrected",
 ) -> Array:
@@ -227,8 +228,8 @@ def target_pixel_covariance(
     Parameters
     ----------
     fill_mean, fill_variance : moments of the fill fraction f [1]
-    target, host : (B,) means;  target_covariance, host_covariance : (B, B), that of the host with its gain g_B
-    target_gain : g_T
+    target, host : (B,) means;  target_covariance, host_covariance : (B, B)
+    target_gain, host_gain : g_T, g_B
     fine_texture : part of Sigma_T that is of such texture
 
     Returns
@@ -240,7 +241,7 @@ def target_pixel_covariance(
     f2 += fine_texture * (fill_mean - f2)
     g2 = (1.0 - fill_mean) ** 2 + variance  # E[(1-f)^2]
     result = (f2 * target_gain) * np.asarray(target_covariance, dtype=float)
-    result += g2 * np.asarray(host_covariance, dtype=float)
+    result += (g2 * host_gain) * np.asarray(host_covariance, dtype=float)
     d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
     if variance or not np.all(np.isfinite(d)):  # a band without a mean has no covariance either
         result += np.outer(variance * d, d)

@@ -382,12 +382,10 @@ class _Site:
         return Region(name, np.broadcast_to(np.True_, shape), "the whole image")
 
     def of_file(self, source: RegionSource) -> dict[str, Region]:
-        """The regions of a file, by name; of a truth image by the numbers of materials in a band of it."""
+        """The regions of a file, or of a truth image, by name."""
         path = self.resolve(str(source.file))
         if source.classes:
-            raster = imagery.raster_of_size(path, self.cube, source.name_field)
-            found = _cells(raster, path, source.classes, 1 if source.band is None else source.band)
-            return {name: Region(name, mask, str(path)) for name, mask in found}
+            return material_regions(source, self.cube, path)
         new = self.read(path, source, [] if source.name is None else [escape(source.name)])
         if source.name is None:
             return new
@@ -711,6 +709,17 @@ def fills_of(targets: Mapping[str, list[TargetObject]]) -> dict[str, list[list[f
             for k in np.linspace(0, len(fills) - 1, count).astype(int)
         ]
     return out
+
+
+def material_regions(source: RegionSource, cube: Cube, path: Path) -> dict[str, Region]:
+    """Regions by the numbers of materials in a band of a truth image.
+
+    Raises
+    ------
+    InputError : another size than the cube's, no such band, or a number that no pixel has.
+    """
+    raster, first = imagery.raster_of_size(path, cube, source.name_field), 1 if source.band is None else source.band
+    return {name: Region(name, mask, str(path)) for name, mask in _cells(raster, path, source.classes, first)}
 
 
 def _band(raster: Raster, wanted: int | str, path: Path) -> int:
