@@ -123,6 +123,7 @@ from .roc import (
     thresholds_at,
 )
 from .stated import (
+    FEW_PER_BAND,
     Origins,
     Read,
     Sources,
@@ -157,6 +158,7 @@ from .world import (
 
 __all__ = [
     "AREAS",
+    "FEW_PER_BAND",
     "FILTERS",
     "HOST",
     "PATHS",

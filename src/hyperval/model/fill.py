@@ -290,11 +290,8 @@ def _ramp(z: Array, s: float) -> Array:
 _STEPS = 8
 
 
-Neighbour = tuple[Geometry, Array]  # another target, and its centre (2,) from one's own (lines, samples) [pixels]
-
-
 def shared_pixel_fills(
-    own: Geometry, n: int, neighbours: Sequence[Neighbour], shifts: Array | None = None
+    own: Geometry, n: int, neighbours: Sequence[tuple[Geometry, Array]], shifts: Array | None = None
 ) -> tuple[Array, Array]:
     """Fills of the ``n`` fullest pixels of a target, by itself and by each of its neighbours (f of 3.10).
 
@@ -304,6 +301,7 @@ def shared_pixel_fills(
     Parameters
     ----------
     own : with a stated heading
+    neighbours : other targets, each with its centre (2,) from one's own (lines, samples) [pixels]
     shifts : (K, J, 2) departures of the neighbours' places at each position (lines, samples) [pixels]
 
     Returns

@@ -138,9 +138,6 @@ def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dic
     return out
 
 
-Filter = tuple[str, str]
-
-
 def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origins, truth: Truth) -> PredictedProducts:
     """The prediction with 95 % limits of P_FA where the law was fitted to pixels.
 
@@ -162,7 +159,7 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
         (t.name, d): e.scores(t.populations[0].name, d).thresholds(e.pfa[None])[0]
         for t in e.targets for d in e.stated.linear_detectors
     }  # fmt: skip
-    out: dict[Filter, dict[str, Array]] = {key: {} for key in thresholds}
+    out: dict[tuple[str, str], dict[str, Array]] = {key: {} for key in thresholds}
     for region, without in origins.left_out():
         parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
         of_parts = [settled(with_truths(read(free, part), [truth]))[0][1] for part in parts]
@@ -577,10 +574,8 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
         seen = light.pixel_covariance(levels[name], radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
-        out["radiance", name], out["reflectance", name] = (
-            (seen, through),
-            (radiance.retrieved_covariance(line, seen), back),
-        )
+        out["radiance", name] = seen, through
+        out["reflectance", name] = radiance.retrieved_covariance(line, seen), back
     return out
 
 

@@ -217,7 +217,6 @@ TABLE, INTERPOLATION_NM = "interpolation of the table", 300.0  # source in the b
 ENGINE, ENGINE_LINES, ENGINE_PATH = (
     "radiative-transfer engine", "engine's fine structure", "engine's path radiance"
 )  # fmt: skip
-BLUR = "blur (PSF width)"
 
 
 def inputs_of(world: World) -> list[UncertainInput]:
@@ -251,9 +250,8 @@ def field_spectrum_of(subject: str) -> str:
     return f"field spectrum of {subject}"
 
 
-def spectrum_inputs(world: World) -> list[UncertainInput]:
+def spectrum_inputs(world: World) -> Iterator[UncertainInput]:
     """Errors of field spectra, as stated or as replicate spectra say of their own mean."""
-    inputs: list[UncertainInput] = []
     number: dict[str, int] = {}
     for item in world.stated.scenario.uncertainty.field_spectra:
         subject = item.subject
@@ -261,13 +259,12 @@ def spectrum_inputs(world: World) -> list[UncertainInput]:
         name = field_spectrum_of(subject) + ("" if number[subject] == 1 else f" ({number[subject]})")
         surface = replace(world.stated.surfaces[subject], mean=world.mean[0, world.surface(subject)])
         sd = spectrum_error_sd(item, surface, world.stated.axis)
-        inputs.append(spectral_input(world, name, "surface", f"surfaces.[{subject}].mean", sd, item))
+        yield spectral_input(world, name, "surface", f"surfaces.[{subject}].mean", sd, item)
     for subject, surface in world.stated.surfaces.items():
         if subject not in number and surface.mean_error is not None:
             rows = covariance_directions(np.nan_to_num(surface.mean_error))
             words, path = "as between replicate spectra", f"surfaces.[{subject}].mean"
-            inputs.append(number_input(world, field_spectrum_of(subject), "surface", path, 0.0, words=words, rows=rows))
-    return inputs
+            yield number_input(world, field_spectrum_of(subject), "surface", path, 0.0, words=words, rows=rows)
 
 
 def spectrum_errors(inputs: Iterable[UncertainInput]) -> dict[str, Array]:
@@ -315,7 +312,7 @@ def _of_image(world: World) -> Iterator[UncertainInput]:
     scenario = world.stated.scenario
     u, fills = scenario.uncertainty, [p.fill for t in scenario.scene.targets for p in t.populations]
     if u.psf_fwhm_pixels is not None and any(fill.geometry is not None for fill in fills):
-        yield number_input(world, BLUR, "sensor", "blur", u.psf_fwhm_pixels)
+        yield number_input(world, "blur (PSF width)", "sensor", "blur", u.psf_fwhm_pixels)
     for part, sd, form in _of_compensation(world):
         yield spectral_input(world, f"compensation ({part})", "sensor", f"sensor.{part}", sd, form)
 
@@ -350,12 +347,11 @@ def compensation_inputs(world: World) -> Iterator[UncertainInput]:
                 yield spectral_input(world, f"compensation ({part})", "sensor", path, own, form)
 
 
-def interpolation_input(world: World) -> list[UncertainInput]:
+def interpolation_input(world: World) -> Iterator[UncertainInput]:
     """Error of the path radiance by interpolation between the nodes of a table; none without one.
 
     Its size is :func:`hyperval.atmosphere.between.path_error`; it is smooth over wavelength.
     """
     sigma, form = world.stated.atmosphere({}, 1).path_uncertainty, SpectralForm(correlation_nm=INTERPOLATION_NM)
-    if sigma is None or not np.any(sigma):
-        return []
-    return [spectral_input(world, TABLE, "engine", "light.path_error", sigma[0, 0], form)]
+    if sigma is not None and np.any(sigma):
+        yield spectral_input(world, TABLE, "engine", "light.path_error", sigma[0, 0], form)

@@ -55,7 +55,6 @@ Engine = Callable[[AtmosphericState], AtmosphericTerms]
 Read = dict[object, Any]  # spectra of files, by the file and how it is read
 Made = TypeVar("Made")
 
-IN_THE_OPEN = Illumination()
 SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
@@ -561,17 +560,16 @@ class Atmosphere(Keeps):
         return replace(runs[0], **{n: np.stack([getattr(t, n) for t in runs])[:, None, :][every] for n in spectra})
 
 
-def unstated_notes(state: AtmosphericState) -> list[str]:
+def unstated_notes(state: AtmosphericState) -> Iterator[str]:
     """Gas columns that come from the standard atmosphere."""
     if state.engine != "sixs":
-        return []
-    (water, ozone), notes = gas_columns(standard_profile(state.model), state.ground_altitude_km), []
+        return
+    water, ozone = gas_columns(standard_profile(state.model), state.ground_altitude_km)
     words = f"that of the standard atmosphere {state.model} is used"
     if state.water_vapour_g_cm2 is None:
-        notes.append(f"water vapour is not stated: {words}, {water:.2f} g cm-2")
+        yield f"water vapour is not stated: {words}, {water:.2f} g cm-2"
     if state.ozone_atm_cm is None:
-        notes.append(f"ozone is not stated: {words}, {ozone:.3f} atm cm")
-    return notes
+        yield f"ozone is not stated: {words}, {ozone:.3f} atm cm"
 
 
 def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
@@ -665,7 +663,7 @@ class Stated(Keeps):
         self.classes = [c.name for c in scene.classes]
         self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
         self.mean = np.array([s.mean for s in self.surfaces.values()])
-        lights = [t.illumination or IN_THE_OPEN for t in scene.targets]
+        lights = [t.illumination or Illumination() for t in scene.targets]
         of: dict[str, list[float]] = {
             "fraction": [c.fraction for c in scene.classes],
             "class_gain": [c.gain for c in scene.classes],

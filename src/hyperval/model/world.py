@@ -11,7 +11,6 @@ move (:data:`PATHS`) composes: factors multiply, what is added adds up.
 from __future__ import annotations
 
 import difflib
-from collections import OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -654,7 +653,7 @@ def settled(world: World) -> list[tuple[Index, World]]:
 
 def _read_with(stated: Stated, values: Truth) -> Stated:
     """What a scenario says where some paths of it stand at other values."""
-    kept: OrderedDict[str, Stated] = stated.kept.setdefault("again", OrderedDict())
+    kept: dict[str, Stated] = stated.kept.setdefault("again", {})
     key = repr([(p, v.tobytes() if isinstance(v, np.ndarray) else v) for p, v in values.items() if v is not None])
     if key not in kept:
         settings = {p: plain(v) for p, v in values.items() if v is not None and p not in (SHIFT, WIDTH)}
@@ -664,7 +663,7 @@ def _read_with(stated: Stated, values: Truth) -> Stated:
         there = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
         kept[key] = replace(there, before=stated.nominal)
         if len(kept) > _AGAIN:
-            kept.popitem(last=False)
+            del kept[next(iter(kept))]
     return kept[key]
 
 

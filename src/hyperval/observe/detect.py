@@ -23,7 +23,7 @@ from hyperval.errors import InputError, UsageError, needed, one_of, refusal, ref
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, cut_out
-from hyperval.model import PositiveDefinite, Sources, fully_constrained, own_mean_sampling
+from hyperval.model import FEW_PER_BAND, PositiveDefinite, Sources, fully_constrained, own_mean_sampling
 from hyperval.model.classification import Unmixed, UnmixedSubject, labelled
 from hyperval.model.filters import whitened
 from hyperval.observe.open import IMAGE, Place, number_rows
@@ -36,8 +36,6 @@ Groups = dict[str, list[TargetObject]]
 
 BACKGROUND = "detector background"
 BY_PIXEL = "object-by-pixel"  # objects by their halos, alarms by pixel
-# Below this many pixels for each band a sample covariance is shrunk (Ledoit & Wolf 2004).
-FEW_PIXELS_PER_BAND = 3
 MOST_NAMED = 10  # anomalies
 _MOST_INFLUENCES = 4000  # pixels that tell how far the mean of all moves by chance: its error to 3 %
 _MOST_SCORES = 500  # that a product keeps of one population: the exact ends of a curve
@@ -193,7 +191,7 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
     """Every detector for every target, by their ``spectra`` (B,) in reflectance."""
     background, shrinkage = place.statistics[BACKGROUND], 0.0
     bands, notes = _usable_bands(place, detection, list(spectra.values()))
-    if background.n < FEW_PIXELS_PER_BAND * int(bands.sum()):
+    if background.n < FEW_PER_BAND * int(bands.sum()):
         # Few, so they fit in memory; the pass has not summed the fourth moment.
         pixels = place.cube.pixels(place.pixels_of(*detection.background))
         few = statistics_of(pixels[np.isfinite(pixels).all(axis=1)])

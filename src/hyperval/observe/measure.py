@@ -119,8 +119,7 @@ def observe(
         for n in track([*place.regions, *populations], "sampling")
     }
     place = replace(place, statistics=measured)
-    line = place.line or sites.empirical_line(collection.empirical_line, place, sampling, resolve)
-    place = replace(place, line=line)
+    place = replace(place, line=place.line or sites.empirical_line(collection.empirical_line, place, sampling, resolve))
     detected, unmixed = None, None
     if detection is not None:
         if detection.targets:  # anomalies are the same in radiance
@@ -377,19 +376,14 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
         px.fit_tail_dof(d, k, estimated_on=n, independent=independent / n * d.size)
         for d, k, independent in zip(distances, dimensions, of_mean[count:], strict=True)
     )
-    distance, exceedance = _exceedance_curve(px.left_out_distances(distances[1], n))
+    ordered = np.sort(px.left_out_distances(distances[1], n))[::-1]
+    # At most 160 of them, closest together in the upper tail, with the share beyond each.
+    rank = np.unique(np.round(np.geomspace(1, ordered.size, QUANTILES)).astype(int))
     return PixelDistribution(
         whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
-        leading, whole.n, of_variance[:count], distance, exceedance, int(np.count_nonzero(region.any(axis=0))),
-        leading_scale=lead.scale,
+        leading, whole.n, of_variance[:count], ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1],
+        int(np.count_nonzero(region.any(axis=0))), leading_scale=lead.scale,
     )  # fmt: skip
-
-
-def _exceedance_curve(values: Array) -> tuple[Array, Array]:
-    """At most 160 of the values, closest together in the upper tail, and the share of values beyond each."""
-    ordered = np.sort(values)[::-1]
-    rank = np.unique(np.round(np.geomspace(1, ordered.size, QUANTILES)).astype(int))
-    return ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1]
 
 
 def _projected_windows(
@@ -570,13 +564,11 @@ def classification_errors(place: Place, task: Classification) -> dict[tuple[str,
     ------
     UsageError : a region that is none, or one with too few pixels in either half.
     """
-    axis = place.cube.axis
-    usable = place.clear_bands
     halves = {name: _halves(place, name, task) for name in task.classes}
     out = {}
     for chosen in class_sets(task):
         for choice in task.features:
-            bands = feature_bands(axis.centre_nm, usable, choice.bands_nm)
+            bands = feature_bands(place.cube.axis.centre_nm, place.clear_bands, choice.bands_nm)
             trained = [statistics_of(halves[name][0][0][:, bands]) for name in chosen]
             laws = [ClassLaw(s.mean, s.covariance) for s in trained]
             psi = class_features(laws, choice.pca)

@@ -325,12 +325,11 @@ def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
         raise InputError(f"not a table of bands: {error.what}", where=str(path), expected=error.expected) from error
 
 
-def band_table_notes(table: BandTableFile | None, axis: SpectralAxis) -> list[str]:
+def band_table_notes(table: BandTableFile | None, axis: SpectralAxis) -> Iterator[str]:
     """What is to be said of the widths of an axis that a table of bands states."""
-    if table is None or table.fwhm_column is not None:
-        return []
-    apart = axis.centre_nm[fwhm_from_spacing(axis.centre_nm)[1]]
-    return [spacing_note("the band table's widths are not named (fwhm_column)", apart)]
+    if table is not None and table.fwhm_column is None:
+        apart = axis.centre_nm[fwhm_from_spacing(axis.centre_nm)[1]]
+        yield spacing_note("the band table's widths are not named (fwhm_column)", apart)
 
 
 def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
@@ -468,11 +467,10 @@ def _region_notes(regions: Iterable[Region], by_rule: frozenset[str]) -> list[st
     return notes + [f"the regions {a!r} and {b!r} share {n} pixels" for a, b, n in imagery.overlaps(listed)]
 
 
-def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> list[str]:
+def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], near: Mask) -> Iterator[str]:
     """Which regions hold pixels of targets or of their guard, and what becomes of these; likewise two targets."""
-    notes: list[str] = []
     if not targets:
-        return notes
+        return
     touched = np.zeros(near.shape, np.int32)
     for target in targets:
         touched[target.window] += target.part
@@ -480,16 +478,15 @@ def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], ne
         inside, guarded = int(np.sum(region.mask & (touched > 0))), int(np.sum(region.mask & near))
         what = f"the region {region.name!r} holds {inside} pixels of targets and {guarded - inside} of their guard"
         if guarded == region.n:
-            notes.append(f"warning: {what}, which is all of it: they stay in its statistics")
+            yield f"warning: {what}, which is all of it: they stay in its statistics"
         elif guarded:
-            notes.append(f"{what} among {region.n}: left out of its statistics")
+            yield f"{what} among {region.n}: left out of its statistics"
     shared = int(np.sum(touched > 1))
     if shared:
         kinds = {m: [o for o in targets if o.material == m] for m in dict.fromkeys(o.material for o in targets)}
         masks = (Region(m, imagery.all_pixels(own, near.shape), "truth") for m, own in kinds.items())
         words = ", ".join(f"{n} of {a!r} and {b!r}" for a, b, n in imagery.overlaps(list(masks)))
-        notes.append(f"{shared} pixels may hold parts of more than one target" + (f": {words}" if words else ""))
-    return notes
+        yield f"{shared} pixels may hold parts of more than one target" + (f": {words}" if words else "")
 
 
 @dataclass(frozen=True)

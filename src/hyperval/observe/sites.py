@@ -6,7 +6,7 @@ Spectra of sites where no cube is held, their reflectance by each other, or as a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -222,24 +222,22 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     return [*notes, *line_warnings(elm, axis)]
 
 
-def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
+def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> Iterator[str]:
     """Why a line is not to be relied on: bands lost, panels that do not lie on one line."""
-    out = []
     good, usable = int(axis.good.sum()), int((elm.usable & axis.good).sum())
     if usable < FEWEST_USABLE * good:
-        out.append(f"warning: the empirical line can be used in {usable} of {good} good bands only")
+        yield f"warning: the empirical line can be used in {usable} of {good} good bands only"
     if (chi2 := elm.contradiction) > 1.0:
-        out.append(
+        yield (
             "warning: the panels of the empirical line do not lie on one line within their stated errors: reduced "
             f"chi-square {chi2:.3g} (median over bands), by which the line's variance is widened"
         )
     for name, known in _left_out(elm, axis).items():
         if known.size and (off := np.median(np.abs(known))) > MOST_LEFT_OUT:
-            out.append(
+            yield (
                 f"warning: the other panels of the empirical line give {name} a reflectance that is off by {off:.2g} "
                 "(median over bands)"
             )
-    return out
 
 
 def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
@@ -285,7 +283,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     detector = None
     if (name := collection.detector) is not None:
         detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
-    notes = band_table_notes(bands, axis)
+    notes = [*band_table_notes(bands, axis)]
     radiance: dict[str, SpectralEstimate] = {}
     for site in collection.spectra:
         read = read_spectrum(

@@ -300,7 +300,6 @@ def simulate(scene: SceneFile | Path | str, folder: Path, *, inputs: SimulationI
     if pixels > MAX_MAP_PIXELS or 2 * pixels * bands > MAX_CUBE_BYTES:
         size = {"lines": scene.lines, "samples": scene.samples, "bands": bands}
         raise refusal("scene.large", scene.name, **size, most=MAX_MAP_PIXELS, gib=MAX_CUBE_BYTES >> 30)
-    folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     ground = lay_out(scene)
     masks = regions(scene, ground)

@@ -9,7 +9,7 @@ its surface, with texture and shade.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -181,7 +181,7 @@ def lay_out(scene: SceneFile) -> GroundLayout:
     return GroundLayout(surfaces, class_map, on_panel, planks, fill)
 
 
-def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
+def _place(scene: SceneFile, number: int, group: TargetGroup) -> Iterator[Plank]:
     rng = schema.generator(scene.seed, schema.PLACEMENT, number)
     psf = scene.psf_fwhm_pixels
     side = group.side_m / scene.gsd_m if group.side_m else side_for_fill(group.fill or 0.0, psf)
@@ -192,7 +192,6 @@ def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
     columns = np.arange(group.area.samples[0], group.area.samples[1] - step + 1, step) + step // 2
     places = np.array([(r, c) for r in rows for c in columns])
     places = places[np.sort(rng.permutation(len(places))[: group.count])]
-    planks = []
     for index, (row, column) in enumerate(places):
         shift = rng.uniform(-0.5, 0.5, 2) if group.phase == "random" else np.zeros(2)
         heading = float(rng.uniform(0.0, 90.0)) if group.heading_deg == "random" else group.heading_deg
@@ -200,8 +199,7 @@ def _place(scene: SceneFile, number: int, group: TargetGroup) -> list[Plank]:
         first_line, first_sample, fill = square_footprint(y, x, side, heading, psf)
         lines, samples = np.nonzero(fill >= SMALLEST_FILL)
         pixels = lines + first_line, samples + first_sample, fill[lines, samples]
-        planks.append(Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, *pixels))
-    return planks
+        yield Plank(f"{group.name}-{index:03d}", group, y, x, side, heading, *pixels)
 
 
 def regions(scene: SceneFile, ground: GroundLayout) -> dict[str, Mask]:
