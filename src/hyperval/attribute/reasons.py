@@ -615,9 +615,8 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
             effects = {z: effect for z, settings in of.items() if np.any(effect := mistaken({}, settings))}
             if effects:
                 sizes, labels = (tuple(effects), ()) if step else ((), tuple(effects))
-                out[Candidate(what, "scene", step, False, sizes=sizes, labels=labels)] = np.column_stack(
-                    [*effects.values()]
-                )
+                one = Candidate(what, "scene", step, False, sizes=sizes, labels=labels)
+                out[one] = np.column_stack([*effects.values()])
         for where, arm in arms.items():  # what noise there is stays, so that the SNR of what is dark moves too
             one = Candidate(f"offset of {where}", "sensor", "0.01 of the mean", False, sizes=_OFFSETS)
             out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])
