@@ -307,12 +307,6 @@ class Job:
         more = f"{len(self.to_fill_in)} values are to be filled in then (hyperval validate --dry-run lists them)"
         return f"{owner.name} is not on this machine: {first.found[1]}; {more}", first.found[1]
 
-    @property
-    def missing_sets(self) -> list[str]:
-        """Names of the registered data sets that files which are not at hand belong to."""
-        owners = [owner_of(file.text) for file in self.files if file.path is None]
-        return list(dict.fromkeys(owner.name for owner in owners if owner is not None))
-
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
         for one in (file for file in self.files if file.text.startswith(PREFIX)):
