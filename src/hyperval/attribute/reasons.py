@@ -692,16 +692,11 @@ def attribute(
     if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted_chi_square)
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
-    return [
-        *(item for group in ranked for item in _posterior_rows(group)),
-        *_left_rows(causes, ranked[0]),
-        *(
-            item
-            for place, number in enumerate(numbers)
-            for item in _sensitivity_rows(number, place, number.read(observed) - values[place], ends, shares)
-        ),
-        *outcomes,
-    ]
+    rows = [item for group in ranked for item in _posterior_rows(group)]
+    rows += _left_rows(causes, ranked[0])
+    for place, number in enumerate(numbers):
+        rows += _sensitivity_rows(number, place, number.read(observed) - values[place], ends, shares)
+    return rows + outcomes
 
 
 def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Array:
