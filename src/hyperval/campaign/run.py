@@ -99,13 +99,9 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
             rows += attribute(*own, *since, budgeted=prediction, simulated=bool(campaign.simulated))
     else:
         rows = list(product_rows(observed.observation, "observed"))
-    notes = [
-        *(["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []),
-        *campaign.assumptions,
-        *observed.observation.notes,
-        *doubts(side, prediction),
-        *(prediction.notes if prediction else ()),
-    ]
+    notes = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
+    notes += [*campaign.assumptions, *observed.observation.notes, *doubts(side, prediction)]
+    notes += prediction.notes if prediction else ()
     configuration, sides = {"campaign": campaign}, [observed.observation, *predicted]
     provenance = record_of(side.inputs, scenarios, side.seed, configuration, sides)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):

@@ -343,12 +343,8 @@ def _files(content: Any, base: Path) -> Iterator[Reference]:
         at = [part for part in location if isinstance(part, str)]  # not the number of an entry of a list
         key = at[-1] if at else ""
         name = (reference_of(text) or "") if key == "solar_spectrum" else text
-        is_file = (
-            key in FILE_KEYS
-            or "rasters" in at
-            or (key == "sensor" and name.endswith((".yaml", ".yml")))
-            or name.startswith(PREFIX)
-        )
+        is_sensor = key == "sensor" and name.endswith((".yaml", ".yml"))
+        is_file = key in FILE_KEYS or "rasters" in at or is_sensor or name.startswith(PREFIX)
         if name and is_file and not text.startswith((SIMULATED, FILL_IN)):
             yield Reference(".".join(at), name, base)
 

@@ -405,9 +405,8 @@ class Draft:
                 surfaces[-1] |= {"spectrum": matched[region].source, "covariance": spread}
         scene: Entry = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
         alone = ", ".join(region for region in single if region not in classes)
-        self.guess(
-            "classes", without=f"; single pixels have no spread and are none: {alone}" * bool(measured and alone)
-        )
+        without = f"; single pixels have no spread and are none: {alone}" * bool(measured and alone)
+        self.guess("classes", without=without)
         if known := [{"name": panel, "spectrum": matched[panel].source} for panel in panels if panel in matched]:
             scene["panels"] = known
         flight = self._flight(place) if self.quantity == "radiance" else {}
