@@ -25,18 +25,8 @@ from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.config import load_yaml
 from hyperval.data import Array
 from hyperval.errors import UsageError, refuse
-from hyperval.model import (
-    Origins,
-    Truth,
-    UncertainInput,
-    inputs_of,
-    number_input,
-    predict,
-    read,
-    spectral_input,
-    value_at,
-)
-from hyperval.model.inputs import Kind, directions, field_spectrum_of, form_in_words
+from hyperval.model import Origins, Truth, UncertainInput, inputs_of, number_input, predict, read, value_at
+from hyperval.model.inputs import Kind, directions, field_spectrum_of, form_in_words, spectral_input
 from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
@@ -207,10 +197,8 @@ class Candidate:
         if self.budgeted:
             return min(low, -self.most), max(high, self.most)
         if self.unbounded and unit == "%" and float(number) >= 1.0:
-            low, high = (
-                min(low, (_LEAST - 1.0) * 100.0 / float(number)),
-                max(high, (_MOST - 1.0) * 100.0 / float(number)),
-            )
+            low = min(low, (_LEAST - 1.0) * 100.0 / float(number))
+            high = max(high, (_MOST - 1.0) * 100.0 / float(number))
         return low, high
 
     def as_far_as(self, usual: Candidate) -> Candidate:
@@ -326,11 +314,9 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     def shifted(units: float) -> list[Truth]:
         return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
 
-    sizes = (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
+    wider, sizes = partial(_wider, worlds), (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
     out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
-    out.append(
-        Candidate("band width", "sensor", "10 %", False, moved=partial(_wider, worlds), sizes=(-4.0, 10.0, 30.0))
-    )
+    out.append(Candidate("band width", "sensor", "10 %", False, moved=wider, sizes=(-4.0, 10.0, 30.0)))
     if any(s is not None and s.time_utc for s in states):
         later = partial(_later, worlds, timedelta(hours=1))
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))

@@ -615,9 +615,8 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
             effects = {z: effect for z, settings in of.items() if np.any(effect := mistaken({}, settings))}
             if effects:
                 sizes, labels = (tuple(effects), ()) if step else ((), tuple(effects))
-                out[Candidate(what, "scene", step, False, sizes=sizes, labels=labels)] = np.column_stack(
-                    [*effects.values()]
-                )
+                one = Candidate(what, "scene", step, False, sizes=sizes, labels=labels)
+                out[one] = np.column_stack([*effects.values()])
         for where, arm in arms.items():  # what noise there is stays, so that the SNR of what is dark moves too
             one = Candidate(f"offset of {where}", "sensor", "0.01 of the mean", False, sizes=_OFFSETS)
             out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])
@@ -693,16 +692,11 @@ def attribute(
     if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted_chi_square)
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
-    return [
-        *(item for group in ranked for item in _posterior_rows(group)),
-        *_left_rows(causes, ranked[0]),
-        *(
-            item
-            for place, number in enumerate(numbers)
-            for item in _sensitivity_rows(number, place, number.read(observed) - values[place], ends, shares)
-        ),
-        *outcomes,
-    ]
+    rows = [item for group in ranked for item in _posterior_rows(group)]
+    rows += _left_rows(causes, ranked[0])
+    for place, number in enumerate(numbers):
+        rows += _sensitivity_rows(number, place, number.read(observed) - values[place], ends, shares)
+    return rows + outcomes
 
 
 def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Array:

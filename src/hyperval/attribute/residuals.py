@@ -396,10 +396,11 @@ def _moments(key: tuple[str, str], score: ScoreDistribution) -> ResidualBlock:
     """Mean and logarithm of the standard deviation, from n normal scores: variances s^2/n and 1/(2 (n - 1))."""
     n = score.n or 0
     variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
-    value = np.array([score.mean, np.log(score.sd)])
-    return ResidualBlock(
-        "scores", *key, value, np.diag(variances), lambda p: np.array([p.scores[key].mean, np.log(p.scores[key].sd)])
-    )
+
+    def moments(of: ScoreDistribution) -> Array:
+        return np.array([of.mean, np.log(of.sd)])
+
+    return ResidualBlock("scores", *key, moments(score), np.diag(variances), lambda p: moments(p.scores[key]))
 
 
 def few_objects(observed: Products, subject: str, detector: str) -> bool:

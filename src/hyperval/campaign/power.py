@@ -154,9 +154,8 @@ class PowerTable(Model):
         injected = len(self.errors) - len(by[Sight.NOT_APPLICABLE])
         parts = [f"The criteria detect {len(by[Sight.GATES])} of {injected} injected model errors."]
         told = {Sight.INFORMING: "Informational comparisons alone detect"}
-        parts += [
-            f"{told.get(s, s.capitalize())}: {', '.join(by[s])}." for s in Sight if s is not Sight.GATES and by[s]
-        ]
+        others = [sight for sight in Sight if sight is not Sight.GATES and by[sight]]
+        parts += [f"{told.get(s, s.capitalize())}: {', '.join(by[s])}." for s in others]
         if self.disagreeing:
             some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
             parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")

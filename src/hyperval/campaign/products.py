@@ -347,14 +347,9 @@ def predicted_side(
     errors = whole.classification
     if task is not None:
         quantity = str(observed.observation.provenance.get("quantity", "radiance"))
-        errors = model.predicted_classification(
-            merged(predictions),
-            observe.class_sets(task),
-            task.features,
-            quantity,
-            task.seed,
-            observe.training_pixels(task, observed.observation.distribution, observed.masks),
-        )
+        training = observe.training_pixels(task, observed.observation.distribution, observed.masks)
+        sides = merged(predictions), observe.class_sets(task), task.features
+        errors = model.predicted_classification(*sides, quantity, task.seed, training)
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
     return replace(whole, classification=errors, exceedance=shared, abundance=areas)
 

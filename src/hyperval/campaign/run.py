@@ -25,7 +25,7 @@ from hyperval.campaign.products import Collected, asked_again, collected, doubts
 from hyperval.campaign.provenance import record_of
 from hyperval.campaign.schema import Campaign, Job, Outline, job_of, jobs_of
 from hyperval.compare import product_rows
-from hyperval.datasets import SIMULATED, InputLog
+from hyperval.datasets import SIMULATED, InputLog, owner_of
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import predict
@@ -69,7 +69,9 @@ def run_campaign(job: Job, *, predicts: bool = True, with_observed: Callable[[Ob
     except MissingDataError as error:
         if not predicts:  # nothing but the collection was asked for
             raise
-        sets = job.missing_sets  # all that the campaign lacks, and not the first that was asked for
+        # All that the campaign lacks, and not the first that was asked for.
+        owners = [owner_of(file.text) for file in job.files if file.path is None]
+        sets = list(dict.fromkeys(owner.name for owner in owners if owner is not None))
         remedy = f"hyperval data fetch {' '.join(sets)}" if len(sets) > 1 else error.mend or ""
         return unfinished(job, Outcome.SKIPPED, f"{error.where}: {error.what}\n  to fix it: {remedy}", remedy)
 
@@ -97,13 +99,9 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
             rows += attribute(*own, *since, budgeted=prediction, simulated=bool(campaign.simulated))
     else:
         rows = list(product_rows(observed.observation, "observed"))
-    notes = [
-        *(["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []),
-        *campaign.assumptions,
-        *observed.observation.notes,
-        *doubts(side, prediction),
-        *(prediction.notes if prediction else ()),
-    ]
+    notes = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
+    notes += [*campaign.assumptions, *observed.observation.notes, *doubts(side, prediction)]
+    notes += prediction.notes if prediction else ()
     configuration, sides = {"campaign": campaign}, [observed.observation, *predicted]
     provenance = record_of(side.inputs, scenarios, side.seed, configuration, sides)
     if predicted and campaign.attribution and any(s.atmosphere and s.atmosphere.engine == "sixs" for s in scenarios):

@@ -307,12 +307,6 @@ class Job:
         more = f"{len(self.to_fill_in)} values are to be filled in then (hyperval validate --dry-run lists them)"
         return f"{owner.name} is not on this machine: {first.found[1]}; {more}", first.found[1]
 
-    @property
-    def missing_sets(self) -> list[str]:
-        """Names of the registered data sets that files which are not at hand belong to."""
-        owners = [owner_of(file.text) for file in self.files if file.path is None]
-        return list(dict.fromkeys(owner.name for owner in owners if owner is not None))
-
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
         for one in (file for file in self.files if file.text.startswith(PREFIX)):
@@ -349,12 +343,8 @@ def _files(content: Any, base: Path) -> Iterator[Reference]:
         at = [part for part in location if isinstance(part, str)]  # not the number of an entry of a list
         key = at[-1] if at else ""
         name = (reference_of(text) or "") if key == "solar_spectrum" else text
-        is_file = (
-            key in FILE_KEYS
-            or "rasters" in at
-            or (key == "sensor" and name.endswith((".yaml", ".yml")))
-            or name.startswith(PREFIX)
-        )
+        is_sensor = key == "sensor" and name.endswith((".yaml", ".yml"))
+        is_file = key in FILE_KEYS or "rasters" in at or is_sensor or name.startswith(PREFIX)
         if name and is_file and not text.startswith((SIMULATED, FILL_IN)):
             yield Reference(".".join(at), name, base)
 

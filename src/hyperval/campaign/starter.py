@@ -158,11 +158,11 @@ class Draft:
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         refuse(quantity == "deviations", "scale.deviations", sources.cube, quantity="radiance or reflectance")
         lines, samples, bands = self.raster.size
-        cube: Entry = {"path": self.reference(sources.cube)}
-        cube["quantity"] = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
-        cube |= {"header": self.reference(sources.header)} if sources.header else {}
-        cube |= {"variable": sources.key} if sources.key else {}
-        cube |= {"scale": sources.scale} if sources.scale is not None else {}
+        asked = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
+        header = self.reference(sources.header) if sources.header else None
+        told = {"header": header, "variable": sources.key or None, "scale": sources.scale}
+        cube: Entry = {"path": self.reference(sources.cube), "quantity": asked}
+        cube |= {key: value for key, value in told.items() if value is not None}
         self.collection |= {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]}
         self.collection["regions"] = self.collection["regions"] or [_WHOLE]
         what = f"{quantity or 'unknown'} image of {lines} lines, {samples} samples and {bands} bands"
@@ -405,9 +405,8 @@ class Draft:
                 surfaces[-1] |= {"spectrum": matched[region].source, "covariance": spread}
         scene: Entry = {"classes": surfaces, "adjacency": {"effective_neighbours": None}}
         alone = ", ".join(region for region in single if region not in classes)
-        self.guess(
-            "classes", without=f"; single pixels have no spread and are none: {alone}" * bool(measured and alone)
-        )
+        without = f"; single pixels have no spread and are none: {alone}" * bool(measured and alone)
+        self.guess("classes", without=without)
         if known := [{"name": panel, "spectrum": matched[panel].source} for panel in panels if panel in matched]:
             scene["panels"] = known
         flight = self._flight(place) if self.quantity == "radiance" else {}

@@ -40,10 +40,9 @@ def independent_pixels(n: int, distribution: PixelDistribution | None, size: int
 
     Directions beyond those whose correlation was measured take the last one's value.
     """
-    counts = None if distribution is None else distribution.effective_n
-    if counts is None or distribution is None or not distribution.n:
+    if distribution is None or distribution.effective_n is None or not distribution.n:
         return np.full(size, n - 1.0)
-    leading = np.asarray(counts, dtype=float)[:size]
+    leading = np.asarray(distribution.effective_n, dtype=float)[:size]
     return np.maximum(np.concatenate([leading, np.full(size - leading.size, leading[-1])]) - 1.0, 1.0)
 
 

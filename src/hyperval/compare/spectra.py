@@ -56,11 +56,9 @@ def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
     """Bands of each summary: all windows, their part in VNIR, SWIR1 and SWIR2, and the absorption bands."""
     wavelength = axis.centre_nm
     window = in_window(wavelength)
-    parts = {"windows": window}
-    for name, (low, high) in SPECTRAL_REGIONS_NM.items():
-        parts[name.lower()] = window & (wavelength >= low) & (wavelength < high)
-    parts["absorption"] = ~window & (wavelength >= 400.0) & (wavelength <= 2500.0)
-    return parts
+    ends = SPECTRAL_REGIONS_NM.items()
+    parts = {name.lower(): window & (wavelength >= low) & (wavelength < high) for name, (low, high) in ends}
+    return {"windows": window, **parts, "absorption": ~window & (wavelength >= 400.0) & (wavelength <= 2500.0)}
 
 
 def median_interval(ratio: Array, covariance: Array) -> Interval:

@@ -145,7 +145,6 @@ def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -
     monomials = _monomials(x)
     upper, lower = np.triu_indices(p)
     history: list[float] = []
-    fit = None
     for _ in range(STEPS):
         size = probability.sum(axis=1)
         alive = size > 1e-8 * n  # a component that no pixel belongs to has no law
@@ -171,7 +170,6 @@ def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -
         weight = _weight(squares, nu, p)
         if len(history) > 1 and history[-1] - history[-2] < _TOLERANCE:
             break
-    assert fit is not None  # noqa: S101 - STEPS is positive
     return replace(fit, history=tuple(history))
 
 

@@ -787,9 +787,8 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
     areas = pooled_areas([c.areas for c in curves], n_background or 0)
     first = min((c.alarms_before_first for c in curves if c.alarms_before_first is not None), default=None)
     every = np.full(grid.shape, np.nan)  # threshold: each curve has its own
-    ground = curves[0].background_area_km2
-    counted = RocCurve(grid, pd, lower, upper, every, curves[0].unit, total, n_background, ground, areas=areas)
-    return replace(counted, alarms_before_first=first)
+    counted = curves[0].unit, total, n_background, curves[0].background_area_km2
+    return RocCurve(grid, pd, lower, upper, every, *counted, areas=areas, alarms_before_first=first)
 
 
 def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:

@@ -78,8 +78,7 @@ def _memory(size: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
 def _segments(lines: int, block_lines: int) -> list[range]:
     """First lines of the blocks of each segment; as many segments for each thread, so that threads end together."""
     blocks = -(-lines // block_lines)
-    count = -(-blocks // (BLOCKS_PER_SEGMENT * MAX_THREADS)) * MAX_THREADS
-    count = min(count, blocks)
+    count = min(-(-blocks // (BLOCKS_PER_SEGMENT * MAX_THREADS)) * MAX_THREADS, blocks)
     edges = [block_lines * (blocks * i // count) for i in range(count)] + [lines]
     return [range(a, b, block_lines) for a, b in itertools.pairwise(edges)]
 
