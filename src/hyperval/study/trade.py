@@ -247,35 +247,38 @@ def completed(trade: Trade, p: Prepared) -> Trade:
             filled |= {f"{field}_from": low, f"{field}_to": high}
             for where, end in ((f"{field}_from", low), (f"{field}_to", high)):
                 _check(p, where, key, end)
+    state = {key.partition(".")[2]: value for key, value in trade.moved.items() if key.startswith("atmosphere.")}
     for key, value in trade.moved.items():
-        _check(p, f"at:{key}", key, value)
+        _check(p, f"at:{key}", key, value, bool(state) and _is_emulated(p, state))
     lines = len(subject) * max(len(trade.background), 1) * max(len(trade.sensor), 1)
     refuse(lines > _MOST_LINES, "trade.curves", "subject", lines=lines, most=_MOST_LINES)
     return trade.model_copy(update=filled)
 
 
-def _check(p: Prepared, where: str, key: str, value: float) -> None:
-    """Refuse a value that the scenario does not take, or at which the atmosphere is not emulated, in its own unit."""
-    offer, inside = p.inputs[key], p.inputs[key].now
+def _check(p: Prepared, where: str, key: str, value: float, is_emulated: bool = False) -> None:
+    """Refuse a value that the scenario does not take, or at which the atmosphere is not emulated, in its own unit.
+
+    ``is_emulated`` : whether the state of all moved values, which is asked for anyway, is known to be
+    """
+    offer, inside, outside, name = p.inputs[key], p.inputs[key].now, value, key.partition(".")[2]
     try:
         plan.try_changes(p.world, dict.fromkeys(offer.paths, value))
     except UsageError as error:
         what = error.what.rpartition(": ")[2].replace("Input should", "it should")
         raise UsageError(f"{offer.told(value)}: {what}", where=where, expected=error.expected) from error
-    if key.startswith("atmosphere.") and not (is_known := partial(_is_emulated, p, key.partition(".")[2]))(value):
-        outside = value
+    if key.startswith("atmosphere.") and not (is_emulated or _is_emulated(p, {name: value})):
         while abs(outside - inside) > 1e-6 * abs(inside):
             middle = 0.5 * (inside + outside)
-            inside, outside = (middle, outside) if is_known(middle) else (inside, middle)
+            inside, outside = (middle, outside) if _is_emulated(p, {name: middle}) else (inside, middle)
         near = (inside, 1.0005 * inside, 0.9995 * inside)  # rounded, it is to be taken
-        end = next((v for v in near if is_known(float(f"{v:.4g}"))), inside)
+        end = next((v for v in near if _is_emulated(p, {name: float(f"{v:.4g}")})), inside)
         limit = f"{offer.told(end)} or {'more' if value < inside else 'less'}"
         raise refusal("trade.emulated", where, value=offer.told(value), limit=limit)
 
 
-def _is_emulated(p: Prepared, name: str, value: float) -> bool:
+def _is_emulated(p: Prepared, state: Mapping[str, float]) -> bool:
     with suppress(UsageError):
-        return bool(p.world.stated.atmosphere.run({name: value}))
+        return bool(p.world.stated.atmosphere.run(state))
     return False
 
 
