@@ -110,14 +110,14 @@ def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
     data = scene[0].astype(float)
     data[:, :, 2], data[:, :, 5] = np.nan, 7.0
     cube = open_cube(written(tmp_path / "scene.mat", data), quantity="counts", axis="numbers")
-    assert cube.axis.centre_nm.tolist() == [1, 2, 4, 5, 6, 7, 8]
-    assert np.flatnonzero(~cube.axis.good).tolist() == [4]
+    assert (cube.axis.centre_nm.tolist(), np.flatnonzero(~cube.axis.good).tolist()) == ([1, 2, 4, 5, 6, 7, 8], [4])
     assert any("1 bands hold one number in all pixels seen, 1 none (the first: 3, 6)" in note for note in cube.notes)
     one = np.where(np.indices(scene[1].shape)[0] < 10, scene[1], 0).astype(bool)
     nan, nm = tmp_path / "nan.mat", np.linspace(450.0, 900.0, BANDS)
     assert is_met(written(nan, data, gt=one, valid=1 - one, wavelengths=nm), tmp_path / "new")  # of one object
     most = ["init", "--cube", str(written(tmp_path / "most.mat", data, map=1 - one)), "-o", str(tmp_path / "most")]
-    assert [cli.run([*most, "--quantity", quantity]) for quantity in ("radiance", "counts")] == [2, 0]
+    options = "radiance", "reflectance --scale 1", "counts"  # the second is no reflectance
+    assert [cli.run([*most, "--quantity", *each.split()]) for each in options] == [2, 3, 0]
     assert "the map marks 99% of the image" in (tmp_path / "most" / "campaign.yaml").read_text()
 
 

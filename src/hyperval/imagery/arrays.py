@@ -517,7 +517,15 @@ def _stated_unit(array: xr.DataArray | xr.Variable) -> str | None:
 
 
 def _axes(array: xr.DataArray, band_axis: str) -> str:
-    """Which axis is lines, samples, bands: by name, else lines before samples; others have a length of 1."""
+    """Which axis is lines, samples, bands: by name, else lines before samples; others have a length of 1.
+
+    Axes that a file does not name are named by their size, so that those of one size bear the first one's name.
+
+    >>> import xarray as xr
+    >>> phony = [f"phony_dim_{i}" for i in range(3)]
+    >>> [_axes(xr.DataArray(np.ones(size), dims=phony), "phony_dim_0") for size in ((4, 6, 4), (4, 6, 5))]
+    ['lsb', 'bls']
+    """
     if band_axis.startswith("phony_dim") and array.shape[-1] == array.sizes[band_axis]:  # named by its size alone
         band_axis = str(array.dims[-1])
     others = [str(d) for d, size in array.sizes.items() if d != band_axis and (size > 1 or array.ndim == 3)]
@@ -546,7 +554,14 @@ def _quantity(unit: str | None, name: str, title: str) -> tuple[str | None, str 
 
 
 def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
-    """Another array along the axis of the wavelengths, by its name; lengths in the unit of those."""
+    """Another array along the axis of the wavelengths, by its name; lengths in the unit of those.
+
+    >>> import xarray as xr
+    >>> wave = xr.DataArray([0.5, 0.6], dims="band", attrs={"units": "um"})
+    >>> width = xr.DataArray([6.0, 7.0], dims="band", attrs={"units": "nm"})
+    >>> _beside(xr.Dataset({"wavelength": wave, "fwhm": width}), wave, _WIDTH).round(9).tolist()
+    [0.006, 0.007]
+    """
     fits = [v for n, v in data.variables.items() if v.dims == wave.dims and name.search(str(n))]
     fits = [v for v in fits if v.dtype.kind in "iufb"]
     if len(fits) != 1:

@@ -554,6 +554,13 @@ def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: 
     entries : header entries in lower case, braces taken off
     axis : the bands, for the size of a shift
     quantity : what the campaign takes the cube for
+
+    >>> axis = SpectralAxis(np.array([500.0, 2010.0]), 10.0)
+    >>> told = {"spectir smoothing": "Savitsky-Golay", "calculated co2 shift": "3.65 Expected CO2 position=2036.94"}
+    >>> [note[17:60] for note in acquisition_notes(told, axis, "reflectance")]
+    ["'spectir smoothing = Savitsky-Golay': where", "CO2 shift 3.65 nm found ('calculated co2 sh"]
+    >>> acquisition_notes({"spectir smoothing": "none"}, axis, "reflectance")
+    ()
     """
     notes, near = [], int(np.argmin(np.abs(axis.centre_nm - _CO2_NM)))
     for key, text in _matching(entries, _LEVELS) if quantity in ("radiance", "reflectance") else ():

@@ -294,6 +294,14 @@ def _from_corners(tree: ProductTree, lines: int, samples: int, crs: CRS | None) 
 
 
 def _crs(tree: ProductTree) -> CRS | None:
+    """The system of a product by its WKT, its code, or the UTM zone of HDF-EOS5's StructMetadata.
+
+    >>> from types import SimpleNamespace as Of
+    >>> def told(**texts):
+    ...     return str(_crs(Of(text=texts.get, layout=ProductLayout(struct_metadata="grid", epsg="code"))))
+    >>> [told(grid=f"Projection=HE5_GCTP_UTM\\n\\tZoneCode={zone}") for zone in (32, -33)], told(code="EPSG:32654")
+    (['EPSG:32632', 'EPSG:32733'], 'EPSG:32654')
+    """
     wkt, code = tree.text(tree.layout.crs), tree.text(tree.layout.epsg)
     if wkt is None and tree.layout.crs is not None:  # of the grid mapping of CF, which has both names for it
         wkt = tree.text(tree.layout.crs.replace("@spatial_ref", "@crs_wkt"))
@@ -458,6 +466,10 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     >>> bands = [{"center_wavelength": 0.5, "raster:scale": 0.1}, {"center_wavelength": 0.6}]
     >>> _from_asset({}, {"bands": bands}, 2).notes
     ('warning: 1 bands have no number as raster:scale: taken as 1',)
+    >>> whole = {"raster:scale": 0.01, "unit": "W m-2 sr-1 um-1", "bands": [{"center_wavelength": 0.5}] * 2}
+    >>> of = _from_asset({}, whole, 2)
+    >>> of.unit, of.scale.gain.tolist()
+    ('W m-2 sr-1 um-1', [0.01, 0.01])
     """
     given = item.get("properties")
     properties: dict[str, Any] = given if isinstance(given, dict) else {}
