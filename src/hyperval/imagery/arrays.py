@@ -666,6 +666,15 @@ def open_matrix(
     Unit, scale and no data are those of attributes of HDF5 that the CF conventions have for them; wavelengths those
     of an array of as many numbers that is named so.
 
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder, h5py.File(path := Path(folder) / "a.h5", "w") as file:
+    ...     file["dn"] = np.full((2, 3, 4), 5, np.int16)
+    ...     file["dn"].attrs.update(scale_factor=2e-4, add_offset=0.1, _FillValue=np.int16(-9999))
+    ...     file.close()
+    ...     about = open_matrix(path, "HDF5").description
+    >>> about.scale.gain, about.scale.offset, about.ignore_value
+    (0.0002, 0.1, -9999.0)
+
     Raises
     ------
     InputError : none that fits, one that is too large to be read whole, or a damaged file.

@@ -76,6 +76,16 @@ class LookupTable:
         A plane is fitted to the raw pixels of the 7 x 7 cells around each point; cells filled from their neighbours
         count only where the others are too few.  ``beyond``: one without pixels is placed by the plane of the nearest.
 
+        >>> from tempfile import TemporaryDirectory
+        >>> from hyperval.imagery import write_cube
+        >>> line, sample = np.indices((20, 20)) + 1
+        >>> with TemporaryDirectory() as folder:
+        ...     table = write_cube(
+        ...         f"{folder}/glt", np.stack([sample, line], -1), data_type=3, transform=Affine(2, 0, 500, 0, -2, 900)
+        ...     )
+        ...     open_lookup_table(table, (20, 20)).to_pixel([[480.0, 890.0]], where="", beyond=True).round(6).tolist()
+        [[-10.0, 5.0]]
+
         Raises
         ------
         InputError : a point with no raw pixel near it.

@@ -337,6 +337,14 @@ def compensation_inputs(world: World) -> Iterator[UncertainInput]:
     True
     >>> set(grass.budget["compensation (offset)"].round(9).tolist())
     {0.003}
+    >>> from hyperval.model import read
+    >>> world = read(scenario.with_values({"uncertainty": stated}))
+    >>> asphalt, *others = world.stated.scenario.scene.classes
+    >>> of_image = asphalt.model_copy(update={"spectrum": asphalt.spectrum.model_copy(update={"measured": "court"})})
+    >>> scene = world.stated.scenario.scene.model_copy(update={"classes": [of_image, *others]})
+    >>> seen = replace(world.stated, scenario=world.stated.scenario.model_copy(update={"scene": scene}))
+    >>> "asphalt" in {one.subject for one in compensation_inputs(replace(world, stated=seen))}
+    False
     """
     scene = world.stated.scenario.scene
     for surface in (*scene.classes, *scene.panels, *scene.sites, *scene.targets):
