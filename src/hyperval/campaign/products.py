@@ -158,11 +158,13 @@ def noise_share(pixels: SpectralEstimate, snr: SpectralEstimate) -> float:
     >>> pixels = SpectralEstimate(flat, 0.0 * covariance, covariance)
     >>> round(noise_share(pixels, SpectralEstimate(flat, covariance)), 3)
     0.382
+    >>> dead = np.diag([1.0, 1.0, 1.0, 0.0])  # of a band that holds nothing
+    >>> noise_share(SpectralEstimate(flat * np.diag(dead), dead, dead), SpectralEstimate(flat, dead))
+    0.5
     """
     whole = np.zeros((0, 0)) if pixels.pixel_covariance is None else pixels.pixel_covariance
-    with np.errstate(divide="ignore", invalid="ignore"):
-        noise = (pixels.mean / snr.mean)[: len(whole)] ** 2
-    use = np.flatnonzero(np.isfinite(np.diag(whole)) & np.isfinite(noise))
+    noise = (pixels.mean / np.where(snr.mean > 0.0, snr.mean, np.inf))[: len(whole)] ** 2
+    use = np.flatnonzero(np.isfinite(np.diag(whole)) & np.isfinite(noise) & (noise > 0.0))
     both = whole[np.ix_(use, use)] + np.diag(noise[use])
     return float(np.mean(np.diag(np.linalg.inv(both)) * noise[use])) if use.size else 0.0
 

@@ -20,7 +20,7 @@ from rasterio.crs import CRS
 
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import data_beside, header_beside
-from hyperval.errors import HypervalError, needed, reader, refusal, refuse
+from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import Bands, Description, ListedBands, Raster, Scale, equals, fill_notes, filled
 from hyperval.imagery.envi import EnviRaster, described_by, open_envi, pixel_area_m2
@@ -397,8 +397,11 @@ def open_raster(
                 return arrays.open_matrix(data, HDF5, variable)
             raise
     beside = Path(header) if header is not None else header_beside(data)
+    matrix: Raster | None = None
     if kind in MATRICES:
-        matrix = arrays.open_matrix(data, str(kind), variable)
+        with suppress(*([] if beside is None else [InputError])):  # else numbers that the header describes
+            matrix = arrays.open_matrix(data, str(kind), variable)
+    if matrix is not None:
         return matrix if beside is None else described_by(matrix, beside)
     if beside is not None:
         return open_envi(data, beside)

@@ -536,7 +536,7 @@ _CO2_NM = 2010.0  # the carbon dioxide bands that a shift is fitted to lie at ab
 MINUTES_APART = 10.0  # the sun moves 2.5 degrees in ten minutes
 _LEVELS = r"^(processing|product) ?level$|^level$|^data ?(units?|type name)$|^z plot titles$"
 _SHIFTS = r"(co2|wavelength|spectral).*shift|shift.*(co2|wavelength|spectral)"
-_SMOOTHED = r"smooth(ing|ed)"
+_SMOOTHED, _NONE = r"smooth(ing|ed)", re.compile(r"(0|no|none|off|false)(\s|$)", re.IGNORECASE)
 _TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
 
 
@@ -559,16 +559,15 @@ def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: 
     >>> told = {"spectir smoothing": "Savitsky-Golay", "calculated co2 shift": "3.65 Expected CO2 position=2036.94"}
     >>> [note[17:60] for note in acquisition_notes(told, axis, "reflectance")]
     ["'spectir smoothing = Savitsky-Golay': where", "CO2 shift 3.65 nm found ('calculated co2 sh"]
-    >>> acquisition_notes({"spectir smoothing": "none"}, axis, "reflectance")
-    ()
+    >>> [len(acquisition_notes({"spectir smoothing": of}, axis, "reflectance")) for of in ("none", "0", "0.5 nm")]
+    [0, 0, 1]
     """
     notes, near = [], int(np.argmin(np.abs(axis.centre_nm - _CO2_NM)))
     for key, text in _matching(entries, _LEVELS) if quantity in ("radiance", "reflectance") else ():
         named = {q for q in ("radiance", "reflectance") if re.search(rf"(?<![a-z]){q}", text.lower())}
         if named and quantity not in named:
             notes.append(_said("level", text, key=key, named=" and ".join(sorted(named)), quantity=quantity))
-    for key, text in _matching(entries, _SMOOTHED):
-        notes += [_said("smoothed", text, key=key)] if not re.match(r"(0|no|none|off|false)\b", text.lower()) else []
+    notes += [_said("smoothed", text, key=key) for key, text in _matching(entries, _SMOOTHED) if not _NONE.match(text)]
     for key, text in _matching(entries, _SHIFTS):
         value, size = number_of(text.partition(" ")[0].removesuffix("nm")), ""
         if abs(axis.centre_nm[near] - _CO2_NM) < 100.0:

@@ -251,7 +251,9 @@ def described_by(raster: Raster, header: Path) -> Raster:
         stated = (parsed.lines, parsed.samples, parsed.bands)
         raise refusal("image.described", parsed.path, size=raster.size, stated=stated)
     transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
-    about = replace(raster.description, header=parsed, entries=parsed.entries, notes=parsed.notes)
+    about = replace(
+        raster.description, header=parsed, entries=parsed.entries, notes=(*raster.description.notes, *parsed.notes)
+    )
     return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
 
 

@@ -214,8 +214,9 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
     path, shape, position, crs = checked_file(path, what="image file"), image.shape, image.transform, image.crs
     kind = kind_of(path)
     raster: Raster | None = None
-    if kind in MATRICES and header_beside(path) is None:
-        with suppress(*([InputError] if kind == HDF5 else [])):  # which may hold an image of three axes alone
+    if kind in MATRICES:
+        # It may hold an image of three axes alone, or what a header describes.
+        with suppress(*([InputError] if kind == HDF5 or header_beside(path) is not None else [])):
             raster = arrays.open_matrix(path, str(kind), variable, shape)
     raster = raster or open_raster(path)
     if raster.transform is not None and isinstance(image, Cube) and (table := table_of(image.raster)[0]) is not None:

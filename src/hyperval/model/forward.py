@@ -23,14 +23,7 @@ from hyperval.atmosphere import AtmosphericTerms
 from hyperval.data import Array, Errors, Index
 from hyperval.model import radiance
 from hyperval.model.detection import Evaluation, RocKey, class_scores, detect, evaluations
-from hyperval.model.inputs import (
-    UncertainInput,
-    compensation_inputs,
-    drawn_truths,
-    inputs_of,
-    interpolation_input,
-    spectrum_errors,
-)
+from hyperval.model.inputs import UncertainInput, drawn_truths, inputs_of, inputs_of_spectra, spectrum_errors
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
@@ -679,7 +672,7 @@ def predict(
     world = replace(world, stated=replace(world.stated, before=None))
     inputs = inputs_of(world)
     linear = [i for i in inputs if scenario.atmosphere is not None or not i.of_light]
-    of_spectra = spectral_errors(world, [*linear, *interpolation_input(world), *compensation_inputs(world)])
+    of_spectra = spectral_errors(world, [*linear, *inputs_of_spectra(world)])
     products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
     return with_uncertainty(products, world, inputs if truth is None else [], changes)
 

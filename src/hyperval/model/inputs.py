@@ -324,6 +324,12 @@ def _of_compensation(world: World) -> Iterator[tuple[str, float, SpectralForm]]:
         yield from ((part, sd, form) for part, sd in (("gain", stated.relative), ("offset", stated.absolute)) if sd > 0)
 
 
+def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
+    """What enters the budgets of mean spectra alone."""
+    yield from interpolation_input(world)
+    yield from compensation_inputs(world)
+
+
 def compensation_inputs(world: World) -> Iterator[UncertainInput]:
     """What the reflectance of an image is off by, as an error of each field spectrum that is compared with it; what is
     measured on the image has the same error.

@@ -691,10 +691,7 @@ def fixed_noise_over(check: SensorCheck, of: str) -> Values:
     noise, step = check.noise, np.asarray(check.noise.lsb_electrons)
     if noise.constant is None and np.all(noise.fixed_noise > 0.0):
         scale = step / math.sqrt(12.0) if of == "rounding" else step * 2.0 ** np.asarray(noise.bits, float)
-        at = _worst(check.axis, noise.fixed_noise / scale, least=of == "rounding")
-        k = int(np.flatnonzero(noise.fixed_noise / scale == at.value)[0])
-        beside = np.broadcast_to(scale, noise.fixed_noise.shape)[k]
-        yield at._replace(words=f"{noise.fixed_noise[k]:.3g} electrons beside {beside:.3g} of {of} at {at.words}")
+        yield _worst(check.axis, noise.fixed_noise / scale, least=of == "rounding")
 
 
 def saturation(check: SensorCheck) -> Values:

@@ -289,8 +289,11 @@ def try_changes(world: World, changes: dict[str, Any]) -> None:
         if not entry.low <= number <= entry.high:
             expected = f"a number from {entry.low:g} to {entry.high:g}"
             raise UsageError(f"{path} at {float(number)}", expected=expected)
-    if changes:
-        with_settings(world.stated.scenario, changes)
+    state = world.stated.scenario.atmosphere
+    own = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and v is not None}
+    # With what gives way to them, such as time and place to the sun.
+    changes = {f"atmosphere.{k}": v for k, v in (state_entries(state, own) if state else {}).items()} | changes
+    with_settings(world.stated.scenario, changes)
 
 
 def point_of(item: Moving, value: Any) -> dict[str, Any]:

@@ -218,6 +218,11 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_from=-5.0), prepared("panels", Trade()))
     Traceback (most recent call last):
     hyperval.errors.UsageError: x_from: -5 deg: it should be greater than or equal to 0
+    >>> at = {"time_utc": "2012-09-20T16:00:00Z", "latitude_deg": 43.0, "longitude_deg": -77.7}
+    >>> at |= dict.fromkeys(("solar_zenith_deg", "solar_azimuth_deg", "day_of_year"))
+    >>> lit = load_scenario("panels").with_values({f"atmosphere.{key}": value for key, value in at.items()})
+    >>> world = plan.read(lit)
+    >>> plan.try_changes(world, {"atmosphere.solar_zenith_deg": 35.0})  # place and time give way
 
     Raises
     ------
@@ -267,7 +272,7 @@ def _check(p: Prepared, where: str, key: str, value: float, is_emulated: bool = 
         what = error.what.rpartition(": ")[2].replace("Input should", "it should")
         raise UsageError(f"{offer.told(value)}: {what}", where=where, expected=error.expected) from error
     if key.startswith("atmosphere.") and not (is_emulated or _is_emulated(p, {name: value})):
-        while abs(outside - inside) > 1e-6 * abs(inside):
+        while abs(outside - inside) > 1e-6 * max(abs(inside), abs(value)):
             middle = 0.5 * (inside + outside)
             inside, outside = (middle, outside) if _is_emulated(p, {name: middle}) else (inside, middle)
         near = (inside, 1.0005 * inside, 0.9995 * inside)  # rounded, it is to be taken

@@ -338,11 +338,13 @@ def _listed(text: str, schema: Schema) -> Any:
     ([0.1, 0.6], [0.1, 0.6], ['dry grass', 'soil'])
     >>> _listed("450-700, 800 to 1200.5", ranges), _listed("[450, 700],[800, 900]", ranges)
     ([[450, 700], [800, 1200.5]], [[450, 700], [800, 900]])
+    >>> _listed("450-700; 800-900", ranges), _listed("0,5 0,6", numbers)  # the last is no list of numbers
+    ([[450, 700], [800, 900]], [0, '5 0', 6])
     """
     is_nested, number = schema.get("items", {}).get("type") == "array", _NUMBER.pattern
     if is_nested:
-        text = re.sub(rf"({number})\s*(?:-|–|to)\s*({number})", r"[\1, \2]", text)
-    elif all(map(_NUMBER.fullmatch, parts := re.split(r"[\s,;]+", text))):
+        text = re.sub(rf"({number})\s*(?:-|–|to)\s*({number})", r"[\1, \2]", text).replace(";", ",")
+    elif not re.search(r"\d,\d+\s+\d", text) and all(map(_NUMBER.fullmatch, parts := re.split(r"[\s,;]+", text))):
         text = ", ".join(parts)
     read: Any = None
     with suppress(UsageError):

@@ -32,7 +32,6 @@ from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, no
 from hyperval.web.forms import (
     MOST_ROWS,
     SCENES,
-    SURFACES,
     Node,
     checked_scenario,
     form_data,
@@ -196,12 +195,6 @@ class ScenarioAnswer(BaseModel):
     description: str
     needs: str = Field(description="data sets that this server lacks for it; empty where it runs")
     scenario: dict[str, Any]
-
-
-@api.get("/surfaces")
-def surfaces() -> list[str]:
-    """Names of the surfaces that are built in."""
-    return list(SURFACES)
 
 
 @api.get("/scenarios")
