@@ -30,7 +30,7 @@ from itertools import islice
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import Full, SimpleQueue
-from types import FrameType
+from types import FrameType, SimpleNamespace
 from typing import Any, NoReturn, Protocol
 
 import scipy.linalg  # noqa: F401 - its BLAS is there before the libraries are counted
@@ -464,6 +464,7 @@ def _dask(address: str) -> Iterator[Workers]:
         except (OSError, ValueError) as error:
             raise refusal("workers.scheduler", address=address) from error
         with client:
-            # Nothing is kept by its arguments, so that equal pieces run each for itself.
-            width = max(1, sum(client.ncores().values()))
-            yield Workers(client.get_executor(pure=False), width, losses=(CancelledError, KilledWorker))
+            # Nothing is kept by its arguments, so that equal pieces run each for itself.  Not by the client's executor:
+            # its futures mistake a result that is lost just as it arrives, with its worker, for an error.
+            hands: Any = SimpleNamespace(submit=partial(client.submit, pure=False))
+            yield Workers(hands, max(1, sum(client.ncores().values())), losses=(CancelledError, KilledWorker))

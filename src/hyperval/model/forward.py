@@ -506,8 +506,11 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 if item.subject and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 each = out.setdefault(key, {})
-                before = [each[name].rows] if name in each else []
-                each[name] = Errors(np.concatenate([*before, np.nan_to_num(rows)]), np.inf, *scale)
+                before, own = each[name].rows if name in each else rows[:0], np.nan_to_num(rows)
+                if item.subject and item.kind == "sensor" and len(before) > start:  # of the image, which all share
+                    before[start : start + len(own)] += own
+                    own = own[:0]
+                each[name] = Errors(np.concatenate([before, own]), np.inf, *scale)
     return out
 
 

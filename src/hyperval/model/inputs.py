@@ -325,14 +325,11 @@ def _of_compensation(world: World) -> Iterator[tuple[str, float, SpectralForm]]:
 
 
 def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
-    """What enters the budgets of mean spectra alone."""
-    yield from interpolation_input(world)
-    yield from compensation_inputs(world)
+    """What enters the budgets of mean spectra alone.
 
-
-def compensation_inputs(world: World) -> Iterator[UncertainInput]:
-    """What the reflectance of an image is off by, as an error of each field spectrum that is compared with it; what is
-    measured on the image has the same error.
+    Interpolation of the path radiance between the nodes of a table is off by
+    :func:`hyperval.atmosphere.between.path_error`, smooth over wavelength.  What the reflectance of an image is off by
+    is an error of each field spectrum that is compared with it; what is measured on the image has the same error.
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import predict
@@ -343,29 +340,29 @@ def compensation_inputs(world: World) -> Iterator[UncertainInput]:
     True
     >>> set(grass.budget["compensation (offset)"].round(9).tolist())
     {0.003}
+
+    Where a target and the surface around it both have field spectra, the error is common to them:
+
+    >>> plank = predict(scenario.with_values({"uncertainty": stated})).reflectance["green plank 0.4"]
+    >>> bool(np.allclose(plank.budget["compensation (gain)"], 0.04 * plank.mean))
+    True
     >>> from hyperval.model import read
     >>> world = read(scenario.with_values({"uncertainty": stated}))
     >>> asphalt, *others = world.stated.scenario.scene.classes
     >>> of_image = asphalt.model_copy(update={"spectrum": asphalt.spectrum.model_copy(update={"measured": "court"})})
     >>> scene = world.stated.scenario.scene.model_copy(update={"classes": [of_image, *others]})
     >>> seen = replace(world.stated, scenario=world.stated.scenario.model_copy(update={"scene": scene}))
-    >>> "asphalt" in {one.subject for one in compensation_inputs(replace(world, stated=seen))}
+    >>> "asphalt" in {one.subject for one in inputs_of_spectra(replace(world, stated=seen))}
     False
-    """
-    scene = world.stated.scenario.scene
-    for surface in (*scene.classes, *scene.panels, *scene.sites, *scene.targets):
-        if surface.spectrum.measured is None:
-            path, mean = f"surfaces.[{surface.name}].mean", np.nan_to_num(world.stated.surfaces[surface.name].mean)
-            for part, sd, form in _of_compensation(world):
-                own = sd * mean if part == "gain" else sd
-                yield spectral_input(world, f"compensation ({part})", "sensor", path, own, form)
-
-
-def interpolation_input(world: World) -> Iterator[UncertainInput]:
-    """Error of the path radiance by interpolation between the nodes of a table; none without one.
-
-    Its size is :func:`hyperval.atmosphere.between.path_error`; it is smooth over wavelength.
     """
     sigma, form = world.stated.atmosphere({}, 1).path_uncertainty, SpectralForm(correlation_nm=INTERPOLATION_NM)
     if sigma is not None and np.any(sigma):
         yield spectral_input(world, TABLE, "engine", "light.path_error", sigma[0, 0], form)
+    scene = world.stated.scenario.scene
+    for surface in (*scene.classes, *scene.panels, *scene.sites, *scene.targets):
+        if surface.spectrum.measured is None:
+            path, mean = f"surfaces.[{surface.name}].mean", np.nan_to_num(world.stated.surfaces[surface.name].mean)
+            for part, sd, form in _of_compensation(world):  # the same directions for every surface: it is one error
+                rows = directions(np.full(mean.size, sd), form, world.stated.axis) * (mean if part == "gain" else 1.0)
+                name, words = f"compensation ({part})", form_in_words(form)
+                yield number_input(world, name, "sensor", path, 0.0, words=words, rows=rows)
