@@ -34,7 +34,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
-from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products, SpectralEstimate
+from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
 from hyperval.progress import bars
 from hyperval.results import Outcome, Result
 from hyperval.scenario import BackgroundClass, Fill, Scenario
@@ -140,33 +140,6 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
         if part < LEAST_OF_NOISE:
             words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
             yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
-    measured = side.observed.observation.radiance
-    for c in (c for scenario in side.scenarios for c in scenario.scene.classes):
-        pixels, snr = measured.get((c.covariance or c.spectrum).measured or ""), prediction.snr.get(c.name)
-        if pixels is not None and snr is not None and (part := noise_share(pixels, snr)) > MOST_OF_NOISE:
-            much = f"{100.0 * part:.0f} % of the predicted variance, on average over directions: too many false alarms"
-            yield f"warning: noise counts twice: the pixels that give {c.name!r} its covariance hold it too, {much}"
-
-
-MOST_OF_NOISE = 0.1
-
-
-def noise_share(pixels: SpectralEstimate, snr: SpectralEstimate) -> float:
-    """Part of the variance that predicted noise adds to that of pixels, on average over the directions of both.
-
-    >>> flat, covariance = np.full(4, 100.0), 9.0 * np.ones((4, 4)) + np.eye(4)  # along one direction, and noise
-    >>> pixels = SpectralEstimate(flat, 0.0 * covariance, covariance)
-    >>> round(noise_share(pixels, SpectralEstimate(flat, covariance)), 3)
-    0.382
-    >>> dead = np.diag([1.0, 1.0, 1.0, 0.0])  # of a band that holds nothing
-    >>> noise_share(SpectralEstimate(flat * np.diag(dead), dead, dead), SpectralEstimate(flat, dead))
-    0.5
-    """
-    whole = np.zeros((0, 0)) if pixels.pixel_covariance is None else pixels.pixel_covariance
-    noise = (pixels.mean / np.where(snr.mean > 0.0, snr.mean, np.inf))[: len(whole)] ** 2
-    use = np.flatnonzero(np.isfinite(np.diag(whole)) & np.isfinite(noise) & (noise > 0.0))
-    both = whole[np.ix_(use, use)] + np.diag(noise[use])
-    return float(np.mean(np.diag(np.linalg.inv(both)) * noise[use])) if use.size else 0.0
 
 
 ALL_OF_IT = 0.95  # of the background: regions that hold less of it do not tell what it is made of

@@ -559,15 +559,16 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     world, v, bands = e.world.rows(np.array([u])), int(e.which[u]), np.arange(len(e.axis))
     populations = [p.name for _, _, p in e.stated.populations]
     light, one = e.light.row(v), e.light.rows(np.array([v]))
-    pixels = {
-        name: _mixed(world, one, populations.index(name)) if name in populations else (*_of_surface(world, name), {})
-        for name in levels
-    }
     around, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
     out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
-        covariance, gain, others = pixels[name]
-        seen = light.pixel_covariance(levels[name], radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
+        is_mixed = name in populations
+        of_it = _mixed(world, one, populations.index(name)) if is_mixed else (*_of_surface(world, name), {}, name, 1.0)
+        covariance, gain, others, behind, part = of_it
+        noise = light.noise_variance(levels[name])
+        if e.stated.of_pixels[world.surface(behind)]:  # the covariance of its pixels holds the noise
+            noise = noise - part * light.noise_variance(levels[behind])
+        seen = light.pixel_covariance(noise, radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
         out["radiance", name] = seen, through
@@ -584,9 +585,9 @@ def _of_surface(world: World, name: str) -> tuple[Array, float]:
     return covariance if np.all(factor == 1.0) else factor * covariance, gain
 
 
-def _mixed(world: World, light: radiance.Light, number: int) -> tuple[Array, float, Mapping[str, Array]]:
-    """Covariance of target pixels of one population (3.10, 3.12), gain of the host, and errors (B, B) of the mean of
-    one object at its place by source.
+def _mixed(world: World, light: radiance.Light, number: int) -> tuple[Array, float, Mapping[str, Array], str, float]:
+    """Covariance of target pixels of one population (3.10, 3.12), gain of the host, errors (B, B) of the mean of one
+    object at its place by source, the host, and E[(1 - f)^2] of its part.
     """
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
@@ -598,16 +599,17 @@ def _mixed(world: World, light: radiance.Light, number: int) -> tuple[Array, flo
     host, (behind, gain) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
     fill = float(weights @ fills)  # E[f] of (3.12)
+    of_host, variance = (target.host, float(weights @ (1.0 - fills) ** 2)), float(weights @ (fills - fill) ** 2)
     covariance = radiance.target_pixel_covariance(
-        fill, float(weights @ (fills - fill) ** 2), full[target.name], own, host, behind,
+        fill, variance, full[target.name], own, host, behind,
         target_gain=float(world.column("target_gain")[0, t]),
         fine_texture=float(world.column("fine_texture")[0, world.surface(target.name)]),
         formulation=stated.scenario.formulation,
     )  # fmt: skip
     shares = shares_at(world, number)
     if shares is None:
-        return covariance, gain, {}
-    return covariance, gain, shares[0][shares[1][0]].errors(full, host, behind)
+        return covariance, gain, {}, *of_host
+    return covariance, gain, shares[0][shares[1][0]].errors(full, host, behind), *of_host
 
 
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:

@@ -462,18 +462,18 @@ class Light:
         return (own, own, factor) if np.ndim(factor) == 0 else (own * factor, own * sky, factor)
 
     def pixel_covariance(
-        self, level: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0
+        self, noise: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0
     ) -> Array:
         """Pixel covariance (B, B) of the signal with sensor noise (3.11, 3.16-3.19), of one truth.
 
-        ``under_sky`` (B,) enters D_B; ``around`` (B, B) is the covariance of the surroundings.
+        ``noise`` (B,) : variance of what ``covariance`` does not hold;  ``under_sky`` (B,) enters D_B;  ``around``
+        (B, B) is the covariance of the surroundings
         """
         result = radiance_covariance(
             self.terms, under_sky, covariance, self.average, around, adjacency_gain=gain,
             kappa=float(self.kappa.reshape(-1)[0]), formulation=self.formulation,
         )  # fmt: skip
-        if self.noise is not None:
-            result.flat[:: level.size + 1] += self.noise.variance(level)
+        result.flat[:: noise.size + 1] += noise
         return result
 
     def noise_variance(self, level: Array) -> Array:
@@ -575,7 +575,8 @@ def target_light(world: World, light: Light, target: int) -> tuple[Array, Array,
 def _darkest(light: Light, of: Background, pixels: int) -> Array:
     """(U or 1, 1, B) radiance of the darkest of so many of the scene's pixels (before 3.21)."""
     level, gain = light.level(of.means), of.gain[:, :, None]
-    variance = gain * of.variances() * light.slope() ** 2 + light.noise_variance(level)
+    noise = np.where(of.of_pixels[:, None], 0.0, light.noise_variance(level))
+    variance = gain * of.variances() * light.slope() ** 2 + noise
     variance = variance + gain * light.kappa * of.around()[:, None, :] * light.adjacency_slope(of.means) ** 2
     fractions = np.broadcast_to(of.fraction, variance.shape[:-1])
     return darkest_level(fractions, level, np.sqrt(variance), pixels)[..., None, :]
@@ -639,6 +640,7 @@ class Background:
     stretch: Array
     laws: tuple[Law, ...]
     law_fraction: Array
+    of_pixels: Mask
     kept: dict[Any, Any]
 
     @staticmethod
@@ -657,7 +659,8 @@ class Background:
         stretch = world.stretch[:, :classes]
         return Background(
             world.fraction, world.column("class_gain"), world.mean[:, :classes, bands], between[..., bands],
-            covariances, stretch[..., bands] if stretch.shape[-1] > 1 else stretch, laws, world.law_fraction, kept,
+            covariances, stretch[..., bands] if stretch.shape[-1] > 1 else stretch, laws, world.law_fraction,
+            stated.of_pixels[:classes], kept,
         )  # fmt: skip
 
     def rows(self, index: Index) -> Background:
@@ -718,7 +721,8 @@ class Seen:
     slope : (U or 1, F) D_A / k of (3.11)
     around : (U or 1, M, F) D_B / k times the root of g_m kappa, of (3.11)
     means : (U or 1, M, F) retrieved reflectances
-    noise : (U or 1, M, F) noise variances of the retrieved reflectances
+    noise : (U or 1, M, F) noise variances of the retrieved reflectances, 0 of classes whose covariance holds them
+    held : (U or 1, M, F) the others: covariances of pixels of the image hold the noise that these have
     looked_for : target -> (U or 1, F) what a filter looks for, in the units of the image
     """
 
@@ -730,17 +734,39 @@ class Seen:
     around: Array
     means: Array
     noise: Array
+    held: Array
     looked_for: Mapping[str, Array]
 
     def rows(self, index: Index) -> Seen:
         """Of some truths."""
-        some = _rows_of(self, ("gain", "offset", "slope", "around", "means", "noise"), index)
+        some = _rows_of(self, ("gain", "offset", "slope", "around", "means", "noise", "held"), index)
         signatures = {name: at_rows(x, index) for name, x in self.looked_for.items()}
         return replace(some, light=self.light.rows(index), of=self.of.rows(index), looked_for=signatures)
 
 
 def seen_classes(whole: Light, world: World, bands: Index) -> Seen:
-    """What the detector sees of a world under its light, on some bands (3.7-3.21)."""
+    """What the detector sees of a world under its light, on some bands (3.7-3.21).
+
+    A covariance of pixels of the image holds their noise; of one that was taken from predicted pixels the same follows:
+
+    >>> from hyperval import model
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.statistics_library import ClassStatistics
+    >>> scenario = load_scenario("yellow-planks-asphalt")
+    >>> court, first = model.read(scenario).stated.surfaces["asphalt"], model.predict(scenario)
+    >>> pixels = np.nan_to_num(first.reflectance["asphalt"].pixel_covariance)
+    >>> image = {"court": ClassStatistics("court", court.axis, court.mean, pixels, 5000)}
+    >>> asphalt, *others = scenario.scene.classes
+    >>> asphalt = asphalt.model_validate({**asphalt.model_dump(), "covariance": {"measured": "court"}})
+    >>> scene = scenario.scene.model_copy(update={"classes": [asphalt, *others]})
+    >>> second = model.predict(scenario.model_copy(update={"scene": scene}), model.Origins(measured=image))
+    >>> curves = [x.roc["yellow plank 0.1", "cem", "pixel"] for x in (first, second)]
+    >>> bool(np.allclose(curves[0].pd, curves[1].pd, atol=1e-4))
+    True
+    >>> pixels = second.reflectance["yellow plank 0.1"].pixel_covariance
+    >>> bool(np.allclose(pixels, first.reflectance["yellow plank 0.1"].pixel_covariance, rtol=1e-3))
+    True
+    """
     light, of = whole.at(bands), Background.of(world, bands)
     line, level = light.line(), light.level(of.means)
     weight = np.sqrt(of.gain[:, :, None] * light.kappa)
@@ -751,7 +777,8 @@ def seen_classes(whole: Light, world: World, bands: Index) -> Seen:
         for name, signature in world.stated.signatures.items()
     }
     means, noise = retrieved_reflectance(line, level), light.noise_variance(level) / line.gain**2
-    return Seen(light, of, line.gain, line.offset, slope, around, means, noise, looked_for)
+    held = np.where(of.of_pixels[:, None], noise, 0.0)
+    return Seen(light, of, line.gain, line.offset, slope, around, means, noise - held, held, looked_for)
 
 
 def usable_bands(world: World, light: Light) -> Mask:
@@ -794,9 +821,9 @@ def target_pixels(
 
     Returns
     -------
-    Retrieved reflectance and its noise variance (U or 1, K, F); D_B / k times the root of g_m kappa (3.11) of a pixel
-    of host, and of one full of target, (U or 1, 1, F) each; light on the target over that in the open (U, 1, F), 1
-    without shade.
+    Retrieved reflectance and its noise variance (U or 1, K, F), less what the host's covariance holds of it; D_B / k
+    times the root of g_m kappa (3.11) of a pixel of host, and of one full of target, (U or 1, 1, F) each; light on the
+    target over that in the open (U, 1, F), 1 without shade.
     """
     light, of, number = seen.light, seen.of, material.host
     lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
@@ -805,4 +832,5 @@ def target_pixels(
     means = retrieved_reflectance(TwoPanelLine(seen.gain, seen.offset), level)
     weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / seen.gain
     around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
-    return means, light.noise_variance(level) / seen.gain**2, around, factor
+    held = (1.0 - fills[:, None]) ** 2 * seen.held[:, number : number + 1]
+    return means, light.noise_variance(level) / seen.gain**2 - held, around, factor

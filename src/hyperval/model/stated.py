@@ -637,6 +637,7 @@ class Stated(Keeps):
     populations : number of the target, number in it, and population of target pixels
     mean : (S, B) mean reflectance of the surfaces
     columns : field of the world -> (1, items) as stated
+    of_pixels : (S,) surfaces whose covariance is of pixels of the image, which hold the sensor's noise already
     laws : what the scores of the classes are distributed as: a class each, or the components of a mixture
     linear_detectors : whose score is linear in the pixel
     """
@@ -663,6 +664,8 @@ class Stated(Keeps):
         self.classes = [c.name for c in scene.classes]
         self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
         self.mean = np.array([s.mean for s in self.surfaces.values()])
+        every = *scene.classes, *scene.panels, *scene.sites, *scene.targets
+        self.of_pixels = np.array([_region_of(s) is not None for s in every], dtype=bool)
         lights = [t.illumination or Illumination() for t in scene.targets]
         of: dict[str, list[float]] = {
             "fraction": [c.fraction for c in scene.classes],
@@ -686,9 +689,9 @@ class Stated(Keeps):
         return {**vars(self), "kept": {}}
 
 
-def _region_of(c: BackgroundClass) -> str | None:
-    """The region of the collection that a class has its law from."""
-    return c.spectrum.measured if c.covariance is None else c.covariance.measured
+def _region_of(surface: Surface) -> str | None:
+    """The region of the collection that a surface has its law from."""
+    return surface.spectrum.measured if surface.covariance is None else surface.covariance.measured
 
 
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float:
