@@ -618,13 +618,14 @@ def detect(
             pixels = [e.scores(population.name, name) for population in target.populations]
             for error in e.problems.values():
                 raise error
+            objects = [e.scores(p.name, name, True) for p in target.populations] if object_curves else pixels
             # What the background scores by one filter, all populations of its target share.
             thresholds = pixels[0].thresholds(pfa[None])
             behind = pixels[0].background(at, thresholds[at], densities=densities)
-            for population, own in zip((p.name for p in target.populations), pixels, strict=True):
+            names = (p.name for p in target.populations)
+            for population, own, whole in zip(names, pixels, objects, strict=True):
                 pd: dict[Literal["pixel", "object"], Array] = {"pixel": own.detection_above(thresholds)}
                 if object_curves:
-                    whole = e.scores(population, name, True)
                     pd["object"] = pd["pixel"] if whole is own else whole.detection_above(thresholds)
                 for unit, curves in pd.items():
                     key, e.probits[population, name, unit] = (population, name, unit), roc.probit(curves)

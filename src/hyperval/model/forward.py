@@ -430,12 +430,13 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     surroundings (3.10).
     """
     world, scene = e.world, e.scenario.scene
+    shares = [shares_at(world, number) for number in range(len(e.stated.populations))]
     light = e.light.rows(e.which)
     own = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
     out = {s.name: 2 * (own[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
     full = {t.name: radiance.target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
-    for number, (t, _, population) in enumerate(e.stated.populations):
-        host, fills, placed = own[scene.targets[t].host], world.pixel_fills[number], shares_at(world, number)
+    for (t, _, population), fills, placed in zip(e.stated.populations, world.pixel_fills, shares, strict=True):
+        host = own[scene.targets[t].host]
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
         if placed is not None:
             parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}
@@ -473,7 +474,7 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
         if light.radiant:
             out["radiance", name] = level[:, 0]
             white = light.terms.diffuser_radiance
-            if white is not None and e.scenario.is_of_space:
+            if white is not None and e.stated.is_of_space:
                 out["toa_reflectance", name] = radiance.toa_reflectance(level, white)[:, 0]
             if light.noise is not None and name in bare:
                 for key, with_c in ((name, True), (bare[name], False)):
@@ -548,6 +549,9 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
 
 
 Spread = tuple[Array, Mapping[str, Array]]
+# Covariance (B, B) of pixels with its gain, gain, errors (B, B) of the mean of one object at its place by source, the
+# surface behind, and the part of its covariance in that of the pixels.
+Spreading = tuple[Array, float, Mapping[str, Array], str, float]
 
 
 def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tuple[str, str], Spread]:
@@ -559,12 +563,14 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     world, v, bands = e.world.rows(np.array([u])), int(e.which[u]), np.arange(len(e.axis))
     populations = [p.name for _, _, p in e.stated.populations]
     light, one = e.light.row(v), e.light.rows(np.array([v]))
+    pixels = {
+        name: _mixed(world, one, populations.index(name)) if name in populations else _of_surface(world, name)
+        for name in levels
+    }
     around, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
     out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
-        is_mixed = name in populations
-        of_it = _mixed(world, one, populations.index(name)) if is_mixed else (*_of_surface(world, name), {}, name, 1.0)
-        covariance, gain, others, behind, part = of_it
+        covariance, gain, others, behind, part = pixels[name]
         noise = light.noise_variance(levels[name])
         if e.stated.of_pixels[world.surface(behind)]:  # the covariance of its pixels holds the noise
             noise = noise - part * light.noise_variance(levels[behind])
@@ -576,19 +582,17 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     return out
 
 
-def _of_surface(world: World, name: str) -> tuple[Array, float]:
-    """(B, B) covariance of a surface in one truth, its gain included, and that gain: g_m of a class, 1 of any other."""
+def _of_surface(world: World, name: str) -> Spreading:
+    """Of a surface in one truth; its gain is g_m of a class, 1 of any other."""
     classes, stretch = world.stated.classes, world.stretch[0, world.surface(name)]
     gain = float(world.column("class_gain")[0, classes.index(name)]) if name in classes else 1.0
     factor = gain * (stretch[0] ** 2 if stretch.size == 1 else np.outer(stretch, stretch))  # g_m of (3.11)
     covariance = world.stated.surfaces[name].covariance
-    return covariance if np.all(factor == 1.0) else factor * covariance, gain
+    return covariance if np.all(factor == 1.0) else factor * covariance, gain, {}, name, 1.0
 
 
-def _mixed(world: World, light: radiance.Light, number: int) -> tuple[Array, float, Mapping[str, Array], str, float]:
-    """Covariance of target pixels of one population (3.10, 3.12), gain of the host, errors (B, B) of the mean of one
-    object at its place by source, the host, and E[(1 - f)^2] of its part.
-    """
+def _mixed(world: World, light: radiance.Light, number: int) -> Spreading:
+    """Of target pixels of one population (3.10, 3.12) before their host, whose part is E[(1 - f)^2]."""
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
     full = {o.name: radiance.target_light(world, light, i)[0][0, 0] for i, o in enumerate(stated.targets)}
@@ -596,10 +600,10 @@ def _mixed(world: World, light: radiance.Light, number: int) -> tuple[Array, flo
     if np.ndim(shade):
         factor = np.asarray(shade)[0, 0]
         own = own * np.outer(factor, factor)
-    host, (behind, gain) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
+    host, (behind, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
     fill = float(weights @ fills)  # E[f] of (3.12)
-    of_host, variance = (target.host, float(weights @ (1.0 - fills) ** 2)), float(weights @ (fills - fill) ** 2)
+    part, variance = float(weights @ (1.0 - fills) ** 2), float(weights @ (fills - fill) ** 2)
     covariance = radiance.target_pixel_covariance(
         fill, variance, full[target.name], own, host, behind,
         target_gain=float(world.column("target_gain")[0, t]),
@@ -607,9 +611,8 @@ def _mixed(world: World, light: radiance.Light, number: int) -> tuple[Array, flo
         formulation=stated.scenario.formulation,
     )  # fmt: skip
     shares = shares_at(world, number)
-    if shares is None:
-        return covariance, gain, {}, *of_host
-    return covariance, gain, shares[0][shares[1][0]].errors(full, host, behind), *of_host
+    errors = {} if shares is None else shares[0][shares[1][0]].errors(full, host, behind)
+    return covariance, gain, errors, target.host, part
 
 
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:

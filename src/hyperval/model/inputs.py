@@ -355,8 +355,9 @@ def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
     >>> "asphalt" in {one.subject for one in inputs_of_spectra(replace(world, stated=seen))}
     False
     """
-    sigma, form = world.stated.atmosphere({}, 1).path_uncertainty, SpectralForm(correlation_nm=INTERPOLATION_NM)
+    sigma = world.stated.atmosphere({}, 1).path_uncertainty
     if sigma is not None and np.any(sigma):
+        form = SpectralForm(correlation_nm=INTERPOLATION_NM)
         yield spectral_input(world, TABLE, "engine", "light.path_error", sigma[0, 0], form)
     scene = world.stated.scenario.scene
     for surface in (*scene.classes, *scene.panels, *scene.sites, *scene.targets):

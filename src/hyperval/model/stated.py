@@ -27,14 +27,13 @@ from hyperval.atmosphere.solar import SPECTRA, source_samples
 from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standard_profile
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.data import Array, Components, Index, statistics_of
-from hyperval.errors import UsageError, needed, one_of, refusal, refuse, told_of
+from hyperval.errors import UsageError, needed, one_of, refuse, told_of
 from hyperval.model.intervals import Z95
 from hyperval.paths import MAX_MATCHES, Resolve, matching
 from hyperval.progress import track
 from hyperval.scenario import (
     BackgroundClass,
     CovarianceSource,
-    Illumination,
     Replicates,
     Scenario,
     SpectrumSource,
@@ -303,9 +302,8 @@ def _components(surface: Surface, stored: Components | None) -> Components | Non
         return None
     if surface.mixture == "auto":  # one law is an answer too
         return stored
-    if stored is None or len(stored) != surface.mixture:
-        there = "none" if stored is None else len(stored)
-        raise refusal("surface.mixture", name=surface.name, asked=surface.mixture, there=there)
+    there = "none" if stored is None else len(stored)
+    refuse(there != surface.mixture, "surface.mixture", name=surface.name, asked=surface.mixture, there=there)
     return stored
 
 
@@ -317,10 +315,7 @@ def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
 
 def without_gaps(values: Array) -> Array:
     """(B,) with NaN replaced by the nearest known values: for the scene average alone."""
-    known = np.isfinite(values)
-    if known.all():
-        return values
-    at = np.arange(values.size)
+    known, at = np.isfinite(values), np.arange(values.size)
     return np.interp(at, at[known], values[known])
 
 
@@ -666,15 +661,14 @@ class Stated(Keeps):
         self.mean = np.array([s.mean for s in self.surfaces.values()])
         every = *scene.classes, *scene.panels, *scene.sites, *scene.targets
         self.of_pixels = np.array([_region_of(s) is not None for s in every], dtype=bool)
-        lights = [t.illumination or Illumination() for t in scene.targets]
         of: dict[str, list[float]] = {
             "fraction": [c.fraction for c in scene.classes],
             "class_gain": [c.gain for c in scene.classes],
             "tail": [class_tail(c, self.surfaces[c.name]) for c in scene.classes],
             "neighbours": [scene.adjacency.effective_neighbours or np.inf],
             "target_gain": [t.gain for t in scene.targets],
-            "beam": [light.beam for light in lights],
-            "sky_view": [light.sky_view for light in lights],
+            "beam": [t.illumination.beam if t.illumination else 1.0 for t in scene.targets],
+            "sky_view": [t.illumination.sky_view if t.illumination else 1.0 for t in scene.targets],
             "spread": [1.0] * len(self.surfaces),
             "fine_texture": [0.0] * len(self.surfaces),
         }
@@ -683,7 +677,7 @@ class Stated(Keeps):
         self.populations: list[tuple[int, int, TargetSubject]] = [
             (t, k, p) for t, target in enumerate(scene.targets) for k, p in enumerate(target.populations)
         ]
-        self.linear_detectors = self.scenario.processing.linear_detectors
+        self.linear_detectors, self.is_of_space = self.scenario.processing.linear_detectors, self.scenario.is_of_space
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "kept": {}}
@@ -753,11 +747,12 @@ def read_files(
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = needed(next((a for a in axes if a is not None), None), "scenario.bands")
     true, noise, kept = axis, None, dict[Any, Any]()
+    count = operation.spectral_binning if operation else 1
+    refuse(count > 1 and source.axis is not None, "scenario.binned")
     if sensor is not None:
         noise = sensor.operated_noise(axis, operation, scenario.sensor_changes, kept)
-        true, count = sensor.true_axis(axis, operation), operation.spectral_binning if operation else 1
+        true = sensor.true_axis(axis, operation)
         if count > 1:
-            refuse(source.axis is not None, "scenario.binned")
             refuse(count > len(axis), "scenario.bins", count=count, bands=len(axis))
             true, axis = binned_axis(true, count), binned_axis(axis, count)
     if np.any(shift_nm) or width != 1.0:

@@ -436,12 +436,11 @@ class Sensor:
         ------
         UsageError : a column outside the track, an arm that the sensor does not have, bands that change places.
         """
-        op = operation or SensorOperation()
-        shift = np.zeros(len(nominal))
+        shift, column = np.zeros_like(nominal.centre_nm), operation.column if operation else None
         for item in self.specification.spectral_calibration:
             low, high = item.range_nm or (0.0, np.inf)
-            shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(op.column)
-        stated = op.wavelength_shift_nm
+            shift[(nominal.centre_nm >= low) & (nominal.centre_nm <= high)] += item.at(column)
+        stated = operation.wavelength_shift_nm if operation else 0.0
         if isinstance(stated, dict):
             names = [arm.name for arm in self.specification.arms]
             if unknown := [name for name in stated if name not in names]:
@@ -463,7 +462,7 @@ class Sensor:
         ------
         UsageError : a band lies outside all arms.
         """
-        spec, on = self.specification, axis or self.axis
+        spec, on = self.specification, self.axis if axis is None else axis
         w = on.centre_nm
         calibration = self._at("calibration_error_percent", w)
         measured = spec.measured_noise
