@@ -48,14 +48,13 @@ def test_ratio_covariance_by_monte_carlo():
 
 
 def test_median_interval_covers():
-    # 41 bands, errors half common, half of each band: 2000 draws, sd of the share 0.005; the interval of
-    # the mean is used for the median, a little narrow for the independent part: 0.93 to 0.97.
+    # 41 bands, errors half common, half of each band: 2000 draws, sd of the share 0.005: four of them.
     rng = np.random.default_rng(2)
     covariance = 0.01**2 * (0.5 * np.ones((41, 41)) + 0.5 * np.eye(41))
     draws = rng.multivariate_normal(np.full(41, 0.02), covariance, 2000)
-    limits = np.array([compare.median_interval(r, covariance) for r in draws])
+    limits = np.array([compare.summary_intervals(r, covariance)[0] for r in draws])
     assert 0.93 < np.mean((limits[:, 0] <= 0.02) & (limits[:, 1] >= 0.02)) < 0.97
-    assert all(np.isnan(compare.median_interval(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))))
+    assert all(np.isnan(compare.summary_intervals(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))[0]))
 
 
 def test_diagonal_and_full_agree_without_correlation():
@@ -209,8 +208,8 @@ def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held()
     rng, c, low_of_nothing, inside = np.random.default_rng(22), np.eye(40), [], 0
     for _ in range(200):
         none = 0.05 * rng.standard_normal(40)
-        low_of_nothing.append([ends[0] for ends in compare.size_intervals(none, 0.0025 * c)])
-        low, high = compare.size_intervals(0.1 + 0.02 * rng.standard_normal(40), 0.0004 * c)[0]
+        low_of_nothing.append([ends[0] for ends in compare.summary_intervals(none, 0.0025 * c)[1:]])
+        low, high = compare.summary_intervals(0.1 + 0.02 * rng.standard_normal(40), 0.0004 * c)[1]
         inside += low <= 0.1 <= high
     median, greatest = np.array(low_of_nothing).T
     # 95 % of 200 is 190, sd 3.1.
