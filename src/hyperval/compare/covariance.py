@@ -198,7 +198,7 @@ def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
         yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
     yield row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
-    total = band.total / float(measured.total)
+    total = band.total / band.total.mean() * float(np.trace(sample.covariances[0]) / measured.total)
     yield _row("total_variance_ratio", float(total.mean()), pixels.band_limits(total), n)
 
 

@@ -188,8 +188,9 @@ def judged_together(
 
     Objects of one material share the error of its spectrum and all share the blur, so their values are not
     independent and the customary tests would reject right models.  The reference is therefore drawn from the
-    prediction: one row of it (one draw of the inputs) for all objects, then each object within that row.  The same
-    draws, spread about their medians, say which width the tests would have found.
+    prediction: one row of it (one draw of the inputs) for all objects, then each object within that row; the first half
+    of the reference by the first half of the rows, the second by the others.  The same draws, spread about their
+    medians, say which width the tests would have found.
 
     - ``objects_inside_95`` their share in their predicted 95 % intervals, with the exact interval if they were
       independent, and ``objects_inside_95_p_value`` that so few lie inside;
@@ -211,17 +212,19 @@ def judged_together(
     >>> predicted = {name: ObjectScores(draws + i) for i, name in enumerate("abc")}
     >>> measured = {name: np.array([i + 0.5]) for i, name in enumerate("abc")}
     >>> [round(r.value, 2) for r in judged_together(predicted, measured) if r.metric.endswith("p_value")]
-    [1.0, 0.06, 0.86, 1.0]
+    [1.0, 0.06, 0.85, 1.0]
     >>> scattered = {name: np.array([i - 2.0, i, i + 2.0]) for i, name in enumerate("abc")}
     >>> *_, wide = judged_together(predicted, scattered)
     >>> [round(x, 2) for x in (wide.value, wide.lower, wide.upper)]
-    [0.54, 0.29, 0.85]
+    [0.54, 0.28, 0.86]
     """
     if not measured:
         yield from without("no_observation.objects", *OF_ALL)
         return
     rng = np.random.default_rng(_SEED)
-    shared = rng.integers(len(predicted[next(iter(measured))].values), size=REPLICATES)[:, None]
+    rows, half = len(predicted[next(iter(measured))].values), REPLICATES // 2
+    halves = rng.integers(max(rows // 2, 1), size=half), rng.integers(rows // 2, rows, size=half)
+    shared = np.concatenate(halves)[:, None]
     values, drawn, wider, strength = [], [], [], []
     for subject, scores in measured.items():
         draws = predicted[subject].values
@@ -229,7 +232,7 @@ def judged_together(
         own, *spread = transforms_of_draws(draws)
         column = rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
         drawn.append(own[shared, column])
-        wider.append(np.stack([x[shared[:POWER_DRAWS], column[:POWER_DRAWS]] for x in spread]))
+        wider.append(np.stack([x[shared[-POWER_DRAWS:], column[-POWER_DRAWS:]] for x in spread]))
         strength += [float(np.median(draws))] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
     z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
@@ -278,8 +281,8 @@ def _uniformity_row(u: Array, reference: Array, wide: Array, note: str) -> Resul
 def _joint_distance(z: Array, x: Array, wide: Array, note: str) -> Iterator[Result]:
     """Mahalanobis distance of the normal scores; their covariance is that of one half of the draws.
 
-    The other half is what the distance is compared with: neither it nor the measured set had a part in the
-    covariance.
+    The other half, of other draws of the inputs, is what the distance is compared with: neither it nor the measured set
+    had a part in the covariance.
     """
     half, n = x.shape[0] // 2, z.size
     if n > MOST_JOINED:

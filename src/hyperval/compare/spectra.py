@@ -690,7 +690,7 @@ def _consistency(
         ratio, errors = difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here]
         use = np.isfinite(ratio)
         bias = float(ratio[use].sum()) / (np.count_nonzero(use) or math.nan)
-        yield row("bias_ratio", bias, half=half_of_mean(errors[np.ix_(use, use)]), n=full.dof)
+        yield row("bias_ratio", bias, half=half_of_mean(errors[np.ix_(use, use)]), n=int(np.count_nonzero(use)))
         yield from _test_rows("shape", chi_square_shape(r, o, tested), tilts[1])
         inside, limits = share_inside(r, cov)
         yield row("fraction_inside_95", inside, limits, n=count)
