@@ -198,7 +198,7 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     ----------
     geometry : target and pixel
     offset : (K, 2) centre of the target from the centre of the middle pixel [pixels]
-    heading_deg : (K,) direction of the length
+    heading_deg : (K,) direction of the length, from increasing lines to increasing samples
 
     Returns
     -------
