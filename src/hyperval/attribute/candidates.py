@@ -70,7 +70,8 @@ _SIZES = {name: sizes for name, *_, sizes in _PARTS} | {
 }
 _LEAST, _MOST = 0.05, 10.0  # factors that a change may have on what is given in parts
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
-SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
+# Of spectra in another unit; what the brightest bands of a reflectance are at least, and at most.
+SCALES, DARKEST, BRIGHTEST = (0.01, 0.1, 10.0, 100.0), 0.02, 1.5
 # Of the state of atmosphere and view: step, and where the model is asked.
 _OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
     ("sensor_altitude_km", "sensor altitude", "10 %", (-5.0, 20.0)),
@@ -306,6 +307,8 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> mean = world.stated.surfaces["grass"].mean
     >>> [float(np.median(truth["surfaces.[grass].mean"] / mean).round(9)) for truth in grass.at(0, 2.0)]
     [1.1, 1.1]
+    >>> of["scale of a spectrum"].labels  # that leave a reflectance
+    ('grass x 0.1', 'soil x 0.1', 'white panel x 0.1', 'black panel x 10', 'yellow plank x 0.1 or of another material')
     """
     states = [world.stated.scenario.atmosphere for world in worlds]
     if any(s is not None and s.engine == "table" for s in states):
@@ -342,14 +345,23 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
             for names in combinations([x.name for x in kind], 2):
                 pairs[" and ".join(names)] = alone(_exchanged(world, names))
-            for name, x in product([s.name for s in kind if s.spectrum.measured is None], SCALES):
-                level = np.nan_to_num(world.stated.surfaces[name].mean)
-                scaled[f"{name} x {x:g}"] = alone({f"surfaces.[{name}].mean": x * level})
+            scaled |= {words: alone(truth) for words, truth in _rescaled(world, kind)}
         for s, path in _field_spectra(_of_ground(world)):
             levels[s.name][number][path] = np.asarray(value_at(world, path))[0]
     out += [_level(f"the spectrum of {name}", means) for name, means in levels.items()]
     found = {"exchanged spectra or regions": pairs, "scale of a spectrum": scaled}
     return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
+
+
+def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Truth]]:
+    """Field spectra in another unit, as far as they are reflectances then; of targets, whose scores do not tell, or
+    others in their place.
+    """
+    for s, path in _field_spectra(kind):
+        level, other = np.nan_to_num(world.stated.surfaces[s.name].mean), isinstance(s, Target)
+        for x in SCALES:
+            if DARKEST <= np.percentile(x * level, 95) <= BRIGHTEST:
+                yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level}
 
 
 def _wider(worlds: Sequence[World], units: float) -> list[Truth]:

@@ -108,7 +108,9 @@ def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
     place = side.observed.place
     if place is None:
         return
-    yield from _of_noise(side, prediction) if prediction is not None else ()
+    if prediction is not None:
+        yield from _of_noise(side, prediction)
+        yield from _of_scale(side.observed.observation, prediction)
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
         yield from _of_filters(side, scenario) if prediction is not None else ()
@@ -146,6 +148,27 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
         if pixels is not None and snr is not None and (part := noise_share(pixels, snr)) > MOST_OF_NOISE:
             much = f"{100.0 * part:.0f} % of the predicted variance, on average over directions: too many false alarms"
             yield f"warning: noise counts twice: the pixels that give {c.name!r} its covariance hold it too, {much}"
+
+
+def _of_scale(observation: Products, prediction: Products) -> Iterator[str]:
+    """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
+
+    >>> from hyperval.spectra import SpectralAxis
+    >>> def side(*levels):
+    ...     seen = {name: SpectralEstimate(np.full(3, x), np.eye(3)) for name, x in zip("ab", levels)}
+    ...     return Products(SpectralAxis(np.arange(500.0, 800.0, 100.0), 5.0), reflectance=seen)
+    >>> [[text[9:63] for text in _of_scale(side(*seen), side(0.5, 0.2))] for seen in ((0.04, 0.03), (0.05, 0.2))]
+    [['every measured reflectance is some 0.1 times the predi'], []]
+    """
+    for product in ("radiance", "reflectance", "toa_reflectance"):
+        seen, stated = getattr(observation, product), getattr(prediction, product)
+        levels = [(np.abs(seen[s].mean), np.abs(stated[s].mean)) for s in seen if s in stated]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            known = [(np.where(np.isfinite(o * p), (o, p), 0.0)).sum(axis=1) for o, p in levels]
+            powers = {float(np.round(np.log10(o / p))) for o, p in known}
+        if len(powers) == 1 and (power := powers.pop()) and math.isfinite(power):
+            why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
+            yield f"warning: every measured {product} is some {10.0**power:g} times the predicted one: {why}"
 
 
 MOST_OF_NOISE = 0.1
