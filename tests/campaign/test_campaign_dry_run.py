@@ -78,7 +78,7 @@ def test_everything_that_is_lacking_is_listed_and_once_where_runs_share_it(place
         ("found", "scenario.yaml"),
         ("to fill in", "collection.cube.scale"),
         ("to fill in", "scene.classes.0.fraction"),
-        ("planned", "comparisons: 1, with acceptance criteria: 1"),
+        ("planned", "entries of comparisons: 1, of which acceptance criteria: 1"),
     ]
     assert cli.run(["validate", "--dry-run", str(places)]) == 3
     assert capsys.readouterr().out.splitlines()[0].split("\t") == ["campaign", "kind", "state", "what", "detail"]

@@ -113,7 +113,7 @@ def overview(items: Sequence[Item]) -> list[Item]:
         one_file = f", {general.pop()}" if len(general) == 1 else ""
         if state == PLANNED:
             count, deciding = (n // len(names) for n in (len(members), sum(i.decides for i in members)))
-            what = f"comparisons: {count}, with acceptance criteria: {deciding}"
+            what = f"entries of comparisons: {count}, of which acceptance criteria: {deciding}"
             detail = ", ".join(dict.fromkeys(i.what.split()[0] for i in members))
         elif state == PRESENT and len(paths := {i.what for i in members}) > 1:
             what = f"{len(paths)} files"
