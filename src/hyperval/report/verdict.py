@@ -74,17 +74,26 @@ def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
 
 
 def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
-    """What is said of the rows of a run; ``power`` : what its criteria could have found, in words."""
-    gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
-    model = [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
-    informing = [row for row in rows if not row.gates and row.outcome in (Outcome.DISAGREES, Outcome.UNDECIDED)]
+    """What is said of the rows of a run; ``power`` : what its criteria could have found, in words.
+
+    >>> broken = Result("", "radiance", "lawn", "", "bias_ratio", outcome=Outcome.ERROR)
+    >>> first_screen([broken]).head, first_screen([broken]).lead
+    ('Error', 'Nothing here can pass or fail. 1 informational comparison ended in an error.')
+    """
+    gates = [row for row in rows if row.gates]
+    model = [row for row in gates if row.evidence is Evidence.MODEL]
+    are_told = (Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED)
+    informing = [row for row in rows if not row.gates and row.outcome in are_told]
     told = ranked(criteria_of(rows))
     told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
     first = told[0] if told else None
-    outcome, head, opening = status(gates)
+    outcome, head, opening = status([row for row in rows if row.gates or row.outcome is Outcome.ERROR])
     asides = [power, _never_met(model), _which_to_believe(rows), _unseen(model)]
-    kinds = dict.fromkeys(row.product for row in told if row.gates)
-    products = [_product(kind, [row for row in model if row.product == kind]) for kind in kinds]
+    products = []
+    for kind in dict.fromkeys(row.product for row in told if row.gates):
+        own = [row for row in model if row.product == kind]
+        counts = Counter(row.outcome for row in own)
+        products.append((product_words(kind), [(o, counts[o]) for o in WORST_FIRST if counts[o]], outcome_words(own)))
     reason, ahead = _reason(rows, first.subject if first else "all"), _AHEAD.get(first.outcome, "") if first else ""
     counted = _counted(gates, Evidence.MODEL), _counted(gates, Evidence.PIPELINE), _counted(informing, None)
     words = opening, *counted[:2], _never_met(gates), counted[2], _which_to_believe(rows)
@@ -102,12 +111,6 @@ def _lead(gates: Sequence[Result], informing: Sequence[Result], ahead: str, firs
     if first is not None and first.gates and ahead:
         parts.append(f"{ahead}: {product_words(first.product)}, {row_label(first)}, {effect_text(first)}.")
     return " ".join(filter(None, parts))
-
-
-def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome, int]], str]:
-    counts = Counter(row.outcome for row in rows)
-    parts = [(o, counts[o]) for o in WORST_FIRST if counts[o]]
-    return product_words(name), parts, outcome_words(rows)
 
 
 def _reason(rows: Sequence[Result], subject: str) -> str:
