@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -841,65 +841,48 @@ def _sensitivity_rows(
         yield replace(found, product="sensitivity", subject=quantity.subject, method=method)
 
 
-class WhatIfOutcome(NamedTuple):
-    """What one experiment leaves: residuals over their uncertainty, summary gaps by name, ratios of false alarms."""
-
-    item: WhatIf
-    residuals: Whitened
-    gaps: Mapping[str, float]
-    alarms: Mapping[Key, Result]
-
-    @property
-    def reduced(self) -> float:
-        """Reduced chi-square."""
-        return self.residuals.chi_square / self.residuals.dof
-
-    def rows(self, before: WhatIfOutcome) -> Iterator[Result]:
-        """``reduced_chi_square`` after it, ``likelihood_gain`` and each gap after it.
-
-        The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
-        """
-        n, was, p = before.residuals.dof, before.reduced, self.residuals.p_value
-        yield row("reduced_chi_square", self.reduced, n=n, before=was, reason=f"{was:.4g} before; {self.item.question}")
-        yield row("likelihood_gain", (was - self.reduced) * n, n=n, reason=f"p = {p:.2g} after")
-        for name, gap in before.gaps.items():
-            words = name.replace("|", "").replace("@", " at ").split()
-            yield row("_".join(words), self.gaps[name], n=n, before=gap, reason=f"{gap:.4g} before")
-
-
 def _what_ifs(
     model: ScenarioModel, causes: Causes, sides: tuple[Products, Products], what_ifs: Sequence[WhatIf]
 ) -> list[Result]:
     """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
 
-    ``sides`` : products of the scenarios as they stand, and those that were measured
+    ``reduced_chi_square`` after it, ``likelihood_gain`` and each summary gap after it.  The gain is the fall of the
+    chi-square: twice the log-likelihood gained under the same covariance.  ``sides`` : products of the scenarios as
+    they stand, and those that were measured
 
     Raises
     ------
     UsageError : an experiment that fits no scenario, or compares other things than the campaign does.
     """
-
     stack = causes.stack
 
-    def left(item: WhatIf, predicted: Products, seen: Products) -> WhatIfOutcome:
+    def left(name: str, predicted: Products, seen: Products) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
+        """Residuals over their uncertainty, summary gaps, ratios of false alarms."""
         after = stack if seen is sides[1] else stacked(predicted, seen)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
-        refuse(now != before, "whatif.other", name=item.name)
+        refuse(now != before, "whatif.other", name=name)
         spread = causes.covariance if after is stack else causes.covariance - stack.covariance + after.covariance
         residuals = Whitened(after.observed - after.predicted(predicted), spread)
-        return WhatIfOutcome(item, residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen))
+        return residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen)
 
-    def tried(item: WhatIf) -> WhatIfOutcome:
-        scenarios = changed_scenarios(model.scenarios, item)
-        return left(item, model.assuming(scenarios), model.observe(item.observe, {}) if item.observe else sides[1])
+    def tried(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
+        predicted = model.assuming(changed_scenarios(model.scenarios, item))
+        return left(item.name, predicted, model.observe(item.observe, {}) if item.observe else sides[1])
 
     if not what_ifs:
         return []
-    before = left(what_ifs[0], *sides)
-    outcomes = [tried(item) for item in track(what_ifs, "attribution: what-ifs")]
-    outcomes.sort(key=lambda o: o.reduced)
-    rows = [one for o in outcomes for one in named(o.rows(before), "what-if", "all", o.item.name)]
-    return [*rows, *_alarm_rows(before.alarms, outcomes)]
+    (start, gaps, alarms), rows = left("", *sides), list[Result]()
+    outcomes = sorted(((w, *tried(w)) for w in track(what_ifs, "attribution: what-ifs")), key=lambda o: o[1].chi_square)
+    was, n = start.chi_square / start.dof, start.dof
+    for item, after, closed, _ in outcomes:
+        now, p, words = after.chi_square / n, after.p_value, f"{was:.4g} before; {item.question}"
+        own = [row("reduced_chi_square", now, n=n, before=was, reason=words)]
+        own.append(row("likelihood_gain", (was - now) * n, n=n, reason=f"p = {p:.2g} after"))
+        for name, gap in gaps.items():
+            metric = "_".join(name.replace("|", "").replace("@", " at ").split())
+            own.append(row(metric, closed[name], n=n, before=gap, reason=f"{gap:.4g} before"))
+        rows += named(own, "what-if", "all", item.name)
+    return [*rows, *_alarm_rows(alarms, [(item.name, ratios) for item, *_, ratios in outcomes])]
 
 
 def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scenario]:
@@ -976,9 +959,9 @@ def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
     return f"{size}; {name!r} leaves {best.value:.2g}, {end}"
 
 
-def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
+def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[tuple[str, Mapping[Key, Result]]]) -> Iterator[Result]:
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
-    tried = {k: each for k in before if (each := [(o.item.name, o.alarms[k]) for o in outcomes if k in o.alarms])}
+    tried = {k: each for k in before if (each := [(name, alarms[k]) for name, alarms in outcomes if k in alarms])}
     for key, each in tried.items():
         yield _ratio_row(key, "attribution", before[key], reason_for(before[key], each))
     for key, each in tried.items():
