@@ -317,7 +317,10 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     def shifted(units: float) -> list[Truth]:
         return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
 
-    wider, sizes = partial(_wider, worlds), (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
+    def wider(units: float) -> list[Truth]:  # or spectra that were smoothed over bands
+        return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
+
+    sizes = (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
     out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
     out.append(Candidate("band width", "sensor", "10 %", False, moved=wider, sizes=(-4.0, 10.0, 30.0)))
     if any(s is not None and s.time_utc for s in states):
@@ -362,11 +365,6 @@ def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Trut
         for x in SCALES:
             if DARKEST <= np.percentile(x * level, 95) <= BRIGHTEST:
                 yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level}
-
-
-def _wider(worlds: Sequence[World], units: float) -> list[Truth]:
-    """Wider bands, or spectra that were smoothed over bands."""
-    return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
 
 
 def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
@@ -802,12 +800,8 @@ def errors_of_file(path: Path) -> dict[str, Family]:
     for name, values in told.items():
         refuse(values is None and name not in standard, "attribution.error", path, name=name)
         refuse(values is not None and not isinstance(values, dict), "attribution.errors", path)
-        out[str(name)] = standard[name] if values is None else partial(_stated_truth, values=values)
+        out[str(name)] = standard[name] if values is None else partial(lambda own, _: own, values)
     return out
-
-
-def _stated_truth(world: World, *, values: Truth) -> Truth:
-    return values
 
 
 def injected_prediction(

@@ -799,8 +799,3 @@ def common_and_own(
 def _moves(part: Array, whole: Array) -> bool:
     """Whether a change in some residuals is more than rounding beside that in all of them."""
     return bool(np.max(np.abs(part), initial=0.0) > 1e-9 * np.max(np.abs(whole), initial=0.0))
-
-
-def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:
-    """(n, n) covariance of everything whose uncertainty is stated: columns for one standard uncertainty each."""
-    return sum((g @ g.T for candidate, g in columns.items() if candidate.budgeted), np.zeros((size, size)))

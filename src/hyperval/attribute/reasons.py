@@ -34,7 +34,6 @@ from hyperval.attribute.posterior import (
     Posterior,
     Reasoner,
     Whitened,
-    budget_covariance,
     posterior,
     posteriors,
 )  # fmt: skip
@@ -571,7 +570,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
         units[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
         ends[candidate] = pairs[0][0][1], pairs[0][1][1]
         sides |= {(candidate, z): side for z, side in zip((1.0, -1.0), pairs[0], strict=True)}
-    budget = budget_covariance(units, predicted.size)
+    budget = sum((g @ g.T for c, g in units.items() if c.budgeted), np.zeros((predicted.size, predicted.size)))
     covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
     many = len(worlds) > MOST_SCENARIOS

@@ -205,7 +205,8 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     narrow = [row for row in tests if row.cause is not Cause.TOO_WIDE]
     words = []
     if met and narrow:
-        times = math.sqrt(_most_reduced(narrow, rows))
+        sizes = (math.sqrt(row.value) if row.product == "attribution" else row.effect for row in narrow)
+        times = max(filter(math.isfinite, sizes), default=math.nan)
         far = f"differences reach {number_text(times, times)} times it" if times > 1 else "full tests reject it"
         words.append(f"The stated uncertainty is too small ({far}): do not take it for the error of the model.")
         if any(not tests_the_uncertainty(row) for row in met):
@@ -223,17 +224,6 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
 def tests_the_uncertainty(row: Result) -> bool:
     """Whether a row asks if the stated uncertainty explains a difference, and not how large the difference is."""
     return row.product == "attribution" or metric_of(row.metric).two_sided
-
-
-def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
-    """The greatest reduced chi-square behind tests of the stated uncertainty; NaN where none has one."""
-
-    def key(row: Result) -> tuple[str, ...]:
-        return row.campaign, row.product, row.subject, row.method, row.metric.replace("p_value", "chi2_reduced")
-
-    behind = set(map(key, tests))
-    reduced = [row for row in rows if row.metric.startswith(("chi2_reduced", "reduced_chi_square"))]
-    return max((r.value for r in reduced if key(r) in behind and math.isfinite(r.value)), default=math.nan)
 
 
 def _counted(rows: Sequence[Result], kind: Evidence | None, *, named: bool = True) -> str:
