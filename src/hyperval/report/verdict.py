@@ -196,6 +196,11 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     >>> off = Result("", "radiance", "lawn", "", "bias_ratio", 0.06, **failed)
     >>> [_which_to_believe(rows)[:15] for rows in ([wide], [wide, off])]
     ['Budget too wide', '']
+    >>> from hyperval.results import Role
+    >>> met = Result("", "radiance", "lot", "", "bias_ratio", 0.0, role=Role.GATE, outcome=Outcome.AGREES)
+    >>> noise = Result("", "snr", "panel", "", "p_value_full", 1e-9, effect=2.9, **failed)
+    >>> _which_to_believe([wide, met, noise])[:113]
+    'The stated uncertainty is too small (differences reach 2.9 times it; signal-to-noise ratio within its budget: pan'
     """
     tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
     met = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and row.outcome is Outcome.AGREES]
@@ -208,6 +213,7 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
         sizes = (math.sqrt(row.value) if row.product == "attribution" else row.effect for row in narrow)
         times = max(filter(math.isfinite, sizes), default=math.nan)
         far = f"differences reach {number_text(times, times)} times it" if times > 1 else "full tests reject it"
+        far += f"; {_named(narrow)}" * bool(wide)  # two budgets, and opposite words
         words.append(f"The stated uncertainty is too small ({far}): do not take it for the error of the model.")
         if any(not tests_the_uncertainty(row) for row in met):
             words.append("The criteria that are met say how large the differences are, not that they are explained.")
