@@ -99,7 +99,7 @@ MAX_PIXEL_RATIO = 1.5
 MAX_LENGTH_RATIO = 1.05
 
 
-def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
+def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result]) -> Iterator[str]:
     """Warnings where cube and truth say otherwise than a scenario: of time, place and sun, and of its targets.
 
     A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
@@ -108,9 +108,8 @@ def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
     place = side.observed.place
     if place is None:
         return
-    if prediction is not None:
-        yield from _of_noise(side, prediction)
-        yield from _of_scale(side.observed.observation, prediction)
+    yield from _of_scale(rows)
+    yield from _of_noise(side, prediction) if prediction is not None else ()
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
         yield from _of_filters(side, scenario) if prediction is not None else ()
@@ -150,23 +149,18 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
             yield f"warning: noise counts twice: the pixels that give {c.name!r} its covariance hold it too, {much}"
 
 
-def _of_scale(observation: Products, prediction: Products) -> Iterator[str]:
+def _of_scale(rows: Sequence[Result]) -> Iterator[str]:
     """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
 
-    >>> from hyperval.spectra import SpectralAxis
-    >>> def side(*levels):
-    ...     seen = {name: SpectralEstimate(np.full(3, x), np.eye(3)) for name, x in zip("ab", levels)}
-    ...     return Products(SpectralAxis(np.arange(500.0, 800.0, 100.0), 5.0), reflectance=seen)
-    >>> [[text[9:63] for text in _of_scale(side(*seen), side(0.5, 0.2))] for seen in ((0.04, 0.03), (0.05, 0.2))]
+    >>> def rows(*levels):
+    ...     return [Result("", "reflectance", "", "", "median_difference_ratio_windows", 0.4 / x - 1.0) for x in levels]
+    >>> [[text[9:63] for text in _of_scale(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4))]
     [['every measured reflectance is some 0.1 times the predi'], []]
     """
     for product in ("radiance", "reflectance", "toa_reflectance"):
-        seen, stated = getattr(observation, product), getattr(prediction, product)
-        levels = [(np.abs(seen[s].mean), np.abs(stated[s].mean)) for s in seen if s in stated]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            known = [(np.where(np.isfinite(o * p), (o, p), 0.0)).sum(axis=1) for o, p in levels]
-            powers = {float(np.round(np.log10(o / p))) for o, p in known}
-        if len(powers) == 1 and (power := powers.pop()) and math.isfinite(power):
+        own = [r.value for r in rows if (r.product, r.metric) == (product, "median_difference_ratio_windows")]
+        powers = {-round(math.log10(1.0 + ratio)) for ratio in own if ratio > -1.0}
+        if len(powers) == 1 and (power := powers.pop()):
             why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
             yield f"warning: every measured {product} is some {10.0**power:g} times the predicted one: {why}"
 

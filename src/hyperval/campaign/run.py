@@ -100,7 +100,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
     else:
         rows = list(product_rows(observed.observation, "observed"))
     notes = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
-    notes += [*campaign.assumptions, *observed.observation.notes, *doubts(side, prediction)]
+    notes += [*campaign.assumptions, *observed.observation.notes, *doubts(side, prediction, rows)]
     notes += prediction.notes if prediction else ()
     configuration, sides = {"campaign": campaign}, [observed.observation, *predicted]
     provenance = record_of(side.inputs, scenarios, side.seed, configuration, sides)
