@@ -98,14 +98,14 @@ def _charts(a: Run, b: Run) -> list[Figure]:
 def _same_curves(one: Products, other: Products) -> bool:
     """Whether both have the same means of spectra and the same ROC, as far as a chart could show."""
 
-    def numbers(side: Products) -> dict[Any, Any]:
-        means = {(name, k): e.mean for name in SPECTRA for k, e in getattr(side, name).items()}
-        return means | {k: np.stack([curve.pfa, curve.pd]) for k, curve in side.roc.items()}
+    def curves(side: Products) -> dict[str, Any]:
+        means = {f"{name} {k}": e.mean for name in SPECTRA for k, e in getattr(side, name).items()}
+        return means | {f"roc {k}": np.stack([curve.pfa, curve.pd]) for k, curve in side.roc.items()}
 
-    first, second = numbers(one), numbers(other)
-    return first.keys() == second.keys() and all(
-        v.shape == second[k].shape and np.allclose(v, second[k], rtol=1e-6, atol=0, equal_nan=True)
-        for k, v in first.items()
+    first, second = curves(one), curves(other)
+    shapes = [{k: v.shape for k, v in each.items()} for each in (first, second)]
+    return shapes[0] == shapes[1] and all(
+        np.allclose(v, second[k], 1e-6, 0.0, equal_nan=True) for k, v in first.items()
     )
 
 
