@@ -349,6 +349,11 @@ class Posterior:
     beside_noise: bool = False
     remark: str = ""
 
+    @classmethod
+    def of_nothing(cls, dof: int) -> Posterior:
+        """Of residuals that are all 0."""
+        return cls(ALL, 0.0, dof, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+
     @property
     def first(self) -> str:
         """The likeliest first cause."""

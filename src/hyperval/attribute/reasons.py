@@ -26,17 +26,7 @@ from hyperval.attribute.candidates import (
     rarer_candidates,
     usual_inputs,
 )
-from hyperval.attribute.posterior import (
-    ALL,
-    NONE,
-    NOTHING,
-    Hypothesis,
-    Posterior,
-    Reasoner,
-    Whitened,
-    posterior,
-    posteriors,
-)  # fmt: skip
+from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Reasoner, Whitened, posterior, posteriors
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
@@ -309,7 +299,7 @@ class Causes:
         size = Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square
         if found is not None and (size > 1.0 or found.enough):
             return found
-        return Posterior(ALL, 0.0, of.size, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+        return Posterior.of_nothing(of.size)
 
     def _change(
         self, moved: Array, of_model: Array, of: Index, observed: Array, predicted: Array, simulated: bool
@@ -768,7 +758,7 @@ def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     """Rows of what explains one group of residuals, or a change.
 
-    >>> since = Posterior(SINCE, 0.0, 40, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+    >>> since = replace(Posterior.of_nothing(40), group=SINCE)
     >>> next(_posterior_rows(since)).reason
     'spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty'
     >>> next(_posterior_rows(with_uncertainty(since, 2.0, 1.8))).reason[:77]
@@ -780,7 +770,7 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     >>> lawn = replace(since, group="lawn", p_value=1e-9)
     >>> [str(next(_posterior_rows(replace(since, group=ALL, p_value=p, parts=(lawn,)))).outcome) for p in (1e-9, 0.47)]
     ['disagrees', 'none']
-    >>> from hyperval.attribute.posterior import effect_of
+    >>> from hyperval.attribute.posterior import Hypothesis, effect_of
     >>> one = np.eye(2)[:, :1]
     >>> a, b = (effect_of(Candidate(name, "sensor", "1 %", False), one).fit(9.0 * one[:, 0]) for name in "ab")
     >>> likely = {NOTHING: 0.0, NONE: 0.0, "a": 0.2, "b": 0.8}
