@@ -307,8 +307,9 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> mean = world.stated.surfaces["grass"].mean
     >>> [float(np.median(truth["surfaces.[grass].mean"] / mean).round(9)) for truth in grass.at(0, 2.0)]
     [1.1, 1.1]
-    >>> of["scale of a spectrum"].labels  # that leave a reflectance
-    ('grass x 0.1', 'soil x 0.1', 'white panel x 0.1', 'black panel x 10', 'yellow plank x 0.1 or of another material')
+    >>> scale, some = of["scale of a spectrum"], ("grass", "black", "yello")  # that leaves a reflectance
+    >>> [label for i, label in enumerate(scale.labels) if any(scale.at(0, i)) and label[:5] in some]
+    ['grass x 0.1', 'black panel x 10', 'yellow plank x 0.1 or of another material']
     """
     states = [world.stated.scenario.atmosphere for world in worlds]
     if any(s is not None and s.engine == "table" for s in states):
@@ -357,14 +358,15 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
 
 
 def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Truth]]:
-    """Field spectra in another unit, as far as they are reflectances then; of targets, whose scores do not tell, or
-    others in their place.
+    """Field spectra in another unit; of targets, whose scores do not tell, or others in their place.
+
+    What is no reflectance then moves nothing: it keeps its part of what is thought likely before.
     """
     for s, path in _field_spectra(kind):
         level, other = np.nan_to_num(world.stated.surfaces[s.name].mean), isinstance(s, Target)
         for x in SCALES:
-            if DARKEST <= np.percentile(x * level, 95) <= BRIGHTEST:
-                yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level}
+            possible = DARKEST <= np.percentile(x * level, 95) <= BRIGHTEST
+            yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level} if possible else {}
 
 
 def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
