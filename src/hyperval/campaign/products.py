@@ -467,9 +467,10 @@ def undecided_by(job: Job) -> list[tuple[Result, str]]:
         return undecided(side, outcomes(side, prediction), prediction)
 
 
-def asked_again(side: Collected, prediction: Products) -> tuple[ScenarioModel, Products, list[model.World]]:
-    """What attribution asks: the scenarios with something moved, and the collection, measured again; then what was
-    measured, and what each scenario states.  A signal-to-noise ratio that is in part texture is not asked about.
+def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
+    """What attribution asks: the scenarios with something moved, and the collection, measured again.
+
+    A signal-to-noise ratio that is in part texture is not asked about.
     """
 
     def of_noise(seen: Products) -> Products:
@@ -523,8 +524,9 @@ def asked_again(side: Collected, prediction: Products) -> tuple[ScenarioModel, P
         return of_noise(observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation)
 
     looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())
-    asked = ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)
-    return asked, observation, [model.read(scenario, side.origins(scenario)) for scenario in side.scenarios]
+    worlds = [model.read(scenario, side.origins(scenario)) for scenario in side.scenarios]
+    sides = observation, prediction
+    return ScenarioModel(side.scenarios, worlds, predicted, *sides, measured_again, exchanges_of(side), looked_for)
 
 
 def spectra_of(items: Iterable[Any], by: str = "name") -> dict[str, Any]:
