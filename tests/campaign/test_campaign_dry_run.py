@@ -78,7 +78,7 @@ def test_everything_that_is_lacking_is_listed_and_once_where_runs_share_it(place
         ("found", "scenario.yaml"),
         ("to fill in", "collection.cube.scale"),
         ("to fill in", "scene.classes.0.fraction"),
-        ("planned", "comparisons: 1, with acceptance criteria: 1"),
+        ("planned", "entries of comparisons: 1, of which acceptance criteria: 1"),
     ]
     assert cli.run(["validate", "--dry-run", str(places)]) == 3
     assert capsys.readouterr().out.splitlines()[0].split("\t") == ["campaign", "kind", "state", "what", "detail"]
@@ -210,7 +210,7 @@ def test_a_name_that_does_not_fit_is_told_with_its_line(small, key):
 def test_what_the_files_of_a_collection_lack_stands_at_the_key_that_needs_it(small, capsys):
     assert summary(dry_run([small.write()])) == ["small: ready"]
     small.edit("targets.csv", lambda text: text.replace("39.5,3.5", "39.5,9000.5", 1))
-    (where, what), *_ = mistakes(small.write())
+    ((where, what),) = mistakes(small.write())  # and none that follows from it
     assert where.endswith(": collection.targets")
     assert "targets.csv" in what
     small.edit("targets.csv", lambda text: text.replace("39.5,9000.5", "39.5,3.5", 1))

@@ -612,14 +612,14 @@ def test_the_level_at_which_an_interval_would_reach_equality(metric, value, lowe
 def test_departures_that_a_range_would_see():
     reach = 1.0 + 0.8416212335729143 / 1.959963984540054
     both = row(value=0.01, lower=-0.01, upper=0.02)  # 0.02 below, 0.01 above
-    assert compare.detectable_departure(both, -0.1, math.inf) == pytest.approx(0.1 + 0.01 * reach)
-    assert compare.detectable_departure(both, -math.inf, 0.1) == pytest.approx(0.1 + 0.02 * reach)
-    assert compare.detectable_departure(both, -0.1, 0.05) == pytest.approx(0.05 + 0.02 * reach)
-    assert math.isnan(compare.detectable_departure(row(value=0.0), -0.1, 0.1))
+    assert np.fmin(*compare.detectable_sides(both, -0.1, math.inf)) == pytest.approx(0.1 + 0.01 * reach)
+    assert np.fmin(*compare.detectable_sides(both, -math.inf, 0.1)) == pytest.approx(0.1 + 0.02 * reach)
+    assert np.fmin(*compare.detectable_sides(both, -0.1, 0.05)) == pytest.approx(0.05 + 0.02 * reach)
+    assert math.isnan(np.fmin(*compare.detectable_sides(row(value=0.0), -0.1, 0.1)))
     # A size cut at 0 says nothing of its width: the upper half stands for it.
     size = row("median_abs_difference_ratio_windows", 0.01, 0.0, 0.05)
-    assert compare.detectable_departure(size, -math.inf, 0.1) == pytest.approx(0.1 + 0.04 * reach)
-    assert compare.detectable_departure(row("p_value_full", 0.5, detectable=0.3), 0.01, math.inf) == 0.3
+    assert np.fmin(*compare.detectable_sides(size, -math.inf, 0.1)) == pytest.approx(0.1 + 0.04 * reach)
+    assert compare.judged([row("p_value_full", 0.5, detectable=0.3)], [])[0].detectable == 0.3
     assert math.isnan(compare.detectable_share(5, 0.1))  # even none of five leaves the share of 0.1 possible
 
 

@@ -22,7 +22,6 @@ from .posterior import (
     Posterior,
     Reasoner,
     Whitened,
-    budget_covariance,
     common_and_own,
     kind_of,
     posterior,
@@ -45,7 +44,7 @@ from .schema import AttributionOptions, WhatIf
 __all__ = [
     "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
     "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf",
-    "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "budget_covariance", "candidates", "causes_of",
+    "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "candidates", "causes_of",
     "changed_scenarios", "common_and_own", "errors_of_file", "exchanged_pairs", "few_objects", "further_candidates",
     "injected_errors", "injected_prediction", "kind_of", "others_in_place", "posterior", "posteriors",
     "quantities", "rarer_candidates", "reason_for", "sampled_covariance", "shares_of_variance", "stacked",

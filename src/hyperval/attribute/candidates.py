@@ -70,7 +70,8 @@ _SIZES = {name: sizes for name, *_, sizes in _PARTS} | {
 }
 _LEAST, _MOST = 0.05, 10.0  # factors that a change may have on what is given in parts
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
-SCALES = (0.01, 0.1, 10.0, 100.0)  # of spectra in another unit
+# Of spectra in another unit; what the brightest bands of a reflectance are at least, and at most.
+SCALES, DARKEST, BRIGHTEST = (0.01, 0.1, 10.0, 100.0), 0.02, 1.5
 # Of the state of atmosphere and view: step, and where the model is asked.
 _OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
     ("sensor_altitude_km", "sensor altitude", "10 %", (-5.0, 20.0)),
@@ -306,6 +307,9 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> mean = world.stated.surfaces["grass"].mean
     >>> [float(np.median(truth["surfaces.[grass].mean"] / mean).round(9)) for truth in grass.at(0, 2.0)]
     [1.1, 1.1]
+    >>> scale, some = of["scale of a spectrum"], ("grass", "black", "yello")  # that leaves a reflectance
+    >>> [label for i, label in enumerate(scale.labels) if any(scale.at(0, i)) and label[:5] in some]
+    ['grass x 0.1', 'black panel x 10', 'yellow plank x 0.1 or of another material']
     """
     states = [world.stated.scenario.atmosphere for world in worlds]
     if any(s is not None and s.engine == "table" for s in states):
@@ -314,7 +318,10 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     def shifted(units: float) -> list[Truth]:
         return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
 
-    wider, sizes = partial(_wider, worlds), (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
+    def wider(units: float) -> list[Truth]:  # or spectra that were smoothed over bands
+        return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
+
+    sizes = (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
     out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
     out.append(Candidate("band width", "sensor", "10 %", False, moved=wider, sizes=(-4.0, 10.0, 30.0)))
     if any(s is not None and s.time_utc for s in states):
@@ -342,9 +349,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
             for names in combinations([x.name for x in kind], 2):
                 pairs[" and ".join(names)] = alone(_exchanged(world, names))
-            for name, x in product([s.name for s in kind if s.spectrum.measured is None], SCALES):
-                level = np.nan_to_num(world.stated.surfaces[name].mean)
-                scaled[f"{name} x {x:g}"] = alone({f"surfaces.[{name}].mean": x * level})
+            scaled |= {words: alone(truth) for words, truth in _rescaled(world, kind)}
         for s, path in _field_spectra(_of_ground(world)):
             levels[s.name][number][path] = np.asarray(value_at(world, path))[0]
     out += [_level(f"the spectrum of {name}", means) for name, means in levels.items()]
@@ -352,9 +357,16 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
 
 
-def _wider(worlds: Sequence[World], units: float) -> list[Truth]:
-    """Wider bands, or spectra that were smoothed over bands."""
-    return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
+def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Truth]]:
+    """Field spectra in another unit; of targets, whose scores do not tell, or others in their place.
+
+    What is no reflectance then moves nothing: it keeps its part of what is thought likely before.
+    """
+    for s, path in _field_spectra(kind):
+        level, other = np.nan_to_num(world.stated.surfaces[s.name].mean), isinstance(s, Target)
+        for x in SCALES:
+            possible = DARKEST <= np.percentile(x * level, 95) <= BRIGHTEST
+            yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level} if possible else {}
 
 
 def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
@@ -790,12 +802,8 @@ def errors_of_file(path: Path) -> dict[str, Family]:
     for name, values in told.items():
         refuse(values is None and name not in standard, "attribution.error", path, name=name)
         refuse(values is not None and not isinstance(values, dict), "attribution.errors", path)
-        out[str(name)] = standard[name] if values is None else partial(_stated_truth, values=values)
+        out[str(name)] = standard[name] if values is None else partial(lambda own, _: own, values)
     return out
-
-
-def _stated_truth(world: World, *, values: Truth) -> Truth:
-    return values
 
 
 def injected_prediction(

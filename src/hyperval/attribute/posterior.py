@@ -40,7 +40,7 @@ MOST_FIRST, MOST_CAUSES, MOST_PEAKS = 4, 3, 4
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
 REMAINDER = 0.05  # of a chi-square without noise that causes may leave
-MOST_LEFT = 0.5  # of the chi-square of a change: what its causes may leave
+MOST_LEFT = 0.5  # of the chi-square of a change, or of what is beyond chance: what causes that are named may leave
 _REACH = np.geomspace(1e-3, 1.0, 60)  # of a bound: where the likelihood of a size is asked at first
 _ROUGH = 1e-11  # of the largest eigenvalue: what rounding leaves
 
@@ -349,6 +349,11 @@ class Posterior:
     beside_noise: bool = False
     remark: str = ""
 
+    @classmethod
+    def of_nothing(cls, dof: int) -> Posterior:
+        """Of residuals that are all 0."""
+        return cls(ALL, 0.0, dof, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+
     @property
     def first(self) -> str:
         """The likeliest first cause."""
@@ -421,18 +426,37 @@ class Posterior:
 
     @property
     def conclusion(self) -> str:
-        """What a reader should take from it."""
+        """What a reader should take from it.
+
+        Of spectra first, where causes suffice for these and not for SNR and scores, which follow from them; and no
+        cause of less than half, where the rest has none.
+
+        >>> one, sun = np.eye(8)[:, :1], Candidate("sun", "scene", "1 h", False, sizes=(-2.0, 2.0))
+        >>> fit = effect_of(sun, np.outer(one, sun.sizes)).fit(1.5 * one[:, 0])
+        >>> rest = replace(fit, candidate=UNKNOWN)
+        >>> def of(group, whole, left, *causes):
+        ...     return Posterior(group, whole, 8, 1e-9, (fit,), (Hypothesis(causes, 0.0, left),), {"sun": 1.0})
+        >>> [of("all", 100.0, (left, 8.0), fit, rest).conclusion[:24] for left in (50.0, 70.0)]
+        ['check the sun (+1.6 h ex', 'none of the causes tried']
+        >>> shared = of("what all share", 90.0, (5.0,), fit)
+        >>> everything = replace(of("all", 100.0, (70.0, 8.0), fit, rest), parts=(shared,))
+        >>> everything.conclusion.partition("of 8 residuals, ")[2][:68]
+        '0.625 after, of what all share; of everything: none of the causes tr'
+        """
         before = f"reduced chi-square {self.chi_square / self.dof:.3g} of {self.dof} residuals"
         if self.too_wide and self.first == NOTHING:
             return f"stated uncertainty at least {self.times_too_wide:.2g} times too wide: {before}"
         if self.passes and self.first == NOTHING:
             return f"nothing to explain: {before} (p = {self.p_value:.2g})"
+        if not self.enough and (part := next((r for r in self.parts if r.enough), None)):
+            return f"{part.conclusion}, of {part.group}; of everything: {replace(self, parts=()).conclusion}"
         if self.first == NOTHING and self.p_value >= self.level:
             names = " and ".join(f"{r.group} (p = {r.p_value:.2g})" for r in self.parts if r.p_value < self.level)
             return f"consistent in total, not in parts: {before} (p = {self.p_value:.2g}); inconsistent: {names}"
         if self.first == NOTHING:
             return f"no input explains the differences: {before} (p = {self.p_value:.2g})"
-        if self.first == NONE:
+        little = self.left - self.dof > MOST_LEFT * (self.chi_square - self.dof)
+        if self.first == NONE or (little and self.best.causes[-1].candidate is UNKNOWN):
             nearest = max((f for f in self.fits if not f.limited), key=lambda f: f.evidence, default=None)
             near = f" (the nearest: {nearest.name}, {nearest.in_words})" if nearest and nearest.evidence > 0.0 else ""
             return f"none of the causes tried{near}: {before}"
@@ -780,8 +804,3 @@ def common_and_own(
 def _moves(part: Array, whole: Array) -> bool:
     """Whether a change in some residuals is more than rounding beside that in all of them."""
     return bool(np.max(np.abs(part), initial=0.0) > 1e-9 * np.max(np.abs(whole), initial=0.0))
-
-
-def budget_covariance(columns: Mapping[Candidate, Array], size: int) -> Array:
-    """(n, n) covariance of everything whose uncertainty is stated: columns for one standard uncertainty each."""
-    return sum((g @ g.T for candidate, g in columns.items() if candidate.budgeted), np.zeros((size, size)))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,18 +26,7 @@ from hyperval.attribute.candidates import (
     rarer_candidates,
     usual_inputs,
 )
-from hyperval.attribute.posterior import (
-    ALL,
-    NONE,
-    NOTHING,
-    Hypothesis,
-    Posterior,
-    Reasoner,
-    Whitened,
-    budget_covariance,
-    posterior,
-    posteriors,
-)  # fmt: skip
+from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Reasoner, Whitened, posterior, posteriors
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
@@ -78,6 +67,8 @@ _EVERYTHING, SINCE = "every input", "since the accepted run"
 UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty"
 
 Truths = Sequence[Truth]  # what is moved in each scenario
+# Sides of an accepted run by quantity (:meth:`Causes.sides`), and its reduced chi-square of all residuals, 0: not known
+Accepted = tuple[Mapping[str, Sequence[str]], float]
 Key = tuple[str, str, str]  # background, detector, metric
 Evaluate = Callable[..., list[tuple[Array, Array]]]  # of truths, a title, and whether a budget is made of them
 Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
@@ -86,13 +77,16 @@ Sides = dict[tuple[Candidate, float], tuple[Array, Array]]  # what is explained,
 
 @dataclass(frozen=True, eq=False)
 class ScenarioModel:
-    """Scenarios with what predicts them.
+    """Scenarios with what predicts them, and what was measured.
 
     Attributes
     ----------
-    scenarios : as they stand in the campaign
+    scenarios, worlds : as they stand in the campaign, and what each of them states
     predict : (scenarios, truths, budgeted) -> for each truth their products, merged as the campaign compares them;
         what a budget is made of as exactly as what is predicted
+    observed : what was measured
+    budgeted : the prediction with its error covariances; what they hold beyond the inputs' directions is added to each
+        spectrum
     observe : measures the collection again with changed settings, or with a mistake in its image
         (:meth:`hyperval.observe.open.Place.mistaken`)
     exchanges : what may stand in each other's place: the settings of :attr:`observe` for each pair, and ""; of a
@@ -101,7 +95,10 @@ class ScenarioModel:
     """
 
     scenarios: Sequence[Scenario]
+    worlds: Sequence[World]
     predict: Callable[[Sequence[Scenario], Sequence[Truths], bool], Iterator[Products]]
+    observed: Products
+    budgeted: Products
     observe: Callable[[Mapping[str, Any], Mapping[str, Any]], Products]
     exchanges: Mapping[str, tuple[Mapping[Any, Mapping[str, Any]], str]] = field(default_factory=dict)
     looked_for: Mapping[str, Any] = field(default_factory=dict)
@@ -310,7 +307,7 @@ class Causes:
         size = Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square
         if found is not None and (size > 1.0 or found.enough):
             return found
-        return Posterior(ALL, 0.0, of.size, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+        return Posterior.of_nothing(of.size)
 
     def _change(
         self, moved: Array, of_model: Array, of: Index, observed: Array, predicted: Array, simulated: bool
@@ -484,14 +481,8 @@ def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Ar
         return [*_asked(evaluate, truths[:half]), *_asked(evaluate, truths[half:])] if half else [None]
 
 
-def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World], budgeted: Products) -> Causes:
+def causes_of(model: ScenarioModel) -> Causes:
     """Everything that may have made a difference, each as a change of what is compared.
-
-    Parameters
-    ----------
-    worlds : of each scenario
-    budgeted : the prediction with its error covariances; what they hold beyond the inputs' directions is added to
-        each spectrum
 
     Raises
     ------
@@ -508,18 +499,17 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     >>> stated = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
     >>> world, lawn = read(stated), SpectralEstimate(np.full(360, 0.2), 1e-4 * np.eye(360))
     >>> seen = PredictedProducts(world.stated.axis, reflectance={"lawn": lawn})
+    >>> predict = lambda scenarios, truths, budgeted: iter([seen] * len(truths))
     >>> def causes(lines):
-    ...     model = ScenarioModel(
-    ...         [stated.model_copy(update={"name": f"line {i}"}) for i in range(lines)],
-    ...         lambda scenarios, truths, budgeted: iter([seen] * len(truths)), None, looked_for={"green plank": 0.3},
-    ...     )
-    ...     return causes_of(model, seen, [world] * lines, seen)
+    ...     scenarios = [stated.model_copy(update={"name": f"line {i}"}) for i in range(lines)]
+    ...     asked = predict, seen, seen, None
+    ...     return causes_of(ScenarioModel(scenarios, [world] * lines, *asked, looked_for={"green plank": 0.3}))
     >>> [[c.name for c in causes(n).rarer[2]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
     >>> fraction = {"subject": stated.scene.classes[0].name, "absolute": 0.002}
     >>> tight = stated.with_values({"uncertainty.fractions": [fraction]})
-    >>> model = ScenarioModel([tight], lambda scenarios, truths, budgeted: iter([seen] * len(truths)), None)
-    >>> (only,) = (c for c in causes_of(model, seen, [read(tight)], seen).columns if c.budgeted)
+    >>> model = ScenarioModel([tight], [read(tight)], predict, seen, seen, None)
+    >>> (only,) = (c for c in causes_of(model).columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]
     >>> [one.labels[0] for one in causes(1).of_files()]
@@ -537,8 +527,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     >>> each = [(z, {"limit": x}) for z, x in limits.items()]
     >>> tried = {"limit": (dict(each[:2]), "0.05"), "entry": (dict(each[2:]), "")}
     >>> seen = PredictedProducts(world.stated.axis, radiance={"lawn": lawn})
-    >>> predict = lambda scenarios, truths, budgeted: iter([seen] * len(truths))
-    >>> found = causes_of(ScenarioModel([stated], predict, observe, tried), seen, [world], seen)
+    >>> found = causes_of(ScenarioModel([stated], [world], predict, seen, seen, observe, tried))
     >>> for one, made in found.exchanged().items():
     ...     print(one.name, one.sizes[:2], one.labels, made[[0, -1], 0].round(9).tolist())
     limit (-1.0,) () [-0.5, -0.5]
@@ -549,7 +538,7 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
     >>> (100.0 * gain[[0, -1], -1]).round(9).tolist()  # by 25 %
     [0.0, 5.0]
     """
-    base = model.assuming(model.scenarios)
+    base, observed, worlds = model.assuming(model.scenarios), model.observed, model.worlds
     stack = stacked(base, observed)
     refuse(not stack.blocks, "attribution.nothing")
     numbers = quantities(base, observed)
@@ -571,8 +560,8 @@ def causes_of(model: ScenarioModel, observed: Products, worlds: Sequence[World],
         units[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
         ends[candidate] = pairs[0][0][1], pairs[0][1][1]
         sides |= {(candidate, z): side for z, side in zip((1.0, -1.0), pairs[0], strict=True)}
-    budget = budget_covariance(units, predicted.size)
-    covariance = stack.covariance + budget + stack.stated_beyond(budgeted, budget)
+    budget = sum((g @ g.T for c, g in units.items() if c.budgeted), np.zeros((predicted.size, predicted.size)))
+    covariance = stack.covariance + budget + stack.stated_beyond(model.budgeted, budget)
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
     many = len(worlds) > MOST_SCENARIOS
     apart = [c for c in moved if many and c.of_engine and c.sizes]
@@ -648,15 +637,7 @@ def _columns_at(
 
 
 def attribute(
-    model: ScenarioModel,
-    observed: Products,
-    worlds: Sequence[World],
-    options: AttributionOptions,
-    accepted: Mapping[str, Sequence[str]] | None,
-    accepted_chi_square: float,
-    *,
-    budgeted: Products,
-    simulated: bool,
+    model: ScenarioModel, options: AttributionOptions, accepted: Accepted | None, *, simulated: bool
 ) -> list[Result]:
     """Move every input, run every what-if, say how likely each is the reason.
 
@@ -672,30 +653,27 @@ def attribute(
 
     Parameters
     ----------
-    worlds, budgeted : as of :func:`causes_of`
-    accepted : sides of the accepted run by quantity (:meth:`Causes.sides`): what came since is told by itself
-    accepted_chi_square : the reduced chi-square of all residuals in that run, 0 where it is not known
+    accepted : what came since that run is told by itself
     simulated : whether what is measured comes of a model too
 
     Raises
     ------
     UsageError : nothing that both sides hold, or a what-if that fits no scenario.
     """
-    causes = causes_of(model, observed, worlds, budgeted)
+    causes = causes_of(model)
     stack, numbers, values, ends = causes.stack, causes.numbers, causes.values, causes.ends
     stated = [c for c in ends if c.budgeted]
     shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
-    sides = (model.assuming(model.scenarios), observed)
-    outcomes = _what_ifs(model, causes, sides, options.what_ifs)
+    outcomes = _what_ifs(model, causes, options.what_ifs)
     columns, _ = causes.standing()
     ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
-    if accepted and (since := causes.changed(accepted, simulated=simulated)) is not None:
-        since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted_chi_square)
+    if accepted and (since := causes.changed(accepted[0], simulated=simulated)) is not None:
+        since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     rows = [item for group in ranked for item in _posterior_rows(group)]
     rows += _left_rows(causes, ranked[0])
     for place, number in enumerate(numbers):
-        rows += _sensitivity_rows(number, place, number.read(observed) - values[place], ends, shares)
+        rows += _sensitivity_rows(number, place, number.read(model.observed) - values[place], ends, shares)
     return rows + outcomes
 
 
@@ -769,7 +747,7 @@ def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:
 def _posterior_rows(r: Posterior) -> Iterator[Result]:
     """Rows of what explains one group of residuals, or a change.
 
-    >>> since = Posterior(SINCE, 0.0, 40, 1.0, (), (Hypothesis((), 0.0, ()),), {NOTHING: 1.0, NONE: 0.0})
+    >>> since = replace(Posterior.of_nothing(40), group=SINCE)
     >>> next(_posterior_rows(since)).reason
     'spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty'
     >>> next(_posterior_rows(with_uncertainty(since, 2.0, 1.8))).reason[:77]
@@ -781,7 +759,7 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     >>> lawn = replace(since, group="lawn", p_value=1e-9)
     >>> [str(next(_posterior_rows(replace(since, group=ALL, p_value=p, parts=(lawn,)))).outcome) for p in (1e-9, 0.47)]
     ['disagrees', 'none']
-    >>> from hyperval.attribute.posterior import effect_of
+    >>> from hyperval.attribute.posterior import Hypothesis, effect_of
     >>> one = np.eye(2)[:, :1]
     >>> a, b = (effect_of(Candidate(name, "sensor", "1 %", False), one).fit(9.0 * one[:, 0]) for name in "ab")
     >>> likely = {NOTHING: 0.0, NONE: 0.0, "a": 0.2, "b": 0.8}
@@ -841,65 +819,45 @@ def _sensitivity_rows(
         yield replace(found, product="sensitivity", subject=quantity.subject, method=method)
 
 
-class WhatIfOutcome(NamedTuple):
-    """What one experiment leaves: residuals over their uncertainty, summary gaps by name, ratios of false alarms."""
-
-    item: WhatIf
-    residuals: Whitened
-    gaps: Mapping[str, float]
-    alarms: Mapping[Key, Result]
-
-    @property
-    def reduced(self) -> float:
-        """Reduced chi-square."""
-        return self.residuals.chi_square / self.residuals.dof
-
-    def rows(self, before: WhatIfOutcome) -> Iterator[Result]:
-        """``reduced_chi_square`` after it, ``likelihood_gain`` and each gap after it.
-
-        The gain is the fall of the chi-square: twice the log-likelihood gained under the same covariance.
-        """
-        n, was, p = before.residuals.dof, before.reduced, self.residuals.p_value
-        yield row("reduced_chi_square", self.reduced, n=n, before=was, reason=f"{was:.4g} before; {self.item.question}")
-        yield row("likelihood_gain", (was - self.reduced) * n, n=n, reason=f"p = {p:.2g} after")
-        for name, gap in before.gaps.items():
-            words = name.replace("|", "").replace("@", " at ").split()
-            yield row("_".join(words), self.gaps[name], n=n, before=gap, reason=f"{gap:.4g} before")
-
-
-def _what_ifs(
-    model: ScenarioModel, causes: Causes, sides: tuple[Products, Products], what_ifs: Sequence[WhatIf]
-) -> list[Result]:
+def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) -> list[Result]:
     """Rows of every experiment of a campaign, the one that closes most of the gap first; then those of false alarms.
 
-    ``sides`` : products of the scenarios as they stand, and those that were measured
+    ``reduced_chi_square`` after it, ``likelihood_gain`` and each summary gap after it.  The gain is the fall of the
+    chi-square: twice the log-likelihood gained under the same covariance.
 
     Raises
     ------
     UsageError : an experiment that fits no scenario, or compares other things than the campaign does.
     """
-
     stack = causes.stack
 
-    def left(item: WhatIf, predicted: Products, seen: Products) -> WhatIfOutcome:
-        after = stack if seen is sides[1] else stacked(predicted, seen)
+    def left(name: str, predicted: Products, seen: Products) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
+        """Residuals over their uncertainty, summary gaps, ratios of false alarms."""
+        after = stack if seen is model.observed else stacked(predicted, seen)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
-        refuse(now != before, "whatif.other", name=item.name)
+        refuse(now != before, "whatif.other", name=name)
         spread = causes.covariance if after is stack else causes.covariance - stack.covariance + after.covariance
         residuals = Whitened(after.observed - after.predicted(predicted), spread)
-        return WhatIfOutcome(item, residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen))
+        return residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen)
 
-    def tried(item: WhatIf) -> WhatIfOutcome:
-        scenarios = changed_scenarios(model.scenarios, item)
-        return left(item, model.assuming(scenarios), model.observe(item.observe, {}) if item.observe else sides[1])
+    def tried(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
+        predicted = model.assuming(changed_scenarios(model.scenarios, item))
+        return left(item.name, predicted, model.observe(item.observe, {}) if item.observe else model.observed)
 
     if not what_ifs:
         return []
-    before = left(what_ifs[0], *sides)
-    outcomes = [tried(item) for item in track(what_ifs, "attribution: what-ifs")]
-    outcomes.sort(key=lambda o: o.reduced)
-    rows = [one for o in outcomes for one in named(o.rows(before), "what-if", "all", o.item.name)]
-    return [*rows, *_alarm_rows(before.alarms, outcomes)]
+    (start, gaps, alarms), rows = left("", model.assuming(model.scenarios), model.observed), list[Result]()
+    outcomes = sorted(((w, *tried(w)) for w in track(what_ifs, "attribution: what-ifs")), key=lambda o: o[1].chi_square)
+    was, n = start.chi_square / start.dof, start.dof
+    for item, after, closed, _ in outcomes:
+        now, p, words = after.chi_square / n, after.p_value, f"{was:.4g} before; {item.question}"
+        own = [row("reduced_chi_square", now, n=n, before=was, reason=words)]
+        own.append(row("likelihood_gain", (was - now) * n, n=n, reason=f"p = {p:.2g} after"))
+        for name, gap in gaps.items():
+            metric = "_".join(name.replace("|", "").replace("@", " at ").split())
+            own.append(row(metric, closed[name], n=n, before=gap, reason=f"{gap:.4g} before"))
+        rows += named(own, "what-if", "all", item.name)
+    return [*rows, *_alarm_rows(alarms, [(item.name, ratios) for item, *_, ratios in outcomes])]
 
 
 def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scenario]:
@@ -976,9 +934,9 @@ def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
     return f"{size}; {name!r} leaves {best.value:.2g}, {end}"
 
 
-def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[WhatIfOutcome]) -> Iterator[Result]:
+def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[tuple[str, Mapping[Key, Result]]]) -> Iterator[Result]:
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
-    tried = {k: each for k in before if (each := [(o.item.name, o.alarms[k]) for o in outcomes if k in o.alarms])}
+    tried = {k: each for k in before if (each := [(name, alarms[k]) for name, alarms in outcomes if k in alarms])}
     for key, each in tried.items():
         yield _ratio_row(key, "attribution", before[key], reason_for(before[key], each))
     for key, each in tried.items():

@@ -113,7 +113,7 @@ def overview(items: Sequence[Item]) -> list[Item]:
         one_file = f", {general.pop()}" if len(general) == 1 else ""
         if state == PLANNED:
             count, deciding = (n // len(names) for n in (len(members), sum(i.decides for i in members)))
-            what = f"comparisons: {count}, with acceptance criteria: {deciding}"
+            what = f"entries of comparisons: {count}, of which acceptance criteria: {deciding}"
             detail = ", ".join(dict.fromkeys(i.what.split()[0] for i in members))
         elif state == PRESENT and len(paths := {i.what for i in members}) > 1:
             what = f"{len(paths)} files"
@@ -355,16 +355,16 @@ def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
             names += drawn.regions
     for name in twice(names):
         lookup.add(("collection", "regions"), f"two regions are named {name!r}")
-    if collection.targets is not None:
-        place = lookup.tried(("collection", "targets"), opened, targets=collection.targets) or place
     known: dict[str, Sequence[str]] = {"region": names}
-    if detection is not None and detection.targets:
-        lookup.tried(("detection",), check_line_for_detection, place, collection)
+    truth = collection.targets
+    seen = place if truth is None else lookup.tried(("collection", "targets"), opened, targets=truth)
+    if detection is not None and detection.targets and seen is not None:  # else one mistake would make others
+        lookup.tried(("detection",), check_line_for_detection, seen, collection)
         for i, target in enumerate(detection.targets):
             at = "detection", "targets", i
-            groups = lookup.tried((*at, "material"), target_groups, place.targets, target, detection.group)
+            groups = lookup.tried((*at, "material"), target_groups, seen.targets, target, detection.group)
             known["subject"] = [*known.get("subject", ()), *(groups or ())]
-    if detection and (detection.areas or detection.unmixing) and place.pixel_area_m2 is None:
+    if detection and (detection.areas or detection.unmixing) and (seen or place).pixel_area_m2 is None:
         lacks = "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states"
         lookup.add(("detection", "areas" if detection.areas else "unmixing"), lacks)
     return place.cube.axis, known

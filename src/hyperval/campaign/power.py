@@ -293,7 +293,7 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
 
         prediction = predicted_side(here, stated)
         before = outcomes(here, prediction)
-        causes = attribute.causes_of(*asked_again(here, prediction), prediction)
+        causes = attribute.causes_of(asked_again(here, prediction))
         rows = {name: injected(error) for name, error in track(errors.items(), "injected errors", len(errors))}
         are_met = [r.outcome is not Outcome.DISAGREES for r in before if r.gates and r.evidence is Evidence.MODEL]
         files, values, reasons = own_files(here.inputs.entries()), gate_values(before), _calibrated(causes)

@@ -99,7 +99,7 @@ MAX_PIXEL_RATIO = 1.5
 MAX_LENGTH_RATIO = 1.05
 
 
-def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
+def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result]) -> Iterator[str]:
     """Warnings where cube and truth say otherwise than a scenario: of time, place and sun, and of its targets.
 
     A prediction of 12 pixels for each object, beside a truth that scores 3, is of another population: its P_D by
@@ -108,6 +108,7 @@ def doubts(side: Collected, prediction: Products | None) -> Iterator[str]:
     place = side.observed.place
     if place is None:
         return
+    yield from _of_scale(rows)
     yield from _of_noise(side, prediction) if prediction is not None else ()
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
@@ -140,6 +141,22 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
         if part < LEAST_OF_NOISE:
             words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
             yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
+
+
+def _of_scale(rows: Sequence[Result]) -> Iterator[str]:
+    """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
+
+    >>> def rows(*levels):
+    ...     return [Result("", "reflectance", "", "", "median_difference_ratio_windows", 0.4 / x - 1.0) for x in levels]
+    >>> [[text[9:63] for text in _of_scale(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4))]
+    [['every measured reflectance is some 0.1 times the predi'], []]
+    """
+    for product in ("radiance", "reflectance", "toa_reflectance"):
+        own = [r.value for r in rows if (r.product, r.metric) == (product, "median_difference_ratio_windows")]
+        powers = {-round(math.log10(1.0 + ratio)) for ratio in own if ratio > -1.0}
+        if len(powers) == 1 and (power := powers.pop()):
+            why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
+            yield f"warning: every measured {product} is some {10.0**power:g} times the predicted one: {why}"
 
 
 ALL_OF_IT = 0.95  # of the background: regions that hold less of it do not tell what it is made of
@@ -423,9 +440,10 @@ def undecided_by(job: Job) -> list[tuple[Result, str]]:
         return undecided(side, outcomes(side, prediction), prediction)
 
 
-def asked_again(side: Collected, prediction: Products) -> tuple[ScenarioModel, Products, list[model.World]]:
-    """What attribution asks: the scenarios with something moved, and the collection, measured again; then what was
-    measured, and what each scenario states.  A signal-to-noise ratio that is in part texture is not asked about.
+def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
+    """What attribution asks: the scenarios with something moved, and the collection, measured again.
+
+    A signal-to-noise ratio that is in part texture is not asked about.
     """
 
     def of_noise(seen: Products) -> Products:
@@ -479,8 +497,9 @@ def asked_again(side: Collected, prediction: Products) -> tuple[ScenarioModel, P
         return of_noise(observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation)
 
     looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())
-    asked = ScenarioModel(side.scenarios, predicted, measured_again, exchanges_of(side), looked_for)
-    return asked, observation, [model.read(scenario, side.origins(scenario)) for scenario in side.scenarios]
+    worlds = [model.read(scenario, side.origins(scenario)) for scenario in side.scenarios]
+    sides = observation, prediction
+    return ScenarioModel(side.scenarios, worlds, predicted, *sides, measured_again, exchanges_of(side), looked_for)
 
 
 def spectra_of(items: Iterable[Any], by: str = "name") -> dict[str, Any]:

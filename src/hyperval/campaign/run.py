@@ -94,13 +94,13 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         if campaign.attribution is not None:  # why the two sides differ
             known = power.reasons if power else None
-            own = *asked_again(side, prediction), campaign.attribution
-            since = (known.sides, known.reduced_chi_square) if known else (None, 0.0)
-            rows += attribute(*own, *since, budgeted=prediction, simulated=bool(campaign.simulated))
+            since = (known.sides, known.reduced_chi_square) if known else None
+            own = asked_again(side, prediction), campaign.attribution, since
+            rows += attribute(*own, simulated=bool(campaign.simulated))
     else:
         rows = list(product_rows(observed.observation, "observed"))
     notes = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
-    notes += [*campaign.assumptions, *observed.observation.notes, *doubts(side, prediction)]
+    notes += [*campaign.assumptions, *observed.observation.notes, *doubts(side, prediction, rows)]
     notes += prediction.notes if prediction else ()
     configuration, sides = {"campaign": campaign}, [observed.observation, *predicted]
     provenance = record_of(side.inputs, scenarios, side.seed, configuration, sides)

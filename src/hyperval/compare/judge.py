@@ -305,13 +305,6 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
     return [told_as_effect(row, shares.get(i, math.nan)) for i, row in enumerate(out)]
 
 
-def detectable_departure(row: Result, low: float, high: float) -> float:
-    """The smaller of :func:`detectable_sides`; of a test the departure that it was asked about."""
-    if metric_of(row.metric).kind is Kind.TEST:
-        return row.detectable
-    return float(np.fmin(*detectable_sides(row, low, high)))
-
-
 def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float]:
     """Smallest departures from agreement, below and above it, whose interval would lie outside the range.
 
@@ -397,13 +390,14 @@ def _by_gate(row: Result, gate: Gate) -> Result:
 
 
 def _concluded(row: Result, limits: tuple[float, float], *reasons: str) -> Result:
-    """The row with its outcome by a range."""
-    outcome, cause = outcome_of(row, *limits)
-    words = said("concluded", row=row, cause=cause.name, departure=metric_of(row.metric).departure)
+    """The row with its outcome by a range; of a test ``detectable`` is the departure that it was asked about."""
+    (outcome, cause), known = outcome_of(row, *limits), metric_of(row.metric)
+    words = said("concluded", row=row, cause=cause.name, departure=known.departure)
     low, high = (limit if math.isfinite(limit) else math.nan for limit in limits)
+    found = row.detectable if known.kind is Kind.TEST else float(np.fmin(*detectable_sides(row, *limits)))
     return replace(
-        row, outcome=outcome, cause=cause, limit_low=low, limit_high=high,
-        detectable=detectable_departure(row, *limits), reason=_joined(words, row.reason, *reasons),
+        row, outcome=outcome, cause=cause, limit_low=low, limit_high=high, detectable=found,
+        reason=_joined(words, row.reason, *reasons),
     )  # fmt: skip
 
 

@@ -234,16 +234,12 @@ _EIGENVALUE = "number of the eigenvalue"
 _EIGENVALUES = {"radiance": "eigenvalue [(µW cm⁻² sr⁻¹ nm⁻¹)²]", "reflectance": "eigenvalue"}
 
 
-def eigenvalue_figures(sides: Sides) -> list[Figure | None]:
+def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
     """Eigenvalues of both sides; below each, predicted over measured with the band that chance alone gives."""
     predicted, observed = sides
     if predicted is None or observed is None:
-        return [_eigenvalues_alone(sides)]
-    return [_both_eigenvalues(predicted, observed, quantity) for quantity in SPREAD]
-
-
-def _both_eigenvalues(predicted: Products, observed: Products, quantity: str) -> Figure | None:
-    both = both_of((predicted, observed), quantity)
+        return _eigenvalues_alone(sides) if quantity == "radiance" else None
+    both = both_of(sides, quantity)
     known = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
     most = sorted(known, key=lambda one: -one[1])[:_MOST_SPREADS]
     found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s, _ in most}
@@ -854,8 +850,8 @@ def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[s
 def further_figures(sides: Sides, table: ResultTable, margin: float | None) -> list[Figure]:
     """What else the products and the rows of a run give, with its margin of P_D."""
     return list(filter(None, [
-        budget_figure(sides), *eigenvalue_figures(sides), tail_figure(sides), class_error_figure(sides),
-        score_figure(sides), object_score_figure(sides), transform_figure(sides), exceedance_figure(sides),
-        roc_difference_figure(sides, margin), abundance_figure(sides),
+        budget_figure(sides), *(eigenvalue_figure(sides, quantity) for quantity in SPREAD), tail_figure(sides),
+        class_error_figure(sides), score_figure(sides), object_score_figure(sides), transform_figure(sides),
+        exceedance_figure(sides), roc_difference_figure(sides, margin), abundance_figure(sides),
         unmixing_figure(sides, list(table.where(product="abundance"))), *reason_figures(table),
     ]))  # fmt: skip

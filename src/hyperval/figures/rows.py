@@ -59,16 +59,28 @@ def excess(row: Result) -> float:
 
 
 def effect_text(row: Result) -> str:
-    """ "+14.5 % (−27 to 56)"; without an interval where none is stated."""
+    """ "+14.5 % (−27 to 56)"; without an interval where none is stated, and with p where that alone decided.
+
+    >>> row = Result("", "scores", "*", "", "joint_distance_p_value", effect=1.69, effect_lower=1.29, effect_upper=2.2,
+    ...              effect_unit="difference / stated", accepted_low=0.54, accepted_high=1.52, p_value=0.002)
+    >>> [effect_text(replace(row, outcome=outcome)) for outcome in (Outcome.DISAGREES, Outcome.UNDECIDED)]
+    ['1.69 × (1.29 to 2.2), p = 0.002', '1.69 × (1.29 to 2.2)']
+    """
     if row.effect_unit == _P_VALUE:
-        return f"p = {row.effect:.2g}" if row.effect >= _LEAST_P else f"p < {_LEAST_P:g}"
+        return _p_text(row.effect)
     if math.isnan(row.effect):
         return ""
     short = next((words for unit, words in _SHORT.items() if row.effect_unit.startswith(unit)), "")
     # Limits that no digit tells apart are no interval: nothing was stated.
     low, high = ("" if math.isnan(end) else short_text(end) for end in (row.effect_lower, row.effect_upper))
     interval = f" ({low} to {high})" if low != high and low and high else ""
-    return f"{short_text(row.effect, _sign(row))}{short}{interval}"
+    reaches_in = not (row.effect_lower > row.accepted_high or row.effect_upper < row.accepted_low)
+    by_p = row.outcome is Outcome.DISAGREES and reaches_in and not math.isnan(row.p_value)
+    return f"{short_text(row.effect, _sign(row))}{short}{interval}{f', {_p_text(row.p_value)}' * by_p}"
+
+
+def _p_text(p: float) -> str:
+    return f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
 
 
 def _sign(row: Result) -> str:

@@ -336,33 +336,24 @@ def flat(value: Any, at: str = "") -> dict[str, str]:
     return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
 
 
-def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
-    """What the products of a folder and the reasons of its table allow.
+def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
+    """Write what the products of a run and the reasons of its table allow to draw into a new folder.
 
     Raises
     ------
     InputError : no products.nc, or a damaged one.
+    UsageError : the folder of a study or a sensor check, or products of which nothing can be drawn.
     """
     from hyperval.figures.print import drawings_of
 
+    of = [name for name in ("study", "sensor") if name in provenance_of(run).get("configuration", {})]
+    refuse(of, "results.drawn", run, of=of, folder=run / "figures")
     stored, known = read_products(run), Run.open(run) if is_run(run) else Run(ResultTable())
     figures = [criteria_figure(list(known.table)), *first_figures(stored.pair)]
     figures += further_figures(stored.pair, known.table, equivalence_margin(known.provenance))
-    return drawings_of([one for one in figures if one], simulated=stored.simulated, kind=kind, journal=journal)
-
-
-def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
-    """Write the drawings of a run into a new folder.
-
-    Raises
-    ------
-    InputError, UsageError : as of :func:`run_drawings`, or products of which nothing can be drawn.
-    """
-    of = [name for name in ("study", "sensor") if name in provenance_of(run).get("configuration", {})]
-    refuse(of, "results.drawn", run, of=of, folder=run / "figures")
-    drawings = run_drawings(run, kind, journal)
-    refuse(not drawings, "results.figures", run)
+    drawn = [one for one in figures if one]
+    refuse(not drawn, "results.figures", run)
     with whole_folder(output) as folder:
-        for drawing in drawings:
+        for drawing in drawings_of(drawn, simulated=stored.simulated, kind=kind, journal=journal):
             (folder / drawing.file_name).write_bytes(drawing.content)
     return 0

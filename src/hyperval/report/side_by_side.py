@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.errors import refuse
-from hyperval.figures import Figure, first_figures, outcome_words
+from hyperval.figures import first_figures, outcome_words
 from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
 from hyperval.report.html import embedded, flat, page
@@ -59,7 +59,9 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     changed.sort(key=lambda p: WORST_FIRST.index((p.b or p.either).outcome))
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
-    charts = _charts(a, b) if moved or changed else []
+    # Of their predictions, or of their collections where those alone differ.
+    both = [(x, y) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not _same_curves(x, y)]
+    charts = first_figures(both[0], names=("run A", "run B")) if both and (moved or changed) else []
     alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
     left, right = flat(a.provenance), flat(b.provenance)
     labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
@@ -88,24 +90,17 @@ def _names(a: Path, b: Path) -> tuple[str, str]:
     return "/".join(first[-most:]), "/".join(second[-most:])
 
 
-def _charts(a: Run, b: Run) -> list[Figure]:
-    """Spectra and ROC of both runs: of their predictions, or of their collections where those alone differ."""
-    pairs = [(one, other) for one, other in zip(a.pair, b.pair, strict=True) if one and other]
-    chosen = next((pair for pair in pairs if not _same_curves(*pair)), None)
-    return first_figures(chosen, names=("run A", "run B")) if chosen else []
-
-
 def _same_curves(one: Products, other: Products) -> bool:
     """Whether both have the same means of spectra and the same ROC, as far as a chart could show."""
 
-    def numbers(side: Products) -> dict[Any, Any]:
-        means = {(name, k): e.mean for name in SPECTRA for k, e in getattr(side, name).items()}
-        return means | {k: np.stack([curve.pfa, curve.pd]) for k, curve in side.roc.items()}
+    def curves(side: Products) -> dict[str, Any]:
+        means = {f"{name} {k}": e.mean for name in SPECTRA for k, e in getattr(side, name).items()}
+        return means | {f"roc {k}": np.stack([curve.pfa, curve.pd]) for k, curve in side.roc.items()}
 
-    first, second = numbers(one), numbers(other)
-    return first.keys() == second.keys() and all(
-        v.shape == second[k].shape and np.allclose(v, second[k], rtol=1e-6, atol=0, equal_nan=True)
-        for k, v in first.items()
+    first, second = curves(one), curves(other)
+    shapes = [{k: v.shape for k, v in each.items()} for each in (first, second)]
+    return shapes[0] == shapes[1] and all(
+        np.allclose(v, second[k], 1e-6, 0.0, equal_nan=True) for k, v in first.items()
     )
 
 

@@ -74,17 +74,26 @@ def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
 
 
 def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
-    """What is said of the rows of a run; ``power`` : what its criteria could have found, in words."""
-    gates = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
-    model = [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
-    informing = [row for row in rows if not row.gates and row.outcome in (Outcome.DISAGREES, Outcome.UNDECIDED)]
+    """What is said of the rows of a run; ``power`` : what its criteria could have found, in words.
+
+    >>> broken = Result("", "radiance", "lawn", "", "bias_ratio", outcome=Outcome.ERROR)
+    >>> first_screen([broken]).head, first_screen([broken]).lead
+    ('Error', 'Nothing here can pass or fail. 1 informational comparison ended in an error.')
+    """
+    gates = [row for row in rows if row.gates]
+    model = [row for row in gates if row.evidence is Evidence.MODEL]
+    are_told = (Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED)
+    informing = [row for row in rows if not row.gates and row.outcome in are_told]
     told = ranked(criteria_of(rows))
     told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
     first = told[0] if told else None
-    outcome, head, opening = status(gates)
+    outcome, head, opening = status([row for row in rows if row.gates or row.outcome is Outcome.ERROR])
     asides = [power, _never_met(model), _which_to_believe(rows), _unseen(model)]
-    kinds = dict.fromkeys(row.product for row in told if row.gates)
-    products = [_product(kind, [row for row in model if row.product == kind]) for kind in kinds]
+    products = []
+    for kind in dict.fromkeys(row.product for row in told if row.gates):
+        own = [row for row in model if row.product == kind]
+        counts = Counter(row.outcome for row in own)
+        products.append((product_words(kind), [(o, counts[o]) for o in WORST_FIRST if counts[o]], outcome_words(own)))
     reason, ahead = _reason(rows, first.subject if first else "all"), _AHEAD.get(first.outcome, "") if first else ""
     counted = _counted(gates, Evidence.MODEL), _counted(gates, Evidence.PIPELINE), _counted(informing, None)
     words = opening, *counted[:2], _never_met(gates), counted[2], _which_to_believe(rows)
@@ -102,12 +111,6 @@ def _lead(gates: Sequence[Result], informing: Sequence[Result], ahead: str, firs
     if first is not None and first.gates and ahead:
         parts.append(f"{ahead}: {product_words(first.product)}, {row_label(first)}, {effect_text(first)}.")
     return " ".join(filter(None, parts))
-
-
-def _product(name: str, rows: Sequence[Result]) -> tuple[str, list[tuple[Outcome, int]], str]:
-    counts = Counter(row.outcome for row in rows)
-    parts = [(o, counts[o]) for o in WORST_FIRST if counts[o]]
-    return product_words(name), parts, outcome_words(rows)
 
 
 def _reason(rows: Sequence[Result], subject: str) -> str:
@@ -193,6 +196,11 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     >>> off = Result("", "radiance", "lawn", "", "bias_ratio", 0.06, **failed)
     >>> [_which_to_believe(rows)[:15] for rows in ([wide], [wide, off])]
     ['Budget too wide', '']
+    >>> from hyperval.results import Role
+    >>> met = Result("", "radiance", "lot", "", "bias_ratio", 0.0, role=Role.GATE, outcome=Outcome.AGREES)
+    >>> noise = Result("", "snr", "panel", "", "p_value_full", 1e-9, effect=2.9, **failed)
+    >>> _which_to_believe([wide, met, noise])[:113]
+    'The stated uncertainty is too small (differences reach 2.9 times it; signal-to-noise ratio within its budget: pan'
     """
     tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
     met = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and row.outcome is Outcome.AGREES]
@@ -202,8 +210,10 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     narrow = [row for row in tests if row.cause is not Cause.TOO_WIDE]
     words = []
     if met and narrow:
-        times = math.sqrt(_most_reduced(narrow, rows))
+        sizes = (math.sqrt(row.value) if row.product == "attribution" else row.effect for row in narrow)
+        times = max(filter(math.isfinite, sizes), default=math.nan)
         far = f"differences reach {number_text(times, times)} times it" if times > 1 else "full tests reject it"
+        far += f"; {_named(narrow)}" * bool(wide)  # two budgets, and opposite words
         words.append(f"The stated uncertainty is too small ({far}): do not take it for the error of the model.")
         if any(not tests_the_uncertainty(row) for row in met):
             words.append("The criteria that are met say how large the differences are, not that they are explained.")
@@ -220,17 +230,6 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
 def tests_the_uncertainty(row: Result) -> bool:
     """Whether a row asks if the stated uncertainty explains a difference, and not how large the difference is."""
     return row.product == "attribution" or metric_of(row.metric).two_sided
-
-
-def _most_reduced(tests: Sequence[Result], rows: Sequence[Result]) -> float:
-    """The greatest reduced chi-square behind tests of the stated uncertainty; NaN where none has one."""
-
-    def key(row: Result) -> tuple[str, ...]:
-        return row.campaign, row.product, row.subject, row.method, row.metric.replace("p_value", "chi2_reduced")
-
-    behind = set(map(key, tests))
-    reduced = [row for row in rows if row.metric.startswith(("chi2_reduced", "reduced_chi_square"))]
-    return max((r.value for r in reduced if key(r) in behind and math.isfinite(r.value)), default=math.nan)
 
 
 def _counted(rows: Sequence[Result], kind: Evidence | None, *, named: bool = True) -> str:
