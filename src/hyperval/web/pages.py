@@ -74,7 +74,8 @@ def page(request: Request, template: str, /, status: int = 200, **content: Any) 
     """A page of the application; one that shows mistakes of a form bears the status of a refusal."""
     every = {"version": hyperval.__version__, "notices": store_of(request).notices, "place": request.url.path}
     text = TEMPLATES.get_template(template).render(every, **content)
-    return HTMLResponse(text, status_code=422 if content.get("errors") else status)
+    headers = {"cache-control": "private"} if request.method == "POST" else None  # else no way leads back to it
+    return HTMLResponse(text, 422 if content.get("errors") else status, headers)
 
 
 @pages.get("/static/{name}")
