@@ -9,6 +9,7 @@ Scenarios that go by name: those of the package, and scenes of public collection
 from __future__ import annotations
 
 import re
+from collections import ChainMap
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -57,6 +58,9 @@ _SECTIONS = {
     "Uncertainty of the inputs": ("uncertainty",),
 }  # fmt: skip
 _SCHEMA = Scenario.model_json_schema(by_alias=True)
+# What hints call entries by in a file is called in a form by its title there.
+_ENTRIES = ChainMap(*(group.get("properties", {}) for group in _SCHEMA["$defs"].values()))
+_TITLES = {name: entry["title"] for name, entry in _ENTRIES.items() if re.search(r"[_\d]", name)}
 _MOST_MARKED = 5
 _MOST_OPEN = 3  # rows that stand unfolded
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
@@ -170,9 +174,15 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
 
 
 def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
+    """The part of an entry.
+
+    >>> _node({"title": "a", "description": "with relative_sd; None: not aot550"}, "a", None, None, False).hint
+    'with relative standard deviation; blank: not aerosol optical depth'
+    """
     members = _members(schema)
     kinds = [_kind(m, path) for m in members]
     hint = re.sub(r"\b(?:null|None)(?=:| or )", "blank", str(schema.get("description", "")))
+    hint = re.sub(r"\w+", lambda word: _TITLES.get(word[0], word[0]), hint)
     is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
     node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
     if len(kinds) == 1 or "group" not in kinds:

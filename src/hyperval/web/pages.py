@@ -41,6 +41,7 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 pages = APIRouter(include_in_schema=False)
 api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
 TEMPLATES = strict_templates("hyperval.web")
+TEMPLATES.auto_reload = False  # what a server began with stays, whatever is installed beneath it
 TEMPLATES.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
 TEMPLATES.filters["since"] = lambda value: f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
 _TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}

@@ -60,7 +60,8 @@ def warm() -> None:
         if scenario.sensor is not None:
             load_sensor(scenario.sensor)
         form_nodes(plain(scenario))
-    TEMPLATES.get_template("form.html.j2")
+    for name in TEMPLATES.list_templates():
+        TEMPLATES.get_template(name)
 
 
 @pages.get("/")
