@@ -117,7 +117,7 @@ def test_sensor_file_is_brought_and_used(client, server):
     url = f"{server.address}/api/v1/uploads"
     text = (resources.files("hyperval.sensor") / "library" / "enmap.yaml").read_text()
     assert client.post(url, files=[("sensors", ("ü 2.yaml", text))]).json() == {"run": None, "kept": ["ü 2.yaml"]}
-    assert "<option>ü 2.yaml</option>" in client.get(f"{server.address}/predict").text
+    assert all("<option>ü 2.yaml</option>" in client.get(server.address + at).text for at in ("/predict", "/trade"))
     orders = [{"name": "panels", "settings": {"sensor": name}} for name in ("ü 2.yaml", "enmap")]
     mine, library = (client.post(f"{server.address}/api/v1/predictions", json=order).json() for order in orders)
     assert mine["summary"]["snr"] == library["summary"]["snr"]

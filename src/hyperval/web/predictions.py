@@ -251,6 +251,7 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
     data["moved"] = {name[3:]: text for name, text in texts if name.startswith("at:")}
+    data["kept"] = tuple(sorted((Uploads(request).folder / "sensors").glob("*")))
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
@@ -333,6 +334,7 @@ def take_away(request: Request, name: str) -> Response:
     texts = {"study.yaml": yaml_text("study", plain(study), note)}
     if is_beside:
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
+    texts |= {path.name: path.read_text("utf-8") for path in trade.kept if path.name in trade.sensor}
     texts["trade.ipynb"] = notebook(texts)
     if name not in texts:
         raise Refused(404, "there is no such file")
@@ -362,7 +364,7 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
         raise Refused(422, mistakes)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
-    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text)}
+    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text + asked)}
     return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 
