@@ -261,8 +261,8 @@ def test_pixel_is_shown_beside_the_prediction(own, run):
     small.write()
     answer = client.get(url, params={"line": 7, "sample": 7})
     SmallCampaign(small.folder).write()
-    small.data["name"], small.data["collection"]["cube"]["path"] = "other", "collection/other.img"
-    beside = small.write("campaign-other.yaml")  # another campaign of the folder, whose image was taken
+    small.data["collection"]["cube"]["path"] = "collection/other.img"
+    beside = small.write("campaign-other.yaml")  # another campaign of the folder by the same name
     assert client.get(url, params={"line": 8, "sample": 8}).status_code == 200
     beside.unlink()
     assert (answer.status_code, answer.json()["errors"][0]["message"]) == (409, "this run predicted no counts")

@@ -21,6 +21,8 @@ from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Re
 from hyperval.config import load_yaml, twice
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
+from hyperval.run import provenance_of
+from hyperval.storage import sha256_of
 from hyperval.web.forms import needs
 from hyperval.web.pages import api, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused
@@ -308,15 +310,28 @@ def map_data(request: Request, run: OwnRun, name: str) -> Response:
     return FileResponse(store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name))
 
 
+def campaign_of(request: Request, run: WebRun) -> Path:
+    """The campaign of a run: the file that the run has read, of several such and of one that has changed by its name.
+
+    Raises
+    ------
+    Refused : there is none.
+    """
+    read = {entry["sha256"] for entry in provenance_of(store_of(request).place(run.id) / "results").get("inputs", ())}
+    alike = {c.path: (sha256_of(c.path) in read, c.name == run.name) for c in known_campaigns(request).values()}
+    path = max(alike, key=alike.__getitem__, default=Path())
+    if not any(alike.get(path, ())):
+        raise Refused(409, "this server has no campaign that this run has read, and none of its name")
+    return path
+
+
 @pages.get("/runs/{run_id}/pixel.json")
 def pixel_data(request: Request, run: OwnRun, line: Number, sample: Number) -> Response:
     """The chart of a pixel's spectrum beside the predicted ones."""
     if run.kind != "validation":
         raise Refused(409, "spectra of pixels stand beside predictions, which a validation has")
-    known = known_campaigns(request).get(run.name)
-    if known is None:
-        raise Refused(409, "this server has no campaign of the name of this run")
-    arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
-    if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
-        store_of(request).view(run, COLLECTION, COLLECTION, path=str(known.path))
+    path = campaign_of(request, run)
+    arguments: dict[str, Any] = {"path": str(path), "line": line, "sample": sample}
+    if "simulate" in (load_yaml(path)[0].get("collection") or {}):  # which goes when the campaign has run
+        store_of(request).view(run, COLLECTION, COLLECTION, path=str(path))
     return FileResponse(store_of(request).view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments))
