@@ -27,7 +27,7 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, mistakes_of
+from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, mistakes_of
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -412,8 +412,7 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
         scenario = Scenario.model_validate(of_bounded_size(data))
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    if mistakes := list(_of_names(scenario, uploads)) or list(_of_cost(scenario)):
-        raise Refused(422, mistakes)
+    deny(list(_of_names(scenario, uploads)) or list(_of_cost(scenario)), 422)
     return scenario
 
 
@@ -428,8 +427,7 @@ def of_bounded_size(data: Any, at: str = "") -> Any:
     many = f"with it there are more than {_MOST_VALUES:,} values"
     told = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
     mistakes = (FieldMistake(".".join(place), words) for place, words in told if words)
-    if listed := list(islice(mistakes, MOST_MISTAKES)):
-        raise Refused(422, listed)
+    deny(list(islice(mistakes, MOST_MISTAKES)), 422)
     return data
 
 

@@ -20,7 +20,7 @@ from hyperval.report.html import CHARTS, LIBRARY, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
 from hyperval.storage import installed_file
-from hyperval.web.refusal import FieldMistake, Refused
+from hyperval.web.refusal import FieldMistake, deny
 from hyperval.web.store import Runs
 
 
@@ -82,8 +82,7 @@ def page(request: Request, template: str, /, status: int = 200, **content: Any) 
 @pages.get("/static/{name}")
 def static(name: str) -> Response:
     """A script, style or picture of the application, or of the packages that it draws with."""
-    if name not in _STATIC:
-        raise Refused(404, "there is no such file")
+    deny(name not in _STATIC, 404, "there is no such file")
     headers = {"cache-control": "public, max-age=3600"}
     return FileResponse(_STATIC[name], media_type=_TYPES[_STATIC[name].suffix], headers=headers)
 
@@ -124,6 +123,5 @@ def sensor_page(request: Request, name: str) -> Response:
 @api.get("/sensors/{name}")
 def sensor(name: str) -> list[SensorNumber]:
     """Every number of a sensor of the library."""
-    if name not in library_names():
-        raise Refused(404, [FieldMistake("name", "the library has no such sensor")])
+    deny(name not in library_names(), 404, "the library has no such sensor", "name")
     return numbers(load_sensor(name).specification)

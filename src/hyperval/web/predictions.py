@@ -44,7 +44,7 @@ from hyperval.web.forms import (
     yaml_text,
 )
 from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
@@ -77,9 +77,8 @@ def predict_form(
     request: Request, scenario: str | None = None, s: str | None = None, run: str | None = None
 ) -> Response:
     """The form, filled in with a predefined scenario, or that of an earlier run."""
-    if s is not None:
-        words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
-        raise Refused(410, [FieldMistake("s", words)])
+    words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
+    deny(s is not None, 410, words, "s")
     begun = f"run:{run}" if run is not None else scenario or "free"
     data = _FREE if begun == "free" else _first(request, begun)
     if data is None:
@@ -125,11 +124,9 @@ def _file(request: Request, name: str) -> str:
     Refused : there is none.
     """
     if name.startswith("run:"):
-        if run_of(request, name[4:]).kind != "prediction":
-            raise Refused(404, "this run is not a prediction")
+        deny(run_of(request, name[4:]).kind != "prediction", 404, "this run is not a prediction")
         return str(store_of(request).place(name[4:]) / "scenario.yaml")
-    if name not in predefined():
-        raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
+    deny(name not in predefined(), 422, "no scenario has that name", "scenario")
     return str(SCENES.get(name, name))
 
 
@@ -234,9 +231,8 @@ _NOTE = "# The emulator of 6S stands in for the engine; without its line each st
 
 def _source(request: Request, name: str) -> str:
     """A scenario as workers read it, all of whose data are here."""
-    if missing := needs(predefined().get(name)):
-        words = "; ".join(f"this server lacks the data set {name}: {how}" for name, how in missing.items())
-        raise Refused(422, [FieldMistake("scenario", words)])
+    lacking = [f"this server lacks the data set {name}: {how}" for name, how in needs(predefined().get(name)).items()]
+    deny(lacking, 422, "; ".join(lacking), "scenario")
     return _file(request, name)
 
 
@@ -336,8 +332,7 @@ def take_away(request: Request, name: str) -> Response:
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
     texts |= {path.name: path.read_text("utf-8") for path in trade.kept if path.name in trade.sensor}
     texts["trade.ipynb"] = notebook(texts)
-    if name not in texts:
-        raise Refused(404, "there is no such file")
+    deny(name not in texts, 404, "there is no such file")
     headers = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(texts[name], media_type="application/octet-stream", headers=headers)
 
@@ -360,8 +355,7 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     own = Uploads(request)
     scenario = load_scenario(_source(request, study.scenario))
     most = request.app.state.settings.points
-    if mistakes := [*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())]:
-        raise Refused(422, mistakes)
+    deny([*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())], 422)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
     files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text + asked)}

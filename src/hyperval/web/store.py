@@ -41,7 +41,7 @@ from hyperval.progress import set_listener
 from hyperval.report import first_screen
 from hyperval.run import Run, is_run, provenance_of
 from hyperval.storage import installed_file, size_of, write_text
-from hyperval.web.refusal import Refused, said
+from hyperval.web.refusal import Refused, deny, said
 
 MEGABYTE = 1_000_000
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -340,8 +340,8 @@ class Runs:
         """
         with self._changed:
             own = sum(of == owner for of, _ in list(self._tasks))
-            if own >= self._settings.per_session:
-                raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
+            words = f"{own} of your runs wait or run; more are taken when one has finished"
+            deny(own >= self._settings.per_session, 429, words, wait=2)
             about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": hyperval.__version__}
             run = WebRun(id=secrets.token_urlsafe(12), created=time.time(), **about)
             place = self.place(run.id)
@@ -400,8 +400,7 @@ class Runs:
         ------
         Refused : it cannot be made, or the run has no results.
         """
-        if run.state != "finished":
-            raise Refused(409, f"this run has no results: {run.reason or run.state}")
+        deny(run.state != "finished", 409, f"this run has no results: {run.reason or run.state}")
         place, now = self.place(run.id), hyperval.__version__
         if (place / name).exists():
             return place / name

@@ -27,7 +27,7 @@ from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.web.forms import marked
 from hyperval.web.pages import SentForm, api, owner_of, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
@@ -106,8 +106,7 @@ class Uploads:
             with part.open("wb") as out:
                 shutil.copyfileobj(file.file, out)
             self._check(field, name, part)
-            if len({*self.names(field), name}) > _MOST_KEPT:
-                raise Refused(422, [FieldMistake(field, f"a session keeps at most {_MOST_KEPT}")])
+            deny(len({*self.names(field), name}) > _MOST_KEPT, 422, f"a session keeps at most {_MOST_KEPT}", field)
             if field in ("cube", "header"):
                 shutil.rmtree(place)
                 place.mkdir()
@@ -128,8 +127,7 @@ class Uploads:
             f"is {packed}, which is not accepted": packed is not None,
             f"larger than {largest:,} bytes": path.stat().st_size > largest,
         }  # fmt: skip
-        if mistakes := [FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so]:
-            raise Refused(422, mistakes)
+        deny([FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so], 422)
         if field == "sensors":
             try:
                 self._state.runs.ask("sensor", path=str(path))
@@ -172,8 +170,8 @@ def sent_files(request: Request, form: SentForm) -> FormData:
     ------
     Refused : it is not of the form that files come in.
     """
-    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
-        raise Refused(422, [FieldMistake("body", "files come as multipart/form-data")])
+    is_multipart = request.headers.get("content-type", "").startswith("multipart/form-data")
+    deny(not is_multipart, 422, "files come as multipart/form-data", "body")
     return form
 
 
@@ -240,8 +238,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
             stated = StatedCollection.model_validate(given)
         except ValidationError as error:
             mistakes += mistakes_of(error, given)
-    if mistakes:
-        raise Refused(422, mistakes)
+    deny(mistakes, 422)
     if not is_cube:
         return list(own.names())
     about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
@@ -256,8 +253,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         field, words = key.rpartition(".")[2], re.sub(r" \(--[a-z-]+\)", "", f"the files do not say it: {what}")
         if key.startswith("collection."):
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
-    if mistakes:
-        raise Refused(422, mistakes)
+    deny(mistakes, 422)
     run: WebRun = state.runs.order(
         own.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
         {f"collection/{name}": path for name, (_, path) in files.items()}, parts=parts, **about,
