@@ -21,6 +21,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
+from hyperval.config import Model
 from hyperval.errors import UsageError
 from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -207,8 +208,7 @@ def scenarios() -> list[ScenarioAnswer]:
 @api.post("/predictions", status_code=201)
 def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> RunAnswer:
     """Predict a scenario, and wait for the numbers."""
-    if (order.name is None) == (order.scenario is None):
-        raise Refused(422, [FieldMistake("name", "give either name or scenario")])
+    deny((order.name is None) == (order.scenario is None), 422, "give either name or scenario", "name")
     scenario = order.scenario or predefined().get(order.name or "")
     if scenario is None:
         raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
@@ -362,10 +362,9 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 
-class StudyOrder(BaseModel):
+class StudyOrder(Model):
     """A study; its scenario is a predefined one by name, or ``run:ID``, that of a prediction of this session."""
 
-    model_config = ConfigDict(extra="forbid")
     study: Annotated[StudyFile, small("study")]
 
 

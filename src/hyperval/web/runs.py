@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import Depends, Form, Query, Request
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
-from hyperval.config import load_yaml, twice
+from hyperval.config import Model, load_yaml, twice
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
 from hyperval.run import provenance_of
@@ -199,10 +199,9 @@ class CampaignAnswer(BaseModel):
     path: Path = Field(exclude=True)
 
 
-class ValidationOrder(BaseModel):
+class ValidationOrder(Model):
     """Which campaign to run."""
 
-    model_config = ConfigDict(extra="forbid")
     campaign: str = Field(max_length=100, description="a name of /campaigns")
 
 
