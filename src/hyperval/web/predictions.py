@@ -247,7 +247,8 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
     data["moved"] = {name[3:]: text for name, text in texts if name.startswith("at:")}
-    data["kept"] = tuple(sorted((Uploads(request).folder / "sensors").glob("*")))
+    own = Uploads(request)
+    data["kept"] = tuple(own.folder / "sensors" / name for name in own.names("sensors"))
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)

@@ -7,7 +7,6 @@ request that it came with lacks is asked for alone.
 from __future__ import annotations
 
 import re
-import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -25,6 +24,7 @@ from hyperval.atmosphere.state import AtmosphericState
 from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
+from hyperval.storage import whole_file
 from hyperval.web.forms import marked
 from hyperval.web.pages import SentForm, api, owner_of, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, to_show
@@ -76,7 +76,7 @@ class Uploads:
     def names(self, *fields: str) -> tuple[str, ...]:
         """Names of the files of some fields; of those that scenarios may name where none is given."""
         folders = (self.folder / field for field in fields or _OF_SCENARIOS)
-        return tuple(sorted(path.name for folder in folders for path in folder.glob("*") if path.is_file()))
+        return tuple(sorted(path.name for folder in folders for path in folder.glob("[!.]*") if path.is_file()))
 
     def copies(self, text: str) -> dict[str, Path]:
         """Files that the text of a scenario names, by the name that the run keeps them under."""
@@ -100,19 +100,13 @@ class Uploads:
             odd = "".join(dict.fromkeys(c for c in name if c.isprintable() and not re.match(r"[\w .@+()-]", c)))
             words = f"not a name for a file kept here{f', for its {odd}' if odd else ''}: {_NAME_WORDS}"
             raise Refused(422, [FieldMistake(field, words)])
-        place.mkdir(parents=True, exist_ok=True)
-        part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
-        try:
+        with whole_file(place / name) as part:
             with part.open("wb") as out:
                 shutil.copyfileobj(file.file, out)
             self._check(field, name, part)
             deny(len({*self.names(field), name}) > _MOST_KEPT, 422, f"a session keeps at most {_MOST_KEPT}", field)
-            if field in ("cube", "header"):
-                shutil.rmtree(place)
-                place.mkdir()
-            part.replace(place / name)
-        finally:
-            part.unlink(missing_ok=True)
+            for other in self.names(field) if field in ("cube", "header") else ():
+                (place / other).unlink()
         return place / name
 
     def _check(self, field: str, name: str, path: Path) -> None:
