@@ -154,7 +154,8 @@ Kept = tuple[tuple[Path, int], ...]  # sensor files, and when each was written
 
 @lru_cache(maxsize=16)
 def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: Kept) -> Prepared:
-    scenario, settings, why, files = load_scenario(source), dict[str, Any](), "", {path.name: path for path, _ in kept}
+    scenario, settings, why = load_scenario(source), dict[str, Any](), ""
+    files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
     own = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
     if scenario.scene.targets:
         settings["processing.detectors"] = [detector or (own[0] if own else "cem")]

@@ -359,7 +359,7 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     deny([*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())], 422)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
-    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text + asked)}
+    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text + asked, scenario.folder)}
     return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 

@@ -78,9 +78,10 @@ class Uploads:
         folders = (self.folder / field for field in fields or _OF_SCENARIOS)
         return tuple(sorted(path.name for folder in folders for path in folder.glob("[!.]*") if path.is_file()))
 
-    def copies(self, text: str) -> dict[str, Path]:
-        """Files that the text of a scenario names, by the name that the run keeps them under."""
-        return {name: self.folder / of / name for of in _OF_SCENARIOS for name in self.names(of) if name in text}
+    def copies(self, text: str, beside: Path | None = None) -> dict[str, Path]:
+        """Files that the text of a scenario names, first those ``beside`` it, by their names in a run."""
+        named = {name: self.folder / of / name for of in _OF_SCENARIOS for name in self.names(of) if name in text}
+        return named | {name: own for name in named if beside is not None and (own := beside / name).is_file()}
 
     def given(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
         """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
