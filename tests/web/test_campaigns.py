@@ -162,7 +162,7 @@ def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
             said.append(page.locator("#map-words").inner_text())
         alarms, pfa, pd = (
             [float(re.search(pattern, words)[1].replace(",", "")) for words in said]
-            for pattern in (r"^([\d,]+) pixels", r"P_FA (?:at \w+ )?([\d.e+-]+)", r"P_D (?:at \w+ )?([\d.]+)")
+            for pattern in (r"^([\d,]+) pixels?", r"P_FA (?:at \w+ )?([\d.e+-]+)", r"P_D (?:at \w+ )?([\d.]+)")
         )
         assert alarms == sorted(alarms)
         assert "at most" not in "".join(said), "what lies above the first threshold of every curve is counted"

@@ -149,8 +149,8 @@ def _parsed(path: Path, *_: int) -> WebRun:
 @reader
 def _told_of(results: Path, record: Mapping[str, Any], **more: Any) -> WebRun:
     """The run of what a command or script wrote, with the name of its campaign or scenario, else of its folder."""
-    configuration = dict(record.get("configuration") or {})
-    about = configuration.get("campaign") or configuration.get("scenario") or {}
+    configuration: dict[str, Any] = dict(record.get("configuration") or {})
+    about = next(filter(None, map(configuration.get, ("campaign", "study", "scenario"))), dict[str, Any]())
     program, *words = record.get("command") or ("",)
     verb = next((word for word in words if not word.startswith("-")), "") if program in _COMMANDS else ""
     kind = {"validate": "validation", "": "validation" if "campaign" in configuration else "results"}.get(verb, verb)
@@ -366,8 +366,9 @@ class Runs:
         seconds = time.monotonic() - task.started if task.started else 0.0
         error = task.future.exception()
         state = "finished" if error is None else "cancelled" if isinstance(error, Cancelled) else "failed"
-        told = {"summary": task.future.result()} if error is None else {"reason": str(error)}
-        self._write_end(run, state=state, seconds=seconds, **told)
+        reason = "" if error is None or str(error) == state else str(error)
+        summary = task.future.result() if error is None else {}
+        self._write_end(run, state=state, seconds=seconds, reason=reason, summary=summary)
         self.clear()
 
     def wait(self, run: WebRun, seconds: float) -> None:
