@@ -156,6 +156,7 @@ Kept = tuple[tuple[Path, int], ...]  # sensor files, and when each was written
 def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: Kept) -> Prepared:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
     files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
+    origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
     own = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
     if scenario.scene.targets:
         settings["processing.detectors"] = [detector or (own[0] if own else "cem")]
@@ -168,12 +169,12 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: K
         settings[path] = {"geometry": geometry}
     emulated = settings | ({} if scenario.atmosphere is None else {"atmosphere.engine": "emulator"})
     try:
-        world = _read(scenario, emulated, files)
+        world = read(with_settings(scenario, emulated), origins)
         if scenario.atmosphere is not None:
             world.stated.atmosphere.run({})
         settings = emulated
     except UsageError as error:
-        why, world = error.what, _read(scenario, settings, files)
+        why, world = error.what, read(with_settings(scenario, settings), origins)
     scene = scenario.scene
     return Prepared(
         world.stated.scenario, world, settings,
@@ -184,11 +185,6 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: K
         sensors=tuple(dict.fromkeys((scenario.sensor, *library_names(), *files))) if scenario.sensor else (),
         has_fixed_fill=bool(fixed), why=why,
     )  # fmt: skip
-
-
-def _read(scenario: Scenario, settings: Mapping[str, Any], files: Mapping[str, Path]) -> World:
-    origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
-    return read(with_settings(scenario, settings), origins)
 
 
 def prepared(source: str, trade: Trade) -> Prepared:
