@@ -607,14 +607,22 @@ def _curves(p: Prepared, trade: Trade, along: Input, values: Array, limits: Arra
 
 
 def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int) -> Figure:
+    """The map of the first curve, which stands above it.
+
+    >>> asked = {"y": "atmosphere.solar_zenith_deg", "sensor": ["prospectir-vs", "emit"]}
+    >>> trade = completed(Trade(**asked), prepared("yellow-planks-asphalt", Trade()))
+    >>> json.loads(piece("yellow-planks-asphalt", trade).figure)["views"][0]["note"]
+    'yellow plank 0.02, prospectir-vs'
+    """
     (x_axis, x), (y_axis, y) = map(_axis, study.inputs[:-3:-1])
     grid = values[0, :, 0].reshape(MAP_POINTS, MAP_POINTS)[::stride, ::stride]
     edges = [cell_edges(at[::stride], axis.scale == "log") for axis, at in ((x_axis, x), (y_axis, y))]
     rows, columns = np.nonzero(np.isfinite(grid))
     mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
     part = Part(y_axis, (mark,), _present(p, trade) + _present(p, trade, "y"))
-    title = f"{KINDS[trade.output]}, {trade.subject[0]}"
-    return Figure("trade", "study", title, (Panels(x_axis, (part,)),), legend_title=title)
+    note = ", ".join(dict.fromkeys((trade.subject[0], *_families(p, trade)[1][0].split(", "))))
+    title = f"{KINDS[trade.output]}, {note}"
+    return Figure("trade", "study", title, (Panels(x_axis, (part,), note=note),), legend_title=title)
 
 
 def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]:
