@@ -91,8 +91,7 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
 @NEEDS_BROWSER
 def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run, browser, monkeypatch):
     observed, compared = threading.Event(), threading.Event()
-    predict = model.predict
-    monkeypatch.setattr("hyperval.campaign.run.predict", lambda *a, **k: observed.wait(60) and predict(*a, **k))
+    monkeypatch.setattr("hyperval.campaign.run.predict", lambda *a, **k: observed.wait(60) and model.predict(*a, **k))
     undrawn(monkeypatch, lambda *_, **__: compared.wait(60) and [])
     context = browser.new_context(base_url=own.address)
     context.set_default_timeout(60_000)

@@ -71,8 +71,9 @@ def test_source_of_each_value_is_told(client, server):
     url = f"{server.address}/predict"
     fields = dict(sent_of(client.get(url, params={"scenario": EASY["name"]}).text))
     sent = {**fields, "atmosphere.day_of_year": "99", "action": "add:scene.classes"}
-    text = client.post(url, data=sent).text
-    assert f"Values are those of {EASY['name']}" in text
+    answer, told = client.post(url, data=sent), f"Values are those of {EASY['name']}"
+    text, kept = answer.text, answer.headers["cache-control"]
+    assert (told in text, kept) == (True, "private"), "else the browser's Back ends in an error"
     for name, is_changed in (("day_of_year", True), ("solar_zenith_deg", False), ("view_zenith_deg", False)):
         field = text[: text.index(f'name="atmosphere.{name}"')]
         assert ("data-changed" in field[field.rindex('<div class="field') :]) == is_changed, name

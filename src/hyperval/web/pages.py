@@ -44,8 +44,7 @@ TEMPLATES = strict_templates("hyperval.web")
 TEMPLATES.auto_reload = False  # what a server began with stays, whatever is installed beneath it
 TEMPLATES.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
 TEMPLATES.filters["since"] = lambda value: f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
-_TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-_STATIC = {file.name: file for file in installed_file("hyperval.web", "static").iterdir() if file.suffix in _TYPES}
+_STATIC = {file.name: file for file in installed_file("hyperval.web", "static").iterdir()}
 _STATIC |= {name: installed_file("hyperval.report", "templates", name) for name in ("style.css", "page.js")}
 _DRAWING = zip(("bokeh.js", "bokeh-api.js", "charts.js"), (*LIBRARY, CHARTS), strict=True)
 _STATIC |= {name: installed_file(*place) for name, place in _DRAWING}
@@ -83,8 +82,7 @@ def page(request: Request, template: str, /, status: int = 200, **content: Any) 
 def static(name: str) -> Response:
     """A script, style or picture of the application, or of the packages that it draws with."""
     deny(name not in _STATIC, 404, "there is no such file")
-    headers = {"cache-control": "public, max-age=3600"}
-    return FileResponse(_STATIC[name], media_type=_TYPES[_STATIC[name].suffix], headers=headers)
+    return FileResponse(_STATIC[name], headers={"cache-control": "public, max-age=3600"})
 
 
 @pages.get("/{kind}.schema.json")
