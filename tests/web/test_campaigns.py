@@ -91,8 +91,7 @@ def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
 @NEEDS_BROWSER
 def test_campaign_of_the_folder_is_run_from_its_page_with_live_progress(own, run, browser, monkeypatch):
     observed, compared = threading.Event(), threading.Event()
-    predict = model.predict
-    monkeypatch.setattr("hyperval.model.forward.predict", lambda *a, **k: observed.wait(60) and predict(*a, **k))
+    monkeypatch.setattr("hyperval.campaign.run.predict", lambda *a, **k: observed.wait(60) and model.predict(*a, **k))
     undrawn(monkeypatch, lambda *_, **__: compared.wait(60) and [])
     context = browser.new_context(base_url=own.address)
     context.set_default_timeout(60_000)
@@ -162,7 +161,7 @@ def test_threshold_is_moved_and_a_pixel_clicked_in_a_browser(own, run, browser):
             said.append(page.locator("#map-words").inner_text())
         alarms, pfa, pd = (
             [float(re.search(pattern, words)[1].replace(",", "")) for words in said]
-            for pattern in (r"^([\d,]+) pixels", r"P_FA (?:at \w+ )?([\d.e+-]+)", r"P_D (?:at \w+ )?([\d.]+)")
+            for pattern in (r"^([\d,]+) pixels?", r"P_FA (?:at \w+ )?([\d.e+-]+)", r"P_D (?:at \w+ )?([\d.]+)")
         )
         assert alarms == sorted(alarms)
         assert "at most" not in "".join(said), "what lies above the first threshold of every curve is counted"
@@ -261,8 +260,8 @@ def test_pixel_is_shown_beside_the_prediction(own, run):
     small.write()
     answer = client.get(url, params={"line": 7, "sample": 7})
     SmallCampaign(small.folder).write()
-    small.data["name"], small.data["collection"]["cube"]["path"] = "other", "collection/other.img"
-    beside = small.write("campaign-other.yaml")  # another campaign of the folder, whose image was taken
+    small.data["collection"]["cube"]["path"] = "collection/other.img"
+    beside = small.write("campaign-other.yaml")  # another campaign of the folder by the same name
     assert client.get(url, params={"line": 8, "sample": 8}).status_code == 200
     beside.unlink()
     assert (answer.status_code, answer.json()["errors"][0]["message"]) == (409, "this run predicted no counts")

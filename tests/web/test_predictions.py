@@ -71,8 +71,9 @@ def test_source_of_each_value_is_told(client, server):
     url = f"{server.address}/predict"
     fields = dict(sent_of(client.get(url, params={"scenario": EASY["name"]}).text))
     sent = {**fields, "atmosphere.day_of_year": "99", "action": "add:scene.classes"}
-    text = client.post(url, data=sent).text
-    assert f"Values are those of {EASY['name']}" in text
+    answer, told = client.post(url, data=sent), f"Values are those of {EASY['name']}"
+    text, kept = answer.text, answer.headers["cache-control"]
+    assert (told in text, kept) == (True, "private"), "else the browser's Back ends in an error"
     for name, is_changed in (("day_of_year", True), ("solar_zenith_deg", False), ("view_zenith_deg", False)):
         field = text[: text.index(f'name="atmosphere.{name}"')]
         assert ("data-changed" in field[field.rindex('<div class="field') :]) == is_changed, name
@@ -117,7 +118,7 @@ def test_sensor_file_is_brought_and_used(client, server):
     url = f"{server.address}/api/v1/uploads"
     text = (resources.files("hyperval.sensor") / "library" / "enmap.yaml").read_text()
     assert client.post(url, files=[("sensors", ("ü 2.yaml", text))]).json() == {"run": None, "kept": ["ü 2.yaml"]}
-    assert "<option>ü 2.yaml</option>" in client.get(f"{server.address}/predict").text
+    assert all("<option>ü 2.yaml</option>" in client.get(server.address + at).text for at in ("/predict", "/trade"))
     orders = [{"name": "panels", "settings": {"sensor": name}} for name in ("ü 2.yaml", "enmap")]
     mine, library = (client.post(f"{server.address}/api/v1/predictions", json=order).json() for order in orders)
     assert mine["summary"]["snr"] == library["summary"]["snr"]

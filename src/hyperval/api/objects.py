@@ -525,13 +525,10 @@ class Collection(_Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """The bands nearest to 660, 550 and 470 nm, each stretched from its 2nd to its 98th percentile."""
-        data = self.to_xarray()
-        nm = data["wavelength"].to_numpy()
-        bands = [int(np.abs(nm - w).argmin()) for w in _RGB_NM]
-        values = data["radiance"].to_numpy()[:, :, bands]
-        low, high = np.nanpercentile(values, (2.0, 98.0), axis=(0, 1))
+        rgb = self.to_xarray()["radiance"].sel(wavelength=list(_RGB_NM), method="nearest")
+        low, high = rgb.quantile([0.02, 0.98], ("line", "sample"))
         ax = _axes(ax)
-        ax.imshow(np.clip((values - low) / np.maximum(high - low, 1e-12), 0.0, 1.0))
+        ax.imshow(((rgb - low) / np.maximum(high - low, 1e-12)).clip(0.0, 1.0))
         ax.set(xlabel="sample", ylabel="line")
         return ax
 

@@ -308,14 +308,12 @@ def drift(
     print_table(("time", "campaign", metric, "lower", "upper"), rows)
     years = [when.timestamp() / hyperval.run.SECONDS_PER_YEAR for when, _ in days]
     trend = hyperval.compare.drift(years, [row.value for _, row in days])
-    words = f"{metric} changes by {trend.value:+.3g} in a year, 95 % interval "
-    words += f"{trend.lower:+.3g} to {trend.upper:+.3g}"
-    if within is None:
-        note(f"{words} ({len(days)} days)")
-        return 0
-    outcome = hyperval.compare.against_range(trend.lower, trend.upper, *within)
-    note(f"{words} ({len(days)} days): {outcome} with {within[0]:g} to {within[1]:g}")
-    return {outcome.AGREES: 0, outcome.DISAGREES: 1}.get(outcome, 5)
+    interval = f"95 % interval {trend.lower:+.3g} to {trend.upper:+.3g} ({len(days)} days)"
+    outcome = within and hyperval.compare.against_range(trend.lower, trend.upper, *within)
+    judged = f": {outcome} with {within[0]:g} to {within[1]:g}" if within else ""
+    note(f"{metric} changes by {trend.value:+.3g} in a year, {interval}{judged}")
+    outcomes = hyperval.results.Outcome
+    return {None: 0, outcomes.AGREES: 0, outcomes.DISAGREES: 1}.get(outcome, 5)
 
 
 @command("figures results -o figures --format svg --style journal")

@@ -119,8 +119,7 @@ def check_outputs(outputs: list[Output], scenario: Scenario, axis: SpectralAxis)
     for o in outputs:
         where = f"output {o.name!r}"
         among = pure if o.is_spectral else populations
-        if o.is_spectral and scenario.atmosphere is None:
-            raise UsageError(f"{where}: the scenario has no atmosphere, so no {o.kind}")
+        refuse(o.is_spectral and scenario.atmosphere is None, "study.atmosphere", at=where, kind=o.kind)
         refuse(not o.is_spectral and not detectors, "study.detectors", at=where)
         refuse(o.subject not in among, "study.subject", at=where, subject=o.subject, names=", ".join(among))
         unknown = o.detector not in (None, *detectors)
@@ -139,9 +138,7 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
     w = axis.centre_nm
     if output.band_nm is not None:
         at = axis.nearest(output.band_nm, widths=2.0)
-        if at is None:
-            raise UsageError(f"output {output.name!r}: no band at {output.band_nm:g} nm")
-        return np.array([at])
+        return np.array([needed(at, "study.band", name=output.name, nm=output.band_nm)])
     low, high = output.range_nm or (0.0, np.inf)
     bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
     refuse(not bands.size, "study.range", name=output.name, low=low, high=high)
@@ -286,9 +283,8 @@ def try_changes(world: World, changes: dict[str, Any]) -> None:
     refuse((at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0, "study.pfa", at=at)
     for path in [path for path in changes if not in_file(path)]:
         entry, number = find(world.stated, path), changes.pop(path)
-        if not entry.low <= number <= entry.high:
-            expected = f"a number from {entry.low:g} to {entry.high:g}"
-            raise UsageError(f"{path} at {float(number)}", expected=expected)
+        is_inside = entry.low <= number <= entry.high
+        refuse(not is_inside, "study.limits", path=path, number=float(number), low=entry.low, high=entry.high)
     state = world.stated.scenario.atmosphere
     own = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and v is not None}
     # With what gives way to them, such as time and place to the sun.

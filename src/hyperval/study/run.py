@@ -157,17 +157,15 @@ def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[st
     data = xr.Dataset(attrs=about)
     for name, column in study.columns.items():
         data[name] = ("point", table[name].to_numpy(), {"long_name": column.label or name, "units": column.unit})
-        if name not in said:
-            data[name].encoding = {"zlib": True, "shuffle": True, "_FillValue": None}
-    data.to_netcdf(folder / "table.nc", engine="h5netcdf")
+    packed = {name: {"zlib": True, "shuffle": True, "_FillValue": None} for name in data if name not in said}
+    data.to_netcdf(folder / "table.nc", engine="h5netcdf", encoding=packed)
     names = ["table.csv", "table.nc"]
     if find_spec("pyarrow") is not None:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        columns = table.reset_index().items()
-        # A number that is not there is NaN, as in the other files.
-        parts = {name: pa.array(own.to_numpy(), from_pandas=False) for name, own in columns}
-        pq.write_table(pa.table(parts), folder / "table.parquet")
+        # Of arrays, and not of a frame: a number that is not there is NaN, as in the other files.
+        columns = {name: own.to_numpy() for name, own in table.reset_index().items()}
+        pq.write_table(pa.table(columns), folder / "table.parquet")
         names.append("table.parquet")
     return names

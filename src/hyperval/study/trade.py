@@ -14,6 +14,7 @@ from contextlib import suppress
 from functools import lru_cache, partial
 from importlib import resources
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from pydantic import Field
 
 from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS, Array, Mask
+from hyperval.datasets import resolve
 from hyperval.errors import UsageError, package_table, refusal, refuse
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
 from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
@@ -50,7 +52,7 @@ SPECTRAL = ("snr", "radiance")
 
 
 class Trade(Model):
-    """What is asked of a scenario; inputs go by the keys of :class:`Offer`."""
+    """What is asked of a scenario; inputs go by the keys of :class:`Offer`, sensors of files by their names."""
 
     scenario: str = Field("yellow-planks-asphalt", max_length=100)
     x: str = Field("", max_length=300)
@@ -70,6 +72,7 @@ class Trade(Model):
     side_m: float | None = Field(None, gt=0, le=100, description="of a target of fixed fill, so that it has a GSD")
     wanted: float | None = Field(None, description="required value of the output, solved for along x")
     moved: dict[str, float] = Field(default_factory=dict, max_length=20)
+    kept: tuple[Path, ...] = ()
 
     @property
     def is_spectral(self) -> bool:
@@ -146,9 +149,14 @@ class Prepared(NamedTuple):
     detectors: tuple[str, ...] = LINEAR_DETECTORS
 
 
+Kept = tuple[tuple[Path, int], ...]  # sensor files, and when each was written
+
+
 @lru_cache(maxsize=16)
-def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prepared:
+def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: Kept) -> Prepared:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
+    files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
+    origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
     own = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
     if scenario.scene.targets:
         settings["processing.detectors"] = [detector or (own[0] if own else "cem")]
@@ -161,12 +169,12 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prep
         settings[path] = {"geometry": geometry}
     emulated = settings | ({} if scenario.atmosphere is None else {"atmosphere.engine": "emulator"})
     try:
-        world = _read(scenario, emulated)
+        world = read(with_settings(scenario, emulated), origins)
         if scenario.atmosphere is not None:
             world.stated.atmosphere.run({})
         settings = emulated
     except UsageError as error:
-        why, world = error.what, _read(scenario, settings)
+        why, world = error.what, read(with_settings(scenario, settings), origins)
     scene = scenario.scene
     return Prepared(
         world.stated.scenario, world, settings,
@@ -174,18 +182,15 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str) -> Prep
         targets=tuple(p.name for t in scene.targets for p in t.populations),
         surfaces=tuple(s.name for s in (*scene.classes, *scene.panels)) if scenario.atmosphere else (),
         backgrounds=tuple(c.name for c in scene.classes),
-        sensors=tuple(dict.fromkeys((scenario.sensor, *library_names()))) if scenario.sensor is not None else (),
+        sensors=tuple(dict.fromkeys((scenario.sensor, *library_names(), *files))) if scenario.sensor else (),
         has_fixed_fill=bool(fixed), why=why,
     )  # fmt: skip
 
 
-def _read(scenario: Scenario, settings: Mapping[str, Any]) -> World:
-    return read(with_settings(scenario, settings) if settings else scenario, Origins())
-
-
 def prepared(source: str, trade: Trade) -> Prepared:
     """A scenario by name or file, read once for what is asked of it."""
-    return _prepared(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "")
+    kept = tuple((path, path.stat().st_mtime_ns) for path in trade.kept)
+    return _prepared(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "", kept)
 
 
 def _offers(world: World) -> Iterator[Offer]:
@@ -522,7 +527,7 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
     Of P_D at P_FA (n,); of a spectrum's mean over its bands, where n is 1.
     """
     truth = {**_constants(p, trade), **truth}
-    products = predict(p.scenario, Origins(), truth=truth, object_curves=False)
+    products = predict(p.scenario, p.world.stated.origins, truth=truth, object_curves=False)
     out = np.full((len(trade.subject), pfa.size, 2), np.nan)
     for k, o in enumerate(outputs_of(trade)):
         if trade.is_spectral:
@@ -602,14 +607,22 @@ def _curves(p: Prepared, trade: Trade, along: Input, values: Array, limits: Arra
 
 
 def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int) -> Figure:
+    """The map of the first curve, which stands above it.
+
+    >>> asked = {"y": "atmosphere.solar_zenith_deg", "sensor": ["prospectir-vs", "emit"]}
+    >>> trade = completed(Trade(**asked), prepared("yellow-planks-asphalt", Trade()))
+    >>> json.loads(piece("yellow-planks-asphalt", trade).figure)["views"][0]["note"]
+    'yellow plank 0.02, prospectir-vs'
+    """
     (x_axis, x), (y_axis, y) = map(_axis, study.inputs[:-3:-1])
     grid = values[0, :, 0].reshape(MAP_POINTS, MAP_POINTS)[::stride, ::stride]
     edges = [cell_edges(at[::stride], axis.scale == "log") for axis, at in ((x_axis, x), (y_axis, y))]
     rows, columns = np.nonzero(np.isfinite(grid))
     mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
     part = Part(y_axis, (mark,), _present(p, trade) + _present(p, trade, "y"))
-    title = f"{KINDS[trade.output]}, {trade.subject[0]}"
-    return Figure("trade", "study", title, (Panels(x_axis, (part,)),), legend_title=title)
+    note = ", ".join(dict.fromkeys((trade.subject[0], *_families(p, trade)[1][0].split(", "))))
+    title = f"{KINDS[trade.output]}, {note}"
+    return Figure("trade", "study", title, (Panels(x_axis, (part,), note=note),), legend_title=title)
 
 
 def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]:

@@ -9,6 +9,7 @@ Scenarios that go by name: those of the package, and scenes of public collection
 from __future__ import annotations
 
 import re
+from collections import ChainMap
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, mistakes_of
+from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, mistakes_of
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -57,6 +58,9 @@ _SECTIONS = {
     "Uncertainty of the inputs": ("uncertainty",),
 }  # fmt: skip
 _SCHEMA = Scenario.model_json_schema(by_alias=True)
+# What hints call entries by in a file is called in a form by its title there.
+_ENTRIES = ChainMap(*(group.get("properties", {}) for group in _SCHEMA["$defs"].values()))
+_TITLES = {name: entry["title"] for name, entry in _ENTRIES.items() if re.search(r"[_\d]", name)}
 _MOST_MARKED = 5
 _MOST_OPEN = 3  # rows that stand unfolded
 _CAPITAL = re.compile(r"(?<!^)(?=[A-Z])")
@@ -170,9 +174,15 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
 
 
 def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
+    """The part of an entry.
+
+    >>> _node({"title": "a", "description": "with relative_sd; None: not aot550"}, "a", None, None, False).hint
+    'with relative standard deviation; blank: not aerosol optical depth'
+    """
     members = _members(schema)
     kinds = [_kind(m, path) for m in members]
     hint = re.sub(r"\b(?:null|None)(?=:| or )", "blank", str(schema.get("description", "")))
+    hint = re.sub(r"\w+", lambda word: _TITLES.get(word[0], word[0]), hint)
     is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
     node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
     if len(kinds) == 1 or "group" not in kinds:
@@ -402,8 +412,7 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
         scenario = Scenario.model_validate(of_bounded_size(data))
     except ValidationError as error:
         raise Refused(422, mistakes_of(error, data)) from error
-    if mistakes := list(_of_names(scenario, uploads)) or list(_of_cost(scenario)):
-        raise Refused(422, mistakes)
+    deny(list(_of_names(scenario, uploads)) or list(_of_cost(scenario)), 422)
     return scenario
 
 
@@ -418,8 +427,7 @@ def of_bounded_size(data: Any, at: str = "") -> Any:
     many = f"with it there are more than {_MOST_VALUES:,} values"
     told = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
     mistakes = (FieldMistake(".".join(place), words) for place, words in told if words)
-    if listed := list(islice(mistakes, MOST_MISTAKES)):
-        raise Refused(422, listed)
+    deny(list(islice(mistakes, MOST_MISTAKES)), 422)
     return data
 
 

@@ -24,7 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hyperval.errors import internal_error
-from hyperval.web.refusal import FieldMistake, Refused, problems
+from hyperval.web.refusal import FieldMistake, deny, problems
 from hyperval.web.store import ServerSettings
 
 COOKIE = "hyperval_session"
@@ -80,8 +80,7 @@ class Guard:
             nonlocal seen
             message = await receive()
             seen += len(message.get("body", b""))
-            if seen > bound:
-                raise Refused(413, [FieldMistake("body", f"larger than {bound:,} bytes")])
+            deny(seen > bound, 413, f"larger than {bound:,} bytes", "body")
             return message
 
         async def answer(message: Message) -> None:

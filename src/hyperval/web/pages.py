@@ -20,7 +20,7 @@ from hyperval.report.html import CHARTS, LIBRARY, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
 from hyperval.storage import installed_file
-from hyperval.web.refusal import FieldMistake, Refused
+from hyperval.web.refusal import FieldMistake, deny
 from hyperval.web.store import Runs
 
 
@@ -41,10 +41,10 @@ _PROBLEMS: dict[int | str, dict[str, Any]] = {
 pages = APIRouter(include_in_schema=False)
 api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
 TEMPLATES = strict_templates("hyperval.web")
+TEMPLATES.auto_reload = False  # what a server began with stays, whatever is installed beneath it
 TEMPLATES.filters["p"] = lambda value: "" if value is None else f"{value:.4f}"
 TEMPLATES.filters["since"] = lambda value: f"{datetime.fromtimestamp(value, UTC):%Y-%m-%d %H:%M:%S} UTC"
-_TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-_STATIC = {file.name: file for file in installed_file("hyperval.web", "static").iterdir() if file.suffix in _TYPES}
+_STATIC = {file.name: file for file in installed_file("hyperval.web", "static").iterdir()}
 _STATIC |= {name: installed_file("hyperval.report", "templates", name) for name in ("style.css", "page.js")}
 _DRAWING = zip(("bokeh.js", "bokeh-api.js", "charts.js"), (*LIBRARY, CHARTS), strict=True)
 _STATIC |= {name: installed_file(*place) for name, place in _DRAWING}
@@ -74,16 +74,15 @@ def page(request: Request, template: str, /, status: int = 200, **content: Any) 
     """A page of the application; one that shows mistakes of a form bears the status of a refusal."""
     every = {"version": hyperval.__version__, "notices": store_of(request).notices, "place": request.url.path}
     text = TEMPLATES.get_template(template).render(every, **content)
-    return HTMLResponse(text, status_code=422 if content.get("errors") else status)
+    headers = {"cache-control": "private"} if request.method == "POST" else None  # else no way leads back to it
+    return HTMLResponse(text, 422 if content.get("errors") else status, headers)
 
 
 @pages.get("/static/{name}")
 def static(name: str) -> Response:
     """A script, style or picture of the application, or of the packages that it draws with."""
-    if name not in _STATIC:
-        raise Refused(404, "there is no such file")
-    headers = {"cache-control": "public, max-age=3600"}
-    return FileResponse(_STATIC[name], media_type=_TYPES[_STATIC[name].suffix], headers=headers)
+    deny(name not in _STATIC, 404, "there is no such file")
+    return FileResponse(_STATIC[name], headers={"cache-control": "public, max-age=3600"})
 
 
 @pages.get("/{kind}.schema.json")
@@ -122,6 +121,5 @@ def sensor_page(request: Request, name: str) -> Response:
 @api.get("/sensors/{name}")
 def sensor(name: str) -> list[SensorNumber]:
     """Every number of a sensor of the library."""
-    if name not in library_names():
-        raise Refused(404, [FieldMistake("name", "the library has no such sensor")])
+    deny(name not in library_names(), 404, "the library has no such sensor", "name")
     return numbers(load_sensor(name).specification)

@@ -21,6 +21,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
+from hyperval.config import Model
 from hyperval.errors import UsageError
 from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -44,7 +45,7 @@ from hyperval.web.forms import (
     yaml_text,
 )
 from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, said, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
@@ -60,7 +61,8 @@ def warm() -> None:
         if scenario.sensor is not None:
             load_sensor(scenario.sensor)
         form_nodes(plain(scenario))
-    TEMPLATES.get_template("form.html.j2")
+    for name in TEMPLATES.list_templates():
+        TEMPLATES.get_template(name)
 
 
 @pages.get("/")
@@ -76,9 +78,8 @@ def predict_form(
     request: Request, scenario: str | None = None, s: str | None = None, run: str | None = None
 ) -> Response:
     """The form, filled in with a predefined scenario, or that of an earlier run."""
-    if s is not None:
-        words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
-        raise Refused(410, [FieldMistake("s", words)])
+    words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
+    deny(s is not None, 410, words, "s")
     begun = f"run:{run}" if run is not None else scenario or "free"
     data = _FREE if begun == "free" else _first(request, begun)
     if data is None:
@@ -124,11 +125,9 @@ def _file(request: Request, name: str) -> str:
     Refused : there is none.
     """
     if name.startswith("run:"):
-        if run_of(request, name[4:]).kind != "prediction":
-            raise Refused(404, "this run is not a prediction")
+        deny(run_of(request, name[4:]).kind != "prediction", 404, "this run is not a prediction")
         return str(store_of(request).place(name[4:]) / "scenario.yaml")
-    if name not in predefined():
-        raise Refused(422, [FieldMistake("scenario", "no scenario has that name")])
+    deny(name not in predefined(), 422, "no scenario has that name", "scenario")
     return str(SCENES.get(name, name))
 
 
@@ -209,8 +208,7 @@ def scenarios() -> list[ScenarioAnswer]:
 @api.post("/predictions", status_code=201)
 def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> RunAnswer:
     """Predict a scenario, and wait for the numbers."""
-    if (order.name is None) == (order.scenario is None):
-        raise Refused(422, [FieldMistake("name", "give either name or scenario")])
+    deny((order.name is None) == (order.scenario is None), 422, "give either name or scenario", "name")
     scenario = order.scenario or predefined().get(order.name or "")
     if scenario is None:
         raise Refused(422, [FieldMistake("name", f"no predefined scenario; one of {', '.join(predefined())}")])
@@ -233,9 +231,8 @@ _NOTE = "# The emulator of 6S stands in for the engine; without its line each st
 
 def _source(request: Request, name: str) -> str:
     """A scenario as workers read it, all of whose data are here."""
-    if missing := needs(predefined().get(name)):
-        words = "; ".join(f"this server lacks the data set {name}: {how}" for name, how in missing.items())
-        raise Refused(422, [FieldMistake("scenario", words)])
+    lacking = [f"this server lacks the data set {name}: {how}" for name, how in needs(predefined().get(name)).items()]
+    deny(lacking, 422, "; ".join(lacking), "scenario")
     return _file(request, name)
 
 
@@ -250,6 +247,8 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
     data["moved"] = {name[3:]: text for name, text in texts if name.startswith("at:")}
+    own = Uploads(request)
+    data["kept"] = tuple(own.folder / "sensors" / name for name in own.names("sensors"))
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
@@ -332,9 +331,9 @@ def take_away(request: Request, name: str) -> Response:
     texts = {"study.yaml": yaml_text("study", plain(study), note)}
     if is_beside:
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
+    texts |= {path.name: path.read_text("utf-8") for path in trade.kept if path.name in trade.sensor}
     texts["trade.ipynb"] = notebook(texts)
-    if name not in texts:
-        raise Refused(404, "there is no such file")
+    deny(name not in texts, 404, "there is no such file")
     headers = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(texts[name], media_type="application/octet-stream", headers=headers)
 
@@ -357,18 +356,16 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     own = Uploads(request)
     scenario = load_scenario(_source(request, study.scenario))
     most = request.app.state.settings.points
-    if mistakes := [*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())]:
-        raise Refused(422, mistakes)
+    deny([*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())], 422)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
-    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text)}
+    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text + asked, scenario.folder)}
     return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 
-class StudyOrder(BaseModel):
+class StudyOrder(Model):
     """A study; its scenario is a predefined one by name, or ``run:ID``, that of a prediction of this session."""
 
-    model_config = ConfigDict(extra="forbid")
     study: Annotated[StudyFile, small("study")]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast
 
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
@@ -52,6 +52,19 @@ class Refused(HTTPException):
     def __str__(self) -> str:
         """Every mistake with its field."""
         return "; ".join(f"{m.field}: {m.message}" if m.field else m.message for m in self.mistakes)
+
+
+def deny(wrong: object, status: int, words: str = "", field: str = "", wait: int | None = None) -> None:
+    """Refuse a request where something is wrong, in words, or as the mistakes say that were found.
+
+    >>> deny([], 422), deny("" > "a", 404, "there is no such file")
+    (None, None)
+    >>> deny([FieldMistake("name", "is missing")], 422)
+    Traceback (most recent call last):
+    hyperval.web.refusal.Refused: name: is missing
+    """
+    if wrong:
+        raise Refused(status, [FieldMistake(field, words)] if words else cast(Sequence[FieldMistake], wrong), wait)
 
 
 def problems(status: int, mistakes: Iterable[FieldMistake], headers: Mapping[str, str] | None = None) -> JSONResponse:

@@ -15,15 +15,17 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from fastapi import Depends, Form, Query, Request
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
-from hyperval.config import load_yaml, twice
+from hyperval.config import Model, load_yaml, twice
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
+from hyperval.run import provenance_of
+from hyperval.storage import sha256_of
 from hyperval.web.forms import needs
 from hyperval.web.pages import api, owner_of, page, pages, store_of
-from hyperval.web.refusal import FieldMistake, Refused
+from hyperval.web.refusal import FieldMistake, Refused, deny
 from hyperval.web.store import COLLECTION, ENDED, EVERYBODY, ServerSettings, WebRun, view_name
 
 _NAME = re.compile(r"(?:(?:figures|scores)/)?[A-Za-z0-9_-][A-Za-z0-9_.@+-]{0,120}")
@@ -128,8 +130,8 @@ def files_of(place: Path, run: WebRun) -> list[str]:
 def charts(request: Request, run: OwnRun, beside: str | None = None) -> Response:
     """Charts of a prediction, beside another one where one is named, as Bokeh draws them."""
     other = run_of(request, beside) if beside else None
-    if run.kind != "prediction" or (other and (other.kind, other.state) != ("prediction", "finished")):
-        raise Refused(409, "charts are of predictions that have finished")
+    is_other = other is not None and (other.kind, other.state) != ("prediction", "finished")
+    deny(run.kind != "prediction" or is_other, 409, "charts are of predictions that have finished")
     name, store = view_name(f"charts-{other.id}" if other else "charts"), store_of(request)
     return FileResponse(store.view(run, "draw", name, earlier=str(store.place(other.id)) if other else None))
 
@@ -139,16 +141,15 @@ def charts(request: Request, run: OwnRun, beside: str | None = None) -> Response
 def file(request: Request, run: OwnRun, name: str) -> Response:
     """A file of a run, such as results.csv, products.nc or scenario.yaml."""
     place = store_of(request).place(run.id)
-    if not _NAME.fullmatch(name) or ".." in name:
-        raise Refused(404, "this run has no such file")
-    if name == "campaign.zip":
-        raise Refused(410, "campaign.yaml stands in its place: the files that were sent go into collection/ beside it")
+    deny(not _NAME.fullmatch(name) or ".." in name, 404, "this run has no such file")
+    words = "campaign.yaml stands in its place: the files that were sent go into collection/ beside it"
+    deny(name == "campaign.zip", 410, words)
     path = place / name if name in _SOURCES.values() else place / "results" / name
     if path.parent != place and run.kind == "prediction":  # whose files are written when the first is asked for
         store_of(request).view(run, "files", "results/results.csv")
     # What a command wrote is reached by a link of the store's own; no other leads out of the run.
-    if not path.is_file() or not any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results")):
-        raise Refused(404, "this run has no such file")
+    is_own = any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results"))
+    deny(not path.is_file() or not is_own, 404, "this run has no such file")
     shown = {".html", ".svg", ".png"} & {path.suffix}
     own = run.name.removeprefix("run:")
     headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{own}-{path.name}"'}
@@ -184,10 +185,8 @@ def run_remove(request: Request, run: OwnRun) -> Response:
 @api.delete("/runs/{run_id}", status_code=204, response_model=None)
 def remove(request: Request, run: OwnRun) -> None:
     """Forget a run of this session that has ended, and its files."""
-    if run.state not in ENDED:
-        raise Refused(409, "it still runs: cancel it first")
-    if run.owner == EVERYBODY:
-        raise Refused(409, "a command made it, for everybody: its folder is removed on the server")
+    deny(run.state not in ENDED, 409, "it still runs: cancel it first")
+    deny(run.owner == EVERYBODY, 409, "a command made it, for everybody: its folder is removed on the server")
     store_of(request).remove(run.id)
 
 
@@ -200,10 +199,9 @@ class CampaignAnswer(BaseModel):
     path: Path = Field(exclude=True)
 
 
-class ValidationOrder(BaseModel):
+class ValidationOrder(Model):
     """Which campaign to run."""
 
-    model_config = ConfigDict(extra="forbid")
     campaign: str = Field(max_length=100, description="a name of /campaigns")
 
 
@@ -295,28 +293,37 @@ def maps_of(place: Path) -> list[str]:
 def map_page(request: Request, run: OwnRun, name: str | None = None) -> Response:
     """A score map with a threshold to move."""
     maps = maps_of(store_of(request).place(run.id))
-    if not maps or (name is not None and name not in maps):
-        raise Refused(404, "this run has no such score map")
+    deny(not maps or name not in (None, *maps), 404, "this run has no such score map")
     return page(request, "map.html.j2", run=run, maps=maps, name=name or maps[0])
 
 
 @pages.get("/runs/{run_id}/map.json")
 def map_data(request: Request, run: OwnRun, name: str) -> Response:
     """A score map, 16 bits a pixel, with the measured curves that go with it."""
-    if name not in maps_of(store_of(request).place(run.id)):
-        raise Refused(404, [FieldMistake("name", "this run has no such score map")])
+    deny(name not in maps_of(store_of(request).place(run.id)), 404, "this run has no such score map", "name")
     return FileResponse(store_of(request).view(run, "score_map", view_name(f"map-{name}"), name=name))
+
+
+def campaign_of(request: Request, run: WebRun) -> Path:
+    """The campaign of a run: the file that the run has read, of several such and of one that has changed by its name.
+
+    Raises
+    ------
+    Refused : there is none.
+    """
+    read = {entry["sha256"] for entry in provenance_of(store_of(request).place(run.id) / "results").get("inputs", ())}
+    alike = {c.path: (sha256_of(c.path) in read, c.name == run.name) for c in known_campaigns(request).values()}
+    path = max(alike, key=alike.__getitem__, default=Path())
+    deny(not any(alike.get(path, ())), 409, "this server has no campaign that this run has read, and none of its name")
+    return path
 
 
 @pages.get("/runs/{run_id}/pixel.json")
 def pixel_data(request: Request, run: OwnRun, line: Number, sample: Number) -> Response:
     """The chart of a pixel's spectrum beside the predicted ones."""
-    if run.kind != "validation":
-        raise Refused(409, "spectra of pixels stand beside predictions, which a validation has")
-    known = known_campaigns(request).get(run.name)
-    if known is None:
-        raise Refused(409, "this server has no campaign of the name of this run")
-    arguments: dict[str, Any] = {"path": str(known.path), "line": line, "sample": sample}
-    if "simulate" in (load_yaml(known.path)[0].get("collection") or {}):  # which goes when the campaign has run
-        store_of(request).view(run, COLLECTION, COLLECTION, path=str(known.path))
+    deny(run.kind != "validation", 409, "spectra of pixels stand beside predictions, which a validation has")
+    path = campaign_of(request, run)
+    arguments: dict[str, Any] = {"path": str(path), "line": line, "sample": sample}
+    if "simulate" in (load_yaml(path)[0].get("collection") or {}):  # which goes when the campaign has run
+        store_of(request).view(run, COLLECTION, COLLECTION, path=str(path))
     return FileResponse(store_of(request).view(run, "pixel", view_name(f"pixel-{line}-{sample}"), **arguments))

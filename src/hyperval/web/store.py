@@ -41,7 +41,7 @@ from hyperval.progress import set_listener
 from hyperval.report import first_screen
 from hyperval.run import Run, is_run, provenance_of
 from hyperval.storage import installed_file, size_of, write_text
-from hyperval.web.refusal import Refused, said
+from hyperval.web.refusal import Refused, deny, said
 
 MEGABYTE = 1_000_000
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -149,8 +149,8 @@ def _parsed(path: Path, *_: int) -> WebRun:
 @reader
 def _told_of(results: Path, record: Mapping[str, Any], **more: Any) -> WebRun:
     """The run of what a command or script wrote, with the name of its campaign or scenario, else of its folder."""
-    configuration = dict(record.get("configuration") or {})
-    about = configuration.get("campaign") or configuration.get("scenario") or {}
+    configuration: dict[str, Any] = dict(record.get("configuration") or {})
+    about = next(filter(None, map(configuration.get, ("campaign", "study", "scenario"))), dict[str, Any]())
     program, *words = record.get("command") or ("",)
     verb = next((word for word in words if not word.startswith("-")), "") if program in _COMMANDS else ""
     kind = {"validate": "validation", "": "validation" if "campaign" in configuration else "results"}.get(verb, verb)
@@ -340,8 +340,8 @@ class Runs:
         """
         with self._changed:
             own = sum(of == owner for of, _ in list(self._tasks))
-            if own >= self._settings.per_session:
-                raise Refused(429, f"{own} of your runs wait or run; more are taken when one has finished", wait=2)
+            words = f"{own} of your runs wait or run; more are taken when one has finished"
+            deny(own >= self._settings.per_session, 429, words, wait=2)
             about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": hyperval.__version__}
             run = WebRun(id=secrets.token_urlsafe(12), created=time.time(), **about)
             place = self.place(run.id)
@@ -366,8 +366,9 @@ class Runs:
         seconds = time.monotonic() - task.started if task.started else 0.0
         error = task.future.exception()
         state = "finished" if error is None else "cancelled" if isinstance(error, Cancelled) else "failed"
-        told = {"summary": task.future.result()} if error is None else {"reason": str(error)}
-        self._write_end(run, state=state, seconds=seconds, **told)
+        reason = "" if error is None or str(error) == state else str(error)
+        summary = task.future.result() if error is None else {}
+        self._write_end(run, state=state, seconds=seconds, reason=reason, summary=summary)
         self.clear()
 
     def wait(self, run: WebRun, seconds: float) -> None:
@@ -400,8 +401,7 @@ class Runs:
         ------
         Refused : it cannot be made, or the run has no results.
         """
-        if run.state != "finished":
-            raise Refused(409, f"this run has no results: {run.reason or run.state}")
+        deny(run.state != "finished", 409, f"this run has no results: {run.reason or run.state}")
         place, now = self.place(run.id), hyperval.__version__
         if (place / name).exists():
             return place / name

@@ -12,6 +12,7 @@ import math
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -154,7 +155,11 @@ def _drafted(
     beside = None if header_beside(cube) else files["header"][0]
     raster = open_raster(cube, header=beside)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
-    header = {what: value for what, value, _ in record(raster) if what != "assumed"}
+    told = {key: about[key] for key in ("quantity", "unit") if key in about}
+    known = replace(raster, description=replace(raster.description, **told))
+    header = {what: value for what, value, _ in record(known) if what != "assumed"}
+    if "scale" in about:
+        header |= {what: f"x {about['scale']:g}" for what in header if what.startswith("scale of ")}
     spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
     name = about.pop("name")
     named = StarterSources(cube, files["regions"], targets, spectra, header=beside, **about)

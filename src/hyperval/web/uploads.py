@@ -7,7 +7,6 @@ request that it came with lacks is asked for alone.
 from __future__ import annotations
 
 import re
-import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -25,9 +24,10 @@ from hyperval.atmosphere.state import AtmosphericState
 from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
+from hyperval.storage import whole_file
 from hyperval.web.forms import marked
 from hyperval.web.pages import SentForm, api, owner_of, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
@@ -76,11 +76,12 @@ class Uploads:
     def names(self, *fields: str) -> tuple[str, ...]:
         """Names of the files of some fields; of those that scenarios may name where none is given."""
         folders = (self.folder / field for field in fields or _OF_SCENARIOS)
-        return tuple(sorted(path.name for folder in folders for path in folder.glob("*") if path.is_file()))
+        return tuple(sorted(path.name for folder in folders for path in folder.glob("[!.]*") if path.is_file()))
 
-    def copies(self, text: str) -> dict[str, Path]:
-        """Files that the text of a scenario names, by the name that the run keeps them under."""
-        return {name: self.folder / of / name for of in _OF_SCENARIOS for name in self.names(of) if name in text}
+    def copies(self, text: str, beside: Path | None = None) -> dict[str, Path]:
+        """Files that the text of a scenario names, first those ``beside`` it, by their names in a run."""
+        named = {name: self.folder / of / name for of in _OF_SCENARIOS for name in self.names(of) if name in text}
+        return named | {name: own for name in named if beside is not None and (own := beside / name).is_file()}
 
     def given(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
         """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
@@ -100,20 +101,13 @@ class Uploads:
             odd = "".join(dict.fromkeys(c for c in name if c.isprintable() and not re.match(r"[\w .@+()-]", c)))
             words = f"not a name for a file kept here{f', for its {odd}' if odd else ''}: {_NAME_WORDS}"
             raise Refused(422, [FieldMistake(field, words)])
-        place.mkdir(parents=True, exist_ok=True)
-        part = place.parent / f"part-{secrets.token_hex(8)}.yaml"
-        try:
+        with whole_file(place / name) as part:
             with part.open("wb") as out:
                 shutil.copyfileobj(file.file, out)
             self._check(field, name, part)
-            if len({*self.names(field), name}) > _MOST_KEPT:
-                raise Refused(422, [FieldMistake(field, f"a session keeps at most {_MOST_KEPT}")])
-            if field in ("cube", "header"):
-                shutil.rmtree(place)
-                place.mkdir()
-            part.replace(place / name)
-        finally:
-            part.unlink(missing_ok=True)
+            deny(len({*self.names(field), name}) > _MOST_KEPT, 422, f"a session keeps at most {_MOST_KEPT}", field)
+            for other in self.names(field) if field in ("cube", "header") else ():
+                (place / other).unlink()
         return place / name
 
     def _check(self, field: str, name: str, path: Path) -> None:
@@ -128,8 +122,7 @@ class Uploads:
             f"is {packed}, which is not accepted": packed is not None,
             f"larger than {largest:,} bytes": path.stat().st_size > largest,
         }  # fmt: skip
-        if mistakes := [FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so]:
-            raise Refused(422, mistakes)
+        deny([FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so], 422)
         if field == "sensors":
             try:
                 self._state.runs.ask("sensor", path=str(path))
@@ -172,8 +165,8 @@ def sent_files(request: Request, form: SentForm) -> FormData:
     ------
     Refused : it is not of the form that files come in.
     """
-    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
-        raise Refused(422, [FieldMistake("body", "files come as multipart/form-data")])
+    is_multipart = request.headers.get("content-type", "").startswith("multipart/form-data")
+    deny(not is_multipart, 422, "files come as multipart/form-data", "body")
     return form
 
 
@@ -240,8 +233,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
             stated = StatedCollection.model_validate(given)
         except ValidationError as error:
             mistakes += mistakes_of(error, given)
-    if mistakes:
-        raise Refused(422, mistakes)
+    deny(mistakes, 422)
     if not is_cube:
         return list(own.names())
     about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
@@ -256,8 +248,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         field, words = key.rpartition(".")[2], re.sub(r" \(--[a-z-]+\)", "", f"the files do not say it: {what}")
         if key.startswith("collection."):
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
-    if mistakes:
-        raise Refused(422, mistakes)
+    deny(mistakes, 422)
     run: WebRun = state.runs.order(
         own.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
         {f"collection/{name}": path for name, (_, path) in files.items()}, parts=parts, **about,

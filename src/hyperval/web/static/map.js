@@ -54,7 +54,7 @@ function showThreshold() {
     const point = curveAt(curve, threshold);
     return `; ${curve.subject} by ${curve.unit}: P_D ${point.bounds.pd}${point.pd.toFixed(3)}, P_FA ${point.bounds.pfa}${point.pfa.toExponential(1)}`;
   });
-  document.getElementById("map-words").textContent = `${alarms.toLocaleString("en")} pixels at or above it${sampled}${words.join("")}`;
+  document.getElementById("map-words").textContent = `${alarms.toLocaleString("en")} ${alarms === 1 ? "pixel" : "pixels"} at or above it${sampled}${words.join("")}`;
 }
 
 async function spectrum(line, sample) {
