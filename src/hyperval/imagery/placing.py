@@ -226,6 +226,10 @@ class LocationTable(LookupTable):
     A place is found by a plane through the coordinates of the 7 x 7 pixels around the nearest one; an InputError is one
     that no pixel lies near.
 
+    Attributes
+    ----------
+    meridian : longitude of one of the pixels, around which those of others are counted on; None on another map
+
     >>> from tempfile import TemporaryDirectory
     >>> from hyperval.imagery import open_raster, write_cube
     >>> rng, (line, sample) = np.random.default_rng(1), np.indices((20, 20)) + 0.5
@@ -244,7 +248,16 @@ class LocationTable(LookupTable):
     ...     table = location_table(open_raster(igm), (60, 30))
     ...     bool(np.abs(table.to_pixel([[-94.0, 585.0]], where="", beyond=True)).max() > 300.0)
     True
+    >>> across = np.stack([(179.99 + 0.002 * sample + 180.0) % 360.0 - 180.0, -0.002 * line], -1)  # the date line
+    >>> with TemporaryDirectory() as folder:
+    ...     table = location_table(open_raster(write_cube(f"{folder}/igm", across, data_type=5)), (60, 30))
+    ...     table.to_pixel([[179.994, -0.002], [-179.994, -0.1]], where="").round(6).tolist()
+    ...     round(table.middle[0], 6), table.divided(shapely.box(-179.996, -0.1, 179.994, -0.01), "").bounds[::2]
+    [[2.0, 1.0], [8.0, 50.0]]
+    (-179.979, (179.994, 180.004))
     """
+
+    meridian: float | None = None
 
     def _areas(self) -> Iterator[float | None]:
         """Ground areas of pixels [m2] over places along the image."""
@@ -257,15 +270,15 @@ class LocationTable(LookupTable):
 
     def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
         """A geometry on the map with vertices at most 4 pixels apart on every side."""
-        return _divided(geometry, self._pixel, where)
+        return _divided(shapely.transform(geometry, self._near), self._pixel, where)
 
     @property
     def middle(self) -> tuple[float, float]:
         """Map coordinates (x, y) of the pixel with a place that is nearest to the middle of the image."""
         _, nodes, _ = self._coarse
         line, sample = nodes[np.argmin(np.hypot(*(nodes - np.array(self.shape) / 2.0).T))]
-        x, y = self._xy(int(line), 1)
-        return float(x[0, sample]), float(y[0, sample])
+        x, y = (float(v[0, sample]) for v in self._xy(int(line), 1))
+        return x - 360.0 * (self.meridian is not None and round(x / 360.0)), y
 
     @cached_property
     def _coarse(self) -> tuple[Any, Index, Array]:
@@ -287,8 +300,13 @@ class LocationTable(LookupTable):
         fit = needed(self._fit(int(line), int(sample)), "place.same", self.raster.path)
         return math.sqrt(abs(float(np.linalg.det(fit[1]))))
 
+    def _near(self, xy: Array) -> Array:
+        """Places (..., 2) by longitudes that are counted on across the date line from those of the image."""
+        turns = 0.0 if self.meridian is None else np.round((xy - (self.meridian, 0.0)) / 360.0)
+        return np.asarray(xy - 360.0 * turns)
+
     def _place(self, xy: Array, where: str, beyond: bool) -> Array:
-        tree, nodes, scale = self._coarse
+        (tree, nodes, scale), xy = self._coarse, self._near(xy)
         line, sample = nearest = tuple(int(v) for v in nodes[tree.query(xy * scale)[1]])
         before = nearest
         for _ in range(_STEPS):
@@ -317,15 +335,14 @@ class LocationTable(LookupTable):
         return fit if fit is not None and np.linalg.det(fit[1]) else None
 
     def _xy(self, first: int, count: int) -> tuple[Array, Array]:
-        stored = self.raster.read_bands(first, count).astype(float)
-        return stored[0], stored[1]
+        x, y = self.raster.read_bands(first, count)[:2].astype(float)
+        if self.meridian is not None:
+            x = np.where((np.abs(x) <= 180.0) & (np.abs(y) <= 90.0), self._near(np.stack([x, y], -1))[..., 0], np.nan)
+        return x, y
 
     def _valid(self, x: Array, y: Array) -> Mask:
         """Where the coordinates are numbers and no fill."""
-        good = np.isfinite(x) & np.isfinite(y) & (x > -9990.0) & ((x != 0) | (y != 0))
-        if self.crs is not None and self.crs.is_geographic:
-            good &= (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
-        return np.asarray(good)
+        return np.asarray(np.isfinite(x) & np.isfinite(y) & (x > -9990.0) & ((x != 0) | (y != 0)))
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:
@@ -352,7 +369,9 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     good = table._valid(x, y)
     refuse(not good.any(), "place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
-    return LocationTable(raster, Affine.identity(), CRS.from_epsg(4326) if degrees else raster.crs, shape)
+    crs = CRS.from_epsg(4326) if degrees else raster.crs
+    meridian = float(x[good][0]) if crs is not None and crs.is_geographic else None
+    return LocationTable(raster, Affine.identity(), crs, shape, meridian=meridian)
 
 
 _TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
