@@ -9,7 +9,8 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -151,8 +152,7 @@ def pixel_area_m2(transform: Affine | None, crs: CRS | None, entries: Mapping[st
 class EnviRaster(Raster):
     """An ENVI data file whose size is exactly what its ``header`` says."""
 
-    header: EnviHeader = field(kw_only=True)
-
+    header = property(attrgetter("description.header"))
     kind = "ENVI image"
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
@@ -198,7 +198,7 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains)
     image_size, place = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
-    return EnviRaster(data, *image_size, parsed.dtype, about, *place, others, header=parsed)
+    return EnviRaster(data, *image_size, parsed.dtype, about, *place, others)
 
 
 @dataclass(eq=False)
