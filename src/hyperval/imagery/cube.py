@@ -163,6 +163,20 @@ class Cube:
         stored = self.raster.read_some_bands(first_line, count, order.tolist()).transpose(1, 2, 0)
         return self._scaled(stored, np.dtype(np.float32), list(bands))
 
+    def handed_out(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+        """Values (count, samples, B) as other programs take them: NaN also in pixels that are fill in every band.
+
+        >>> import xarray as xr
+        >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
+        >>> two = xr.DataArray([[[0.1, 0.0], [0.0, 0.0]]], nm, ("y", "x", "b"))
+        >>> open_cube(two, quantity="reflectance").to_xarray().values.tolist()
+        [[[0.1, 0.0], [nan, nan]]]
+        """
+        stored, known = self.read_stored(first_line, count, np.zeros(self.bands, bool))
+        values = self._scaled(stored.transpose(1, 2, 0), np.dtype(dtype))
+        values[~known] = np.nan
+        return values
+
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
         """All lines in order, ``lines_per_block`` at a time (default: about 8 MiB of values)."""
         size = self.samples * self.bands * np.dtype(dtype).itemsize
@@ -187,8 +201,7 @@ class Cube:
             image = envi.open(str(raster.header.path), str(raster.path))
             image.scale_factor, image.bands = 1.0 / float(gain[0]), bands
             return image
-        values = np.concatenate([block.values for block in self.blocks(dtype=np.float32)])
-        return _image_array(values, bands, str(raster.path))
+        return _image_array(self.handed_out(0, self.lines, np.float32), bands, str(raster.path))
 
     def to_xarray(self) -> xr.DataArray:
         """As a lazy array (line, sample, wavelength) in its unit, NaN where there is no data.
@@ -518,9 +531,9 @@ def _lazy_cube(cube: Any) -> Any:
             if not np.size(lines):
                 return np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
             if np.ptp(lines) >= 4 * np.size(lines):  # far apart: what lies between is not read
-                return np.concatenate([self.cube.read(int(n), 1).values for n in lines])[:, key[1], key[2]]
+                return np.concatenate([self.cube.handed_out(int(n), 1) for n in lines])[:, key[1], key[2]]
             first = int(np.min(lines))
-            values = self.cube.read(first, int(np.ptp(lines)) + 1).values
+            values = self.cube.handed_out(first, int(np.ptp(lines)) + 1)
             return np.asarray(values[lines - first][..., key[1], key[2]])
 
     return LazyCube(cube)
