@@ -394,7 +394,7 @@ def companion(image: Path, kind: str) -> Path | None:
         others = []
         for header in image.parent.glob("*.[hH][dD][rR]"):
             stem = header.with_suffix("")
-            others += [p for p in (stem, stem.with_suffix(".img"), stem.with_suffix(".dat")) if p.is_file()][:1]
+            others += [p for p in (stem, *map(stem.with_suffix, (".img", ".dat", f".{kind}"))) if p.is_file()][:1]
     fits = [p for p in sorted(set(others)) if p != image and kind in _name(p)[1] and _name(p)[0] == own]
     if len(fits) > 1 and image.suffix.lower() not in _TREES:
         fits = [p for p in fits if kinds <= _name(p)[1]]
