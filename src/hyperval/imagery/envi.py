@@ -247,9 +247,8 @@ def described_by(raster: Raster, header: Path) -> Raster:
     InputError : a header of an image of another size.
     """
     parsed = read_header(checked_file(header, what="ENVI header"), sidecar=True)
-    if raster.size != (parsed.lines, parsed.samples, parsed.bands):
-        stated = (parsed.lines, parsed.samples, parsed.bands)
-        raise refusal("image.described", parsed.path, size=raster.size, stated=stated)
+    stated = (parsed.lines, parsed.samples, parsed.bands)
+    refuse(raster.size != stated, "image.described", parsed.path, size=raster.size, stated=stated)
     transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
     about = replace(
         raster.description, header=parsed, entries=parsed.entries, notes=(*raster.description.notes, *parsed.notes)

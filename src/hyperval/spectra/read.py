@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -133,14 +133,6 @@ def _at_hand(library: Any) -> list[FieldSpectrum]:
     return binary.on_one_grid(names, wavelength, rows, "library at hand", None if unit is None else str(unit))
 
 
-class Format(NamedTuple):
-    """A format of spectra: how a file of it is known, and how its records are read."""
-
-    name: str
-    knows: Callable[[SpectraFile], object]
-    records: Callable[[SpectraFile], list[FieldSpectrum]]
-
-
 def _refused(file: SpectraFile) -> list[FieldSpectrum]:
     """Raise InputError for a format that is known and not read, with how to get at its numbers."""
     name = next(name for mark, name in _NOT_READ.items() if file.head.startswith(mark))
@@ -151,29 +143,30 @@ def _begins(*marks: bytes) -> Callable[[SpectraFile], bool]:
     return lambda file: file.head.startswith(marks)
 
 
-# The first that knows a file reads it: marks before tables, and text that anything can be at the end.
-FORMATS = (
-    Format("SPECPR", lambda f: np.fromfile(f.path, "S12", 1).tolist() == [binary.MARK], binary.specpr_records),
-    Format("ASD", binary.is_asd, binary.asd_records),
-    Format("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), text.plot_records),
-    Format("header of an ENVI spectral library", _begins(*binary.HEADERS), binary.library_records),
-    Format("SVC .sig", _begins(b"/*** Spectra Vista"), text.svc_records),
-    Format("GER .sig", _begins(b"///GER"), text.ger_records),
-    Format("", _begins(*_NOT_READ), _refused),
-    Format("HYPERNETS", networks.is_hypernets, networks.hypernets_records),
-    Format("RadCalNet", networks.is_radcalnet, networks.radcalnet_records),
-    Format("Spectral Evolution .sed", text.is_sed, text.sed_records),
-    Format("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
-    Format("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
-    Format("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f.text), text.row_records),
-    Format("text, a spectrum a column", lambda f: True, text.text_records),
+# Formats of spectra: name, how a file of it is known, and what reads its records.  The first that knows a file reads
+# it: marks before tables, and text that anything can be at the end.
+FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile], list[FieldSpectrum]]], ...] = (
+    ("SPECPR", lambda f: np.fromfile(f.path, "S12", 1).tolist() == [binary.MARK], binary.specpr_records),
+    ("ASD", binary.is_asd, binary.asd_records),
+    ("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), text.plot_records),
+    ("header of an ENVI spectral library", _begins(*binary.HEADERS), binary.library_records),
+    ("SVC .sig", _begins(b"/*** Spectra Vista"), text.svc_records),
+    ("GER .sig", _begins(b"///GER"), text.ger_records),
+    ("", _begins(*_NOT_READ), _refused),
+    ("HYPERNETS", networks.is_hypernets, networks.hypernets_records),
+    ("RadCalNet", networks.is_radcalnet, networks.radcalnet_records),
+    ("Spectral Evolution .sed", text.is_sed, text.sed_records),
+    ("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
+    ("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
+    ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f.text), text.row_records),
+    ("text, a spectrum a column", lambda f: True, text.text_records),
 )
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, quantity: str) -> list[FieldSpectrum]:
-    file = SpectraFile(path, columns, quantity, ", ".join(form.name for form in FORMATS if form.name))
+    file = SpectraFile(path, columns, quantity, ", ".join(name for name, *_ in FORMATS if name))
     refuse_own(path)
-    records = next(form for form in FORMATS if form.knows(file)).records(file)
+    records = next(read for _, knows, read in FORMATS if knows(file))(file)
     if text.quantity_in(path.stem) != "radiance":
         return records
     # ..._rdn_... as the producers of images name what they cut out of them: it counts where the file says nothing.
