@@ -485,20 +485,20 @@ def open_cube(
     image = path if isinstance(path, Path | str | Raster) else raster_of(path, variable)
     raster = image if isinstance(image, Raster) else open_raster(image, header=header, variable=variable, engine=engine)
     about, where = raster.description, str(raster.path)
-    table = about.band_table(wavelength_unit, where, sort_bands=sort_bands, given=axis, count=raster.bands)
+    axis, stored_band, said = about.band_table(wavelength_unit, where, sort_bands, axis, raster.bands)
     scaling = about.scaling(quantity, unit, scale, raster.bands, where)
     by = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
     notes: tuple[str, ...] = (f"read as {about.product}{by}",) if about.product else ()
-    notes += about.notes + table.notes + ((scaling.source,) if scaling.source else ())
+    notes += about.notes + said + ((scaling.source,) if scaling.source else ())
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     cube = Cube(
         raster=raster,
-        axis=table.axis,
+        axis=axis,
         quantity=quantity,
         unit=str(scaling.unit),
         scaling=scaling,
-        stored_band=table.stored_band,
+        stored_band=stored_band,
         ignore_value=about.no_data(),
         description=" ".join(about.entries.get("description", "").split()),
         notes=notes,

@@ -196,7 +196,9 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     named = [p for p in files if data.name.lower().startswith(p.stem.lower())]
     gains = max(named, key=lambda p: len(p.stem), default=None)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
-    about = Description(entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains)
+    about = Description(
+        entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains, band_names=parsed.band_names
+    )
     image_size, place = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
     return EnviRaster(data, *image_size, parsed.dtype, about, *place, others)
 
@@ -250,10 +252,9 @@ def described_by(raster: Raster, header: Path) -> Raster:
     stated = (parsed.lines, parsed.samples, parsed.bands)
     refuse(raster.size != stated, "image.described", parsed.path, size=raster.size, stated=stated)
     transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
-    about = replace(
-        raster.description, header=parsed, entries=parsed.entries, notes=(*raster.description.notes, *parsed.notes)
-    )
-    return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
+    notes = (*raster.description.notes, *parsed.notes)
+    own = replace(raster.description, header=parsed, entries=parsed.entries, notes=notes, band_names=parsed.band_names)
+    return replace(raster, description=own, transform=transform, crs=crs, other_files=(parsed.path,))
 
 
 @contextmanager

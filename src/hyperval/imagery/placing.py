@@ -456,9 +456,9 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     row("is", by, "its first bytes" + (f", and {files} beside it" if files else ""))
     row("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples"))
     try:
-        table, listed = about.band_table(None, where, sort_bands=True), about.listed()
+        (axis, _, said), listed = about.band_table(None, where, sort_bands=True), about.listed()
         assert listed is not None  # noqa: S101 - a table is made of them
-        centre, width = table.axis.centre_nm, table.axis.fwhm_nm
+        centre, width = axis.centre_nm, axis.fwhm_nm
         stated = listed.where.get("wavelength", by)
         row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
         known = listed.wavelength[np.isfinite(listed.wavelength)]
@@ -466,7 +466,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         row("wavelength unit", unit, "guess: by the values" if guessed else stated)
         by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
         row("widths", f"{width.min():g} to {width.max():g} nm", by_width)
-        notes += table.notes
+        notes += said
     except HypervalError as error:
         row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
     row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")

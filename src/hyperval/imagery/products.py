@@ -163,7 +163,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         about = Description(
             product=layout.product,
             bands=ListedBands(centre, widths, unit_nm, good) if (unit_nm := layout.wavelength_unit) else None,
-            names=tuple(layout.band_names) if isinstance(layout.band_names, list) else tree.texts(layout.band_names),
+            band_names=tuple(names) if isinstance(names := layout.band_names, list) else tree.texts(names),
             scale=Scale(gain, offset, f"scale of the {layout.product}"),
             quantity=layout.quantity,
             unit=unit,
