@@ -398,8 +398,6 @@ def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:
     if "meteorological_range_km" in stated:
         ground = stated.get("ground_altitude_km", 0.0)
         stated["aot550"] = aot550_from_range(stated["meteorological_range_km"], ground)
-    if "solar_azimuth_deg" in stated and stated.get("view_zenith_deg") == 0.0:
-        stated["relative_azimuth_deg"] = stated["solar_azimuth_deg"] % 180.0  # means nothing at nadir
     albedos = [modtran.stated_albedo(c) for c in cases]
     return stated, [a for a in albedos if a is not None] if None not in albedos and len(albedos) > 1 else None
 

@@ -570,8 +570,7 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
 
     refuse(not isinstance(image, SpyFile | spectral.image.ImageArray), "exchange.no_cube", kind=type(image).__name__)
     path, about = Path(str(image.filename or "SPy image")), image.bands
-    headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"))
-    if isinstance(image, SpyFile) and path.is_file() and any(h.is_file() for h in headers):
+    if isinstance(image, SpyFile) and path.is_file() and header_beside(path) is not None:
         return path
     centres = np.asarray(needed(about.centers, "exchange.no_wavelengths"), float)
     widths = None if about.bandwidths is None else np.asarray(about.bandwidths, float)
@@ -584,15 +583,10 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
 
 
 def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> xr.DataArray:
-    if transform is None and crs is None:
-        return array
-    attrs: dict[str, Any] = {}
-    if crs is not None:
-        attrs |= {"crs_wkt": crs.to_wkt(), "spatial_ref": crs.to_wkt()}
-    if transform is not None:
-        attrs["GeoTransform"] = " ".join(repr(float(v)) for v in transform.to_gdal())
-    array = array.assign_coords(spatial_ref=((), 0, attrs))
-    array.attrs["grid_mapping"] = "spatial_ref"
+    attrs = {} if crs is None else dict.fromkeys(("crs_wkt", "spatial_ref"), crs.to_wkt())
+    attrs |= {} if transform is None else {"GeoTransform": " ".join(repr(float(v)) for v in transform.to_gdal())}
+    if attrs:
+        array = array.assign_coords(spatial_ref=((), 0, attrs)).assign_attrs(grid_mapping="spatial_ref")
     return array
 
 

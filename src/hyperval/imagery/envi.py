@@ -231,13 +231,12 @@ class EnviWriter:
         if stored.ndim != 3 or stored.shape[1:] != (header.samples, header.bands):
             raise refusal("write.shape", shape=stored.shape, samples=header.samples, bands=header.bands)
         refuse(self.lines_written + len(stored) > header.lines, "write.many", lines=header.lines)
-        if header.interleave == "bsq":
-            parts = [(band * header.lines + self.lines_written, stored[:, :, band]) for band in range(header.bands)]
-        else:
-            parts = [(self.lines_written * header.bands, stored.transpose(_ORDERS[header.interleave]))]
-        for row, values in parts:
+        planes = stored.transpose(_ORDERS[header.interleave])
+        planes = planes if header.interleave == "bsq" else planes[None]  # the lines of each band, or all at once
+        for number, plane in enumerate(planes):
+            row = number * header.lines + self.lines_written * header.bands // len(planes)
             self.stream.seek(header.header_offset + row * header.samples * header.dtype.itemsize)
-            self.stream.write(np.ascontiguousarray(values).tobytes())
+            self.stream.write(np.ascontiguousarray(plane).tobytes())
         self.lines_written += len(stored)
 
 

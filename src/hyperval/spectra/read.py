@@ -102,14 +102,10 @@ def read_records(
     else:
         listed = _at_hand(path)
     numbers = {w for w in records or () if isinstance(w, int)}
-    for number in numbers:
-        _check_number(number, len(listed), listed[0].source if listed else "library")
+    for number in (number for number in numbers if not 0 <= number < len(listed)):
+        raise refusal("record.number", listed[0].source if listed else "library", number=number, last=len(listed) - 1)
     wanted = listed if records is None else [r for i, r in enumerate(listed) if i in numbers or r.name in records]
     return [finished(record, quantity, wavelength_unit, reflectance_unit, unit) for record in wanted]
-
-
-def _check_number(number: int, count: int, where: str) -> None:
-    refuse(not 0 <= number < count, "record.number", where, number=number, last=count - 1)
 
 
 def _at_hand(library: Any) -> list[FieldSpectrum]:
@@ -181,7 +177,7 @@ def _chosen(records: list[FieldSpectrum], record: str | int | None, where: str) 
         refuse(count > 1, "record.pair" if pair else "record.several", where, count=count, names=names)
         return records[0]
     if isinstance(record, int):
-        _check_number(record, count, where)
+        refuse(not 0 <= record < count, "record.number", where, number=record, last=count - 1)
         return records[record]
     exact = [r for r in records if r.name == record]
     if not exact and record == "mean":
