@@ -69,9 +69,9 @@ def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
         name = f"series {i + 1}: zenith {zenith:.0f} azimuth {azimuth:.0f}"
         size, spread = np.abs(rho[i]), values["std_reflectance"][:, i]
         notes = (f"quality flags {flags[i]:#x}",) if flags[i] else ()
-        record = FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, str(path), notes=notes)
         errors = SpectrumErrors(random[i] * size, systematic[i] * size, correlation)
-        records.append(replace(record, errors=errors, wavelength_unit="nm", unit="fraction"))
+        record = FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, notes=notes, errors=errors)
+        records.append(replace(record, wavelength_unit="nm", unit="fraction"))
     return records
 
 
@@ -174,7 +174,7 @@ def radcalnet_records(file: SpectraFile) -> list[FieldSpectrum]:
     kind, records = "" if day.quantity == SURFACE else day.quantity, []
     for label in day.valid:
         values, uncertainty = day.values[i := day.column(label)], day.uncertainty[i]
-        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, source=day.source, quantity=kind)
+        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, quantity=kind)
         records.append(replace(record, wavelength_unit="nm", unit="fraction"))
     return records
 

@@ -163,10 +163,9 @@ def _records(path: Path, columns: tuple[str | int, ...] | None, quantity: str) -
     file = SpectraFile(path, columns, quantity, ", ".join(name for name, *_ in FORMATS if name))
     refuse_own(path)
     records = next(read for _, knows, read in FORMATS if knows(file))(file)
-    if text.quantity_in(path.stem) != "radiance":
-        return records
     # ..._rdn_... as the producers of images name what they cut out of them: it counts where the file says nothing.
-    return [replace(r, quantity=r.quantity or "radiance") for r in records]
+    named = "radiance" if text.quantity_in(path.stem) == "radiance" else ""
+    return [replace(r, source=r.source or str(path), quantity=r.quantity or named) for r in records]
 
 
 def _chosen(records: list[FieldSpectrum], record: str | int | None, where: str) -> FieldSpectrum:
