@@ -456,8 +456,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     row("is", by, "its first bytes" + (f", and {files} beside it" if files else ""))
     row("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples"))
     try:
-        (axis, _, said), listed = about.band_table(None, where, sort_bands=True), about.listed()
-        assert listed is not None  # noqa: S101 - a table is made of them
+        (axis, _, said), listed = about.band_table(None, where, sort_bands=True), needed(about.listed(), "bands.none")
         centre, width = axis.centre_nm, axis.fwhm_nm
         stated = listed.where.get("wavelength", by)
         row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
