@@ -253,8 +253,10 @@ class LocationTable(LookupTable):
     ...     table = location_table(open_raster(write_cube(f"{folder}/igm", across, data_type=5)), (60, 30))
     ...     table.to_pixel([[179.994, -0.002], [-179.994, -0.1]], where="").round(6).tolist()
     ...     round(table.middle[0], 6), table.divided(shapely.box(-179.996, -0.1, 179.994, -0.01), "").bounds[::2]
+    ...     bool(table.to_pixel([[1979.994, -0.002]], where="", beyond=True)[0, 0] > 1e5)  # metres are no longitude
     [[2.0, 1.0], [8.0, 50.0]]
     (-179.979, (179.994, 180.004))
+    True
     """
 
     meridian: float | None = None
@@ -302,18 +304,18 @@ class LocationTable(LookupTable):
 
     def _near(self, xy: Array) -> Array:
         """Places (..., 2) by longitudes that are counted on across the date line from those of the image."""
-        turns = 0.0 if self.meridian is None else np.round((xy - (self.meridian, 0.0)) / 360.0)
+        turns = 0.0 if self.meridian is None else np.clip(np.round((xy - (self.meridian, 0.0)) / 360.0), -1.0, 1.0)
         return np.asarray(xy - 360.0 * turns)
 
     def _place(self, xy: Array, where: str, beyond: bool) -> Array:
-        (tree, nodes, scale), xy = self._coarse, self._near(xy)
-        line, sample = nearest = tuple(int(v) for v in nodes[tree.query(xy * scale)[1]])
+        (tree, nodes, scale), at = self._coarse, self._near(xy)
+        line, sample = nearest = tuple(int(v) for v in nodes[tree.query(at * scale)[1]])
         before = nearest
         for _ in range(_STEPS):
             fit = self._fit(line, sample)
             if fit is None:
                 break
-            place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], xy - fit[0])
+            place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], at - fit[0])
             near = tuple(int(v) for v in np.clip(np.floor(place[::-1]), 0, np.array(self.shape) - 1))
             if near in ((line, sample), before):  # or at the edge of two, each of which says that it lies in the other
                 outside = max(place[0] - self.shape[1], place[1] - self.shape[0], -place[0], -place[1])
@@ -322,7 +324,7 @@ class LocationTable(LookupTable):
                 break
             before, (line, sample) = (line, sample), near
         if beyond and (fit := self._fit(*nearest)) is not None:  # the planes of a line that turns lead nowhere
-            return np.asarray(nearest[::-1] + np.linalg.solve(fit[1], xy - fit[0]) + 0.5)
+            return np.asarray(nearest[::-1] + np.linalg.solve(fit[1], at - fit[0]) + 0.5)
         what = f"the image, whose places are in {self.crs or 'an unknown system'}"
         raise refusal("place.nowhere", where, place=f"({xy[0]:.8g}, {xy[1]:.8g})", what=what)
 
