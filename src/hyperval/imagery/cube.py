@@ -41,11 +41,7 @@ BLOCK_BYTES = 8 << 20
 _WHOLE = ("ii", "uu", "iu", "ui")
 # Above these the 95th percentile of a cube says that its scale was not stated: a white surface under the zenith sun
 # gives a radiance of about 65.
-PLAUSIBLE = {
-    "reflectance": (1.5, "what multiplies the stored values (0.01 where they are percent, 0.0001 where they are "
-                    "reflectance times 10000)"),
-    "radiance": (200.0, "(what multiplies the stored values) or unit:"),
-}  # fmt: skip
+PLAUSIBLE = {"reflectance": 1.5, "radiance": 200.0}
 _LOWEST = -0.1  # of these, that the median is not below: a dark image of noise and path radiance taken off too much
 _DARK = 0.01  # reflectance that nothing reaches in an image that was scaled twice
 _FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
@@ -333,12 +329,12 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
         notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
         cube = replace(cube, axis=axis.select(some), stored_band=cube.stored_band[some], notes=notes)
         values = values[:, some]
-    limit, how = PLAUSIBLE.get(cube.quantity, (np.inf, ""))
+    limit = PLAUSIBLE.get(cube.quantity, np.inf)
     judged = values[:, cube.axis.good]
     judged = judged[np.isfinite(judged).all(axis=1)]
     middle, high = np.percentile(judged, (50, 95)).tolist() if judged.size else (0.0, 0.0)
     told = {"cube": cube, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
-    refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **told)
+    refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, **told)
     refuse(middle < (least := _LOWEST * limit), "scale.low", cube.raster.path, middle=middle, least=least, **told)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
         by = cube.scaling.source or "its unit"
@@ -353,7 +349,7 @@ def _is_twice(values: Array, gain: Array) -> bool:
     [True, False, False]
     """
     dark = values.size and values.max() < _DARK and np.any(gain != 1.0)
-    return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"][0])
+    return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"])
 
 
 _TIFF, HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
