@@ -488,12 +488,6 @@ def _value(cell: str) -> float | None:
 # What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
 SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
 SVC_SCALE = 1e-10
-# How the title of a column of a .sed file begins, and its usual forms.
-_SED_COLUMNS = {
-    "reflectance": (r"reflect|tgt\.?\s*/\s*ref", "'Reflect. %', 'Reflect. [1.0]' or 'Tgt./Ref. %'"),
-    "radiance": (r"rad\w*\.?\s*\(target", "'Rad. (Target)'"),
-    "irradiance": (r"irr\w*\.?\s*\(target", "'Irr. (Target)'"),
-}
 
 
 def svc_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -572,10 +566,10 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     titles, there = [t.strip() for t in lines[begin + 1].split("\t")], f"{path}:{begin + 2}"
     stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
     wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
-    pattern, forms = _SED_COLUMNS[wanted]
+    pattern = r"reflect|tgt\.?\s*/\s*ref" if wanted == "reflectance" else rf"{wanted[:3]}\w*\.?\s*\(target"
     columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
     lacking = len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE)
-    refuse(lacking, "sed.column", there, wanted=wanted, titles=", ".join(titles), forms=forms)
+    refuse(lacking, "sed.column", there, wanted=wanted, titles=", ".join(titles))
     title = titles[columns[0]]
     unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
     refuse(unit is None and wanted == "reflectance", "sed.unit", there, title=title)
