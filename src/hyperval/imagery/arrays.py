@@ -713,9 +713,8 @@ def open_matrix(
     fits = _likely(fits, shapes, bool(plane))
     if not fits:
         listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
-        wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
         named_so = f" named {variable}" * bool(variable)
-        raise refusal("array.no_map" if plane else "array.none", path, listed=listed, wanted=wanted, named=named_so)
+        raise refusal("array.no_map" if plane else "array.none", path, listed=listed, plane=plane, named=named_so)
     names = ", ".join(called[n] for n in fits)
     refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=names)
     name = fits[0]

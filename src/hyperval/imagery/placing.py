@@ -123,8 +123,7 @@ class LookupTable:
         if fit is None and beyond:
             near = self._cells.data[self._cells.query(cell)[1]]
             fit = self._raw_at(near)
-        place = f"({xy[0]:.8g}, {xy[1]:.8g})"
-        raw, change = needed(fit, "place.nowhere", where, place=place, what="the lookup table")
+        raw, change = needed(fit, "place.nowhere", where, xy=xy, what="the lookup table")
         return np.asarray(raw + change @ (cell - near))
 
     @cached_property
@@ -326,7 +325,7 @@ class LocationTable(LookupTable):
         if beyond and (fit := self._fit(*nearest)) is not None:  # the planes of a line that turns lead nowhere
             return np.asarray(nearest[::-1] + np.linalg.solve(fit[1], at - fit[0]) + 0.5)
         what = f"the image, whose places are in {self.crs or 'an unknown system'}"
-        raise refusal("place.nowhere", where, place=f"({xy[0]:.8g}, {xy[1]:.8g})", what=what)
+        raise refusal("place.nowhere", where, xy=xy, what=what)
 
     def _fit(self, line: int, sample: int) -> tuple[Array, Array] | None:
         """Map coordinates of a pixel's centre, and (2, 2) their change with sample and line; None without any."""
