@@ -206,7 +206,7 @@ def test_the_sun_of_an_observation_file_beside_a_product(tmp_path, product, imag
 ARRAY_KEYS = re.compile("path|dimensions|wavelength|fwhm|widths|good|plus|scale|divisor|offset|subtract|range")
 TREE_KEYS = re.compile(
     "product|sensor|quantity|unit|arrays|wavelength_unit|source|remark|sorts|ignore|bad_ranges_nm|lookup_table|(other_)?location|"
-    "geotransform|map_info|crs|epsg|corner_pixels|pixel_size|struct_metadata|sun_zenith|entries"
+    "geotransform|map_info|crs|epsg|corner_pixels|pixel_size|struct_metadata|sun_zenith|time|day_and_clock|seconds"
 )
 
 

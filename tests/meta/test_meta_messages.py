@@ -138,7 +138,7 @@ def test_every_refusal_is_used_and_gets_what_its_words_name():
     used = set()
     for path in MODULES:
         for node in ast.walk(parsed(path)):
-            called = getattr(node.func, "id", "") if isinstance(node, ast.Call) else ""
+            called = getattr(node.func, "id", getattr(node.func, "attr", "")) if isinstance(node, ast.Call) else ""
             if called not in ("refuse", "refusal", "needed", "content_of"):  # refuse says it in words of its own, too
                 continue
             given, texts = {k.arg for k in node.keywords}, texts_of(node.args[called != "refusal"])

@@ -1,7 +1,6 @@
 """From the state of the atmosphere to the terms of equation 3.7."""
 
 from .between import interpolated_terms, smooth_rule, spaced
-from .engine import ENGINES, atmospheric_terms
 from .modtran import (
     RADIANCE_COLUMNS,
     Modtran,
@@ -47,7 +46,7 @@ from .state import (
     range_from_aot550,
     standard_profile,
 )
-from .table import AtmosphericTable, build_table, read_table, write_table
+from .table import ENGINES, AtmosphericTable, atmospheric_terms, build_table, read_table, write_table
 from .terms import AtmosphericTerms, cached
 
 __all__ = [

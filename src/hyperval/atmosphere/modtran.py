@@ -76,9 +76,11 @@ class _Table:
     head: list[str]
     columns: dict[str, Array]
 
-    def at(self, wrong: Mask) -> str:
-        """Where the first row that is wrong stands."""
-        return f"{self.path}:{self.line + int(np.argmax(wrong)) + 1}"
+    def refuse(self, wrong: Mask, name: str, **told: Any) -> None:
+        """Raise the error of a name where rows are wrong, at the first of them; of columns their numbers are told."""
+        where = f"{self.path}:{self.line + int(np.argmax(wrong)) + 1}"
+        of_rows = {key: value[wrong] if isinstance(value, np.ndarray) else value for key, value in told.items()}
+        refuse(wrong.any(), name, where, **of_rows)
 
     def radiances(self, layout: _Layout, converted: Callable[[Array], Array]) -> dict[str, Any]:
         """The radiances of a run, converted; 0 where the file is blank: a term that the run did not compute."""
@@ -86,8 +88,7 @@ class _Table:
         total, together = np.asarray(added["radiance"]), np.asarray(sum(added[part] for part in TOTAL_PARTS))
         wrong = np.abs(total - together) > layout["rounding"] * np.abs(total) + _LEAST_RADIANCE
         parts = " + ".join(column for part in TOTAL_PARTS for column in layout["sums"][part])
-        told = {"layout": layout, "parts": parts, "total": total[wrong], "sum": together[wrong]}
-        refuse(wrong.any(), "modtran.sum", self.at(wrong), **told)
+        self.refuse(wrong, "modtran.sum", layout=layout, parts=parts, total=total, sum=together)
         return {name: converted(np.asarray(values)) for name, values in added.items()}
 
 
@@ -189,8 +190,7 @@ def read_tape7(path: Path) -> list[ModtranRun]:
 
 def _tape7_run(table: _Table) -> ModtranRun:
     nu, emissivity = table.columns["FREQ"], table.columns["DIR_EM"]
-    falling = ~(np.diff(nu, prepend=-np.inf) > 0)
-    refuse(falling.any(), "modtran.wavenumber", table.at(falling), value=nu[falling])
+    table.refuse(~(np.diff(nu, prepend=-np.inf) > 0), "modtran.wavenumber", value=nu)
     albedo = number_of(table.head[0][_SURREF]) if table.head else np.nan
     if not 0.0 <= albedo <= 1.0:
         constant = np.all(np.isfinite(emissivity)) and np.ptp(emissivity) <= 1e-4
@@ -222,13 +222,10 @@ def _channel_run(table: _Table) -> ModtranRun:
     t = table.columns
     width, number, total = t["width in nm"], t["channel"], t["channel radiance"]
     following, product = np.arange(1.0, number.size + 1), t["radiance per nm"] * width
-    wrong = width <= 0.0
-    refuse(wrong.any(), "modtran.width", table.at(wrong), width=width[wrong])
-    wrong = number != following
-    refuse(wrong.any(), "modtran.channel", table.at(wrong), found=number[wrong], wanted=following[wrong])
+    table.refuse(width <= 0.0, "modtran.width", width=width)
+    table.refuse(number != following, "modtran.channel", found=number, wanted=following)
     rounding = _CHANNELS["rounding"] * np.abs(total) + np.abs(t["radiance per nm"]) * _WIDTH_STEP_NM
-    wrong = np.abs(product - total) > rounding
-    refuse(wrong.any(), "modtran.product", table.at(wrong), total=total[wrong], product=product[wrong])
+    table.refuse(np.abs(product - total) > rounding, "modtran.product", total=total, product=product)
     # Sensors with overlapping spectrometers list their channels out of order.
     order = np.argsort(t["spectral moment"], kind="stable")
     radiances = table.radiances(_CHANNELS, lambda values: (values / width * _RADIANCE)[order])

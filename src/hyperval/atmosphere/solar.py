@@ -135,20 +135,15 @@ def _extended(source_nm: Array, irradiance: Array, grid: Array) -> tuple[Array, 
 
     At most ``_EXTENSION_NM``; the level is that of the two spectra's averages over the last 20 nm they share.
     """
-    wide_nm, wide = source_samples("astm-g173")
-    for below in (True, False):
-        end = source_nm[0] if below else source_nm[-1]
-        gap = end - grid[0] if below else grid[-1] - end
-        if not 0.0 < gap <= _EXTENSION_NM:
-            continue
-        near = (end, end + 20.0) if below else (end - 20.0, end)
-        level = np.mean(irradiance[(source_nm >= near[0]) & (source_nm <= near[1])])
-        level /= np.mean(np.interp(np.linspace(*near, 41), wide_nm, wide))
-        more = (wide_nm < end) if below else (wide_nm > end)
-        parts = [(wide_nm[more], wide[more] * level), (source_nm, irradiance)]
-        first, last = parts if below else parts[::-1]
-        source_nm, irradiance = np.concatenate([first[0], last[0]]), np.concatenate([first[1], last[1]])
-    return source_nm, irradiance
+    (wide_nm, wide), (first, last) = source_samples("astm-g173"), source_nm[[0, -1]]
+    below, above = (first - grid[0], first, first + 20.0), (grid[-1] - last, last - 20.0, last)
+    for (gap, low, high), more in ((below, wide_nm < first), (above, wide_nm > last)):
+        if 0.0 < gap <= _EXTENSION_NM:
+            level = np.mean(irradiance[(source_nm >= low) & (source_nm <= high)])
+            level /= np.mean(np.interp(np.linspace(low, high, 41), wide_nm, wide))
+            source_nm, irradiance = np.append(source_nm, wide_nm[more]), np.append(irradiance, wide[more] * level)
+    order = np.argsort(source_nm)
+    return source_nm[order], irradiance[order]
 
 
 @lru_cache(maxsize=8)

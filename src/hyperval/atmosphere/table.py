@@ -1,5 +1,7 @@
 """Tables of atmospheric terms: NetCDF, a folder of MODTRAN channel files named after their state, or computed.
 
+One call for every engine, tables among them, stands at the end: state in, terms out.
+
 A table holds what does not depend on the strength of the sun, at the resolution of its engine; F = mu0 E0 / pi:
 
     path = L_a / F, direct = A / F, adjacency = B / F, S, ground = E_ground / (pi F), gas: two-way
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
@@ -24,12 +26,12 @@ import numpy as np
 
 from hyperval.atmosphere import modtran, solar
 from hyperval.atmosphere.between import AS_THEY_ARE, Rule, along, between_aerosols, inside, path_error
-from hyperval.atmosphere.sixs import sixs_terms
+from hyperval.atmosphere.sixs import emulator_terms, sixs_terms, terms_near
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState, aot550_from_range, coordinates
 from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
 from hyperval.data import Array
 from hyperval.datasets import cache_root
-from hyperval.errors import UsageError, reader, refusal, refuse
+from hyperval.errors import InputError, UsageError, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.progress import bars, track
 from hyperval.storage import sha256_of, whole_file
@@ -398,8 +400,6 @@ def _stated(template: Path) -> tuple[dict[str, Any], list[float] | None]:
     if "meteorological_range_km" in stated:
         ground = stated.get("ground_altitude_km", 0.0)
         stated["aot550"] = aot550_from_range(stated["meteorological_range_km"], ground)
-    if "solar_azimuth_deg" in stated and stated.get("view_zenith_deg") == 0.0:
-        stated["relative_azimuth_deg"] = stated["solar_azimuth_deg"] % 180.0  # means nothing at nadir
     albedos = [modtran.stated_albedo(c) for c in cases]
     return stated, [a for a in albedos if a is not None] if None not in albedos and len(albedos) > 1 else None
 
@@ -478,3 +478,54 @@ def _at_node(base: AtmosphericState, changes: dict[str, float]) -> AtmosphericSt
         return AtmosphericState(**{**fields, **changes})
     except ValueError as error:
         raise refusal("table.state", changes=changes, why=error) from error
+
+
+# State and cache folder: what computes the terms when they are asked for.
+ENGINES: dict[str, Callable[[AtmosphericState, Path], AtmosphericTerms]] = {
+    "sixs": sixs_terms,
+    "modtran": modtran.modtran_terms,
+    "emulator": emulator_terms,
+}
+
+
+def atmospheric_terms(
+    state: AtmosphericState,
+    *,
+    cache_dir: Path | None = None,
+    show_progress: bool | None = None,
+    resolve: Callable[[str], Path] | None = None,
+    near: AtmosphericState | None = None,
+) -> AtmosphericTerms:
+    """The terms of equation 3.7 for one state, from the engine that the state names.
+
+    Parameters
+    ----------
+    state : atmosphere, sun and sensor
+    cache_dir : where results are kept; default HYPERVAL_CACHE or the user's cache folder
+    show_progress : draw a progress bar; default: when standard error is a terminal
+    resolve : turns the state's ``table`` into a path; default: relative to the working directory
+    near : a state from which a step of 6S may be told by its emulator (:func:`hyperval.atmosphere.terms_near`)
+
+    Returns
+    -------
+    AtmosphericTerms on the engine's own grid (6S: 340-2600 nm by 2.5 nm); ``at_bands`` averages them
+    over a sensor's bands.
+
+    Raises
+    ------
+    EngineError : the engine cannot be started or failed.
+    InputError : a table that is missing, corrupt or incomplete.
+    MissingDataError : the chosen solar spectrum is not at hand.
+    UsageError : a state outside the table, or that the engine cannot be told.
+    """
+    if state.engine == "table":
+        try:
+            return read_table((resolve or Path)(str(state.table))).terms(state)
+        except InputError as error:
+            name = str(state.table).rstrip("/")
+            refuse("a folder" in error.what, "table.folder", name, name=name)
+            raise
+    with bars(show_progress):
+        if near is not None and near.engine == state.engine == "sixs":
+            return terms_near(near, state, cache_dir or cache_root())
+        return ENGINES[state.engine](state, cache_dir or cache_root())

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -56,6 +57,13 @@ _PICTURE = re.compile(r"rgb", re.IGNORECASE)
 _NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
+# Vectors beside an image without labels, and the axis that they lie along.
+_BESIDE = (
+    (_WAVE, "b"),
+    (_WIDTH, "b"),
+    (re.compile("easting", re.IGNORECASE), "s"),
+    (re.compile("northing", re.IGNORECASE), "l"),
+)
 _FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
 _FRACTIONS |= dict.fromkeys(("sr-1", "sr^-1", "1/sr", "/sr"), "sr-1")
 
@@ -378,15 +386,22 @@ def packing(attributes: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def texts_of(value: Any) -> tuple[str, ...]:
-    """The texts or numbers of an attribute or a small array as texts, none of None."""
-    listed = () if value is None else np.ravel(value)
-    return tuple(v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in listed)
+    """The texts or numbers of an attribute or a small array as texts, none of what is empty.
+
+    >>> texts_of(h5py.Empty("S1")), texts_of(b"nm"), stated({"_FillValue": h5py.Empty("f4")})
+    ((), ('nm',), None)
+    """
+    return tuple(v.decode("utf-8", "replace") if isinstance(v, bytes) else str(v) for v in _listed(value))
+
+
+def _listed(value: Any) -> Sequence[Any]:
+    return () if value is None or isinstance(value, h5py.Empty) else list(np.ravel(value))
 
 
 def stated(attributes: Mapping[str, Any], *names: str) -> float | None:
     """The number in the first of some attributes that holds a single one, a no-data value by default; None without."""
-    found = (attributes.get(name) for name in names or _FILLS)
-    return next((float(np.asarray(v).ravel()[0]) for v in found if v is not None and np.size(v) == 1), None)
+    found = (_listed(attributes.get(name)) for name in names or _FILLS)
+    return next((float(each[0]) for each in found if len(each) == 1), None)
 
 
 # Arrays with labels: xarray -----------------------------------------------------------------------------------------
@@ -495,7 +510,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     beside, wave = chosen.bands
     axes = _axes(array, str(wave.dims[0]))
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
-    quantity, unit, notes = _quantity(_stated_unit(array), str(array.name), str(array.attrs.get("long_name", "")))
+    quantity, unit, notes = quantity_of(_stated_unit(array), str(array.name), str(array.attrs.get("long_name", "")))
     good, width = (_beside(beside, wave, name) for name in (_GOOD, _WIDTH))
     centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
     about = Description(
@@ -534,12 +549,12 @@ def _axes(array: xr.DataArray, band_axis: str) -> str:
     return "".join(letters.get(str(d), "-") for d in array.dims)
 
 
-def _quantity(unit: str | None, name: str, title: str) -> tuple[str | None, str | None, tuple[str, ...]]:
+def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, str | None, tuple[str, ...]]:
     """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says.
 
     Deviations where the name or the title says so.
 
-    >>> _quantity("sr^-1", "Rrs", ""), _quantity("1/sr", "sea", ""), _quantity("", "unc", "Reflectance Uncertainty")
+    >>> quantity_of("sr^-1", "Rrs", ""), quantity_of("1/sr", "sea", ""), quantity_of("", "u", "Reflectance Uncertainty")
     (('reflectance', 'sr-1', ()), (None, 'sr-1', ()), ('deviations', None, ()))
     """
     if any(title_words(words)[1] for words in (name, title)):
@@ -579,16 +594,21 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> Posi
     transform = gdal_transform(str(attrs.get("GeoTransform", "")))
     if transform is not None or crs is None:
         return transform, crs
-    steps = {}
-    for dim, letter in zip(array.dims, axes, strict=True):
-        if letter in "ls":
-            at = np.asarray(data[dim].values, float) if dim in data.variables and data[dim].ndim == 1 else np.empty(0)
-            step = np.diff(at)
-            if not step.size or not np.all(np.isfinite(at)) or not step[0] or not np.allclose(step, step[0], rtol=1e-3):
-                return None, crs
-            steps[letter] = (at[0], (at[-1] - at[0]) / (at.size - 1))
-    (y, dy), (x, dx) = steps["l"], steps["s"]
-    return Affine(dx, 0.0, x - 0.5 * dx, 0.0, dy, y - 0.5 * dy), crs
+    lines, samples = (
+        np.asarray(data[dim].values, float) if dim in data.variables and data[dim].ndim == 1 else np.empty(0)
+        for dim in (array.dims[axes.index(letter)] for letter in "ls")
+    )
+    return _even_grid(samples, lines), crs
+
+
+def _even_grid(x: Array, y: Array) -> Affine | None:
+    """The transform of a grid by the coordinates of its centres along samples and lines; None where they are uneven."""
+    for at in (x, y):
+        step = np.diff(at)
+        if not step.size or not np.all(np.isfinite(at)) or not step[0] or not np.allclose(step, step[0], rtol=1e-3):
+            return None
+    dx, dy = ((at[-1] - at[0]) / (at.size - 1) for at in (x, y))
+    return Affine(dx, 0.0, x[0] - 0.5 * dx, 0.0, dy, y[0] - 0.5 * dy)
 
 
 # Arrays without labels: MATLAB, NumPy -------------------------------------------------------------------------------
@@ -664,7 +684,7 @@ def open_matrix(
     """The image (lines, samples, bands) of a MATLAB, NumPy or bare HDF5 file, or its map of the shape ``plane``.
 
     Unit, scale and no data are those of attributes of HDF5 that the CF conventions have for them; wavelengths those
-    of an array of as many numbers that is named so.
+    of an array of as many numbers that is named so; its place that of evenly spaced eastings and northings.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder, h5py.File(path := Path(folder) / "a.h5", "w") as file:
@@ -674,6 +694,11 @@ def open_matrix(
     ...     about = open_matrix(path, "HDF5").description
     >>> about.scale.gain, about.scale.offset, about.ignore_value
     (0.0002, 0.1, -9999.0)
+    >>> held = {"Data": np.ones((2, 3, 4)), "Easting": [7.5, 8.5, 9.5], "Northing": [11.5, 10.5]}  # MUUFL Gulfport
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "hsi.mat", {"hsi": held})
+    ...     open_matrix(path, "MATLAB 5").transform.to_gdal()
+    (7.0, 1.0, 0.0, 12.0, 0.0, -1.0)
 
     Raises
     ------
@@ -688,9 +713,8 @@ def open_matrix(
     fits = _likely(fits, shapes, bool(plane))
     if not fits:
         listed = ", ".join(f"{called[n]} {' x '.join(map(str, shape))}" for n, shape in shapes.items()) or "no numbers"
-        wanted = f"{plane[0]} lines and {plane[1]} samples" if plane else "lines, samples and bands"
         named_so = f" named {variable}" * bool(variable)
-        raise refusal("array.no_map" if plane else "array.none", path, listed=listed, wanted=wanted, named=named_so)
+        raise refusal("array.no_map" if plane else "array.none", path, listed=listed, plane=plane, named=named_so)
     names = ", ".join(called[n] for n in fits)
     refuse(len(fits) > 1, "array.maps" if plane else "array.images", path, count=len(fits), names=names)
     name = fits[0]
@@ -703,23 +727,24 @@ def open_matrix(
     axes = "ls" if shapes[name] == plane else "ls-" if shapes[name][:2] == plane else "-ls"
     axes = axes if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
     axes, shape = axes[::turn], shapes[name][::turn]
-    bands = dict(zip(axes, shape, strict=True)).get("b")
-    beside = {p: [n for n, size in vectors.items() if p.search(n) and size == bands] for p in (_WAVE, _WIDTH)}
-    store = Store(path, hdf5) if tree else Store(path, _matrix, kind, name, *beside[_WAVE], *beside[_WIDTH])
+    sizes = dict(zip(axes, shape, strict=True))
+    beside = [[n for n, size in vectors.items() if p.search(n) and size == sizes.get(axis)] for p, axis in _BESIDE]
+    store = Store(path, hdf5) if tree else Store(path, _matrix, kind, name, *chain(*beside))
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
     piece = Piece((Term(name),), axes, shape, dtype.newbyteorder("="))
 
-    wave, width = (
-        store.read(names[0], (slice(None),)).astype(float).ravel() if len(names) == 1 else None
-        for names in beside.values()
+    wave, width, east, north = (
+        store.read(names[0], (slice(None),)).astype(float).ravel() if len(names) == 1 else None for names in beside
     )
     own = None if wave is None else ListedBands(wave, width)
     keys = (*_FILLS, "scale_factor", "add_offset", "units", "long_name") if tree else ()
     with store.kept_open() as file:
         held = {key: file[name].attrs.get(key) for key in keys}
     unit, title = (" ".join(texts_of(held.get(key))) for key in ("units", "long_name"))
-    quantity, known, notes = _quantity(unit, name.rpartition("/")[2], title)
+    quantity, known, notes = quantity_of(unit, name.rpartition("/")[2], title)
     scale = Scale(*packing(held), f"scale of the array {name!r}")
     about = Description(f"array {name!r} of a {kind} file", own, scale, quantity, known, stated(held), notes=notes)
-    return array_raster(store, (piece,), about)
+    return array_raster(
+        store, (piece,), about, (None if east is None or north is None else _even_grid(east, north), None)
+    )

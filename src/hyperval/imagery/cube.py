@@ -41,11 +41,7 @@ BLOCK_BYTES = 8 << 20
 _WHOLE = ("ii", "uu", "iu", "ui")
 # Above these the 95th percentile of a cube says that its scale was not stated: a white surface under the zenith sun
 # gives a radiance of about 65.
-PLAUSIBLE = {
-    "reflectance": (1.5, "what multiplies the stored values (0.01 where they are percent, 0.0001 where they are "
-                    "reflectance times 10000)"),
-    "radiance": (200.0, "(what multiplies the stored values) or unit:"),
-}  # fmt: skip
+PLAUSIBLE = {"reflectance": 1.5, "radiance": 200.0}
 _LOWEST = -0.1  # of these, that the median is not below: a dark image of noise and path radiance taken off too much
 _DARK = 0.01  # reflectance that nothing reaches in an image that was scaled twice
 _FEWEST_CHECKED = 256  # pixels, before a band is said to hold one number
@@ -163,6 +159,20 @@ class Cube:
         stored = self.raster.read_some_bands(first_line, count, order.tolist()).transpose(1, 2, 0)
         return self._scaled(stored, np.dtype(np.float32), list(bands))
 
+    def handed_out(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+        """Values (count, samples, B) as other programs take them: NaN also in pixels that are fill in every band.
+
+        >>> import xarray as xr
+        >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
+        >>> two = xr.DataArray([[[0.1, 0.0], [0.0, 0.0]]], nm, ("y", "x", "b"))
+        >>> open_cube(two, quantity="reflectance").to_xarray().values.tolist()
+        [[[0.1, 0.0], [nan, nan]]]
+        """
+        stored, known = self.read_stored(first_line, count, np.zeros(self.bands, bool))
+        values = self._scaled(stored.transpose(1, 2, 0), np.dtype(dtype))
+        values[~known] = np.nan
+        return values
+
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
         """All lines in order, ``lines_per_block`` at a time (default: about 8 MiB of values)."""
         size = self.samples * self.bands * np.dtype(dtype).itemsize
@@ -187,8 +197,7 @@ class Cube:
             image = envi.open(str(raster.header.path), str(raster.path))
             image.scale_factor, image.bands = 1.0 / float(gain[0]), bands
             return image
-        values = np.concatenate([block.values for block in self.blocks(dtype=np.float32)])
-        return _image_array(values, bands, str(raster.path))
+        return _image_array(self.handed_out(0, self.lines, np.float32), bands, str(raster.path))
 
     def to_xarray(self) -> xr.DataArray:
         """As a lazy array (line, sample, wavelength) in its unit, NaN where there is no data.
@@ -320,12 +329,12 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
         notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
         cube = replace(cube, axis=axis.select(some), stored_band=cube.stored_band[some], notes=notes)
         values = values[:, some]
-    limit, how = PLAUSIBLE.get(cube.quantity, (np.inf, ""))
+    limit = PLAUSIBLE.get(cube.quantity, np.inf)
     judged = values[:, cube.axis.good]
     judged = judged[np.isfinite(judged).all(axis=1)]
     middle, high = np.percentile(judged, (50, 95)).tolist() if judged.size else (0.0, 0.0)
     told = {"cube": cube, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
-    refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, how=how, **told)
+    refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, **told)
     refuse(middle < (least := _LOWEST * limit), "scale.low", cube.raster.path, middle=middle, least=least, **told)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
         by = cube.scaling.source or "its unit"
@@ -340,7 +349,7 @@ def _is_twice(values: Array, gain: Array) -> bool:
     [True, False, False]
     """
     dark = values.size and values.max() < _DARK and np.any(gain != 1.0)
-    return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"][0])
+    return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"])
 
 
 _TIFF, HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
@@ -472,20 +481,20 @@ def open_cube(
     image = path if isinstance(path, Path | str | Raster) else raster_of(path, variable)
     raster = image if isinstance(image, Raster) else open_raster(image, header=header, variable=variable, engine=engine)
     about, where = raster.description, str(raster.path)
-    table = about.band_table(wavelength_unit, where, sort_bands=sort_bands, given=axis, count=raster.bands)
+    axis, stored_band, said = about.band_table(wavelength_unit, where, sort_bands, axis, raster.bands)
     scaling = about.scaling(quantity, unit, scale, raster.bands, where)
     by = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
     notes: tuple[str, ...] = (f"read as {about.product}{by}",) if about.product else ()
-    notes += about.notes + table.notes + ((scaling.source,) if scaling.source else ())
+    notes += about.notes + said + ((scaling.source,) if scaling.source else ())
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     cube = Cube(
         raster=raster,
-        axis=table.axis,
+        axis=axis,
         quantity=quantity,
         unit=str(scaling.unit),
         scaling=scaling,
-        stored_band=table.stored_band,
+        stored_band=stored_band,
         ignore_value=about.no_data(),
         description=" ".join(about.entries.get("description", "").split()),
         notes=notes,
@@ -518,9 +527,9 @@ def _lazy_cube(cube: Any) -> Any:
             if not np.size(lines):
                 return np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
             if np.ptp(lines) >= 4 * np.size(lines):  # far apart: what lies between is not read
-                return np.concatenate([self.cube.read(int(n), 1).values for n in lines])[:, key[1], key[2]]
+                return np.concatenate([self.cube.handed_out(int(n), 1) for n in lines])[:, key[1], key[2]]
             first = int(np.min(lines))
-            values = self.cube.read(first, int(np.ptp(lines)) + 1).values
+            values = self.cube.handed_out(first, int(np.ptp(lines)) + 1)
             return np.asarray(values[lines - first][..., key[1], key[2]])
 
     return LazyCube(cube)
@@ -557,8 +566,7 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
 
     refuse(not isinstance(image, SpyFile | spectral.image.ImageArray), "exchange.no_cube", kind=type(image).__name__)
     path, about = Path(str(image.filename or "SPy image")), image.bands
-    headers = (path.with_suffix(".hdr"), Path(f"{path}.hdr"))
-    if isinstance(image, SpyFile) and path.is_file() and any(h.is_file() for h in headers):
+    if isinstance(image, SpyFile) and path.is_file() and header_beside(path) is not None:
         return path
     centres = np.asarray(needed(about.centers, "exchange.no_wavelengths"), float)
     widths = None if about.bandwidths is None else np.asarray(about.bandwidths, float)
@@ -571,15 +579,10 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
 
 
 def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> xr.DataArray:
-    if transform is None and crs is None:
-        return array
-    attrs: dict[str, Any] = {}
-    if crs is not None:
-        attrs |= {"crs_wkt": crs.to_wkt(), "spatial_ref": crs.to_wkt()}
-    if transform is not None:
-        attrs["GeoTransform"] = " ".join(repr(float(v)) for v in transform.to_gdal())
-    array = array.assign_coords(spatial_ref=((), 0, attrs))
-    array.attrs["grid_mapping"] = "spatial_ref"
+    attrs = {} if crs is None else dict.fromkeys(("crs_wkt", "spatial_ref"), crs.to_wkt())
+    attrs |= {} if transform is None else {"GeoTransform": " ".join(repr(float(v)) for v in transform.to_gdal())}
+    if attrs:
+        array = array.assign_coords(spatial_ref=((), 0, attrs)).assign_attrs(grid_mapping="spatial_ref")
     return array
 
 

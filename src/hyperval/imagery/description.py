@@ -83,14 +83,6 @@ class Scale(NamedTuple):
 UNSCALED = Scale()
 
 
-class BandTable(NamedTuple):
-    """Spectral axis of a cube, and which stored band (B,) each of its bands is; what was assumed."""
-
-    axis: SpectralAxis
-    stored_band: Index
-    notes: tuple[str, ...] = ()
-
-
 @dataclass(frozen=True, eq=False)
 class Description:
     """What a file, or the metadata beside it, says of an image; an ENVI header speaks before its data file.
@@ -111,7 +103,7 @@ class Description:
     packing : scale and offset of the file by which its reader has unpacked the values that count as stored here
     header : of ENVI; its lists and scale factors are read when asked for, as a campaign may state them itself
     gains : file of what whole numbers of radiance are divided by
-    names : of the bands, where another file than a header has them
+    band_names : empty where the header does not have one for each
     ignored : number in the file that means no data, where its reader hands out NaN in its place
     """
 
@@ -129,13 +121,8 @@ class Description:
     packing: tuple[float, float] = (1.0, 0.0)
     header: EnviHeader | None = None
     gains: Path | None = None
-    names: tuple[str, ...] = ()
+    band_names: tuple[str, ...] = ()
     ignored: float | None = None
-
-    @property
-    def band_names(self) -> tuple[str, ...]:
-        """The names of the bands, empty where a header does not have one for each."""
-        return self.header.band_names if self.header is not None else self.names
 
     def no_data(self) -> float | None:
         """Stored value that means no data: the ``data ignore value`` of a header, else that of the data file."""
@@ -184,9 +171,9 @@ class Description:
         return [scale for scale in stated if scale.changes]
 
     def band_table(
-        self, given_unit: str | None, where: str, *, sort_bands: bool = False, given: Bands = None, count: int = 0
-    ) -> BandTable:
-        """The bands that have a wavelength, in nm and in order.
+        self, given_unit: str | None, where: str, sort_bands: bool = False, given: Bands = None, count: int = 0
+    ) -> tuple[SpectralAxis, Index, tuple[str, ...]]:
+        """The bands that have a wavelength, in nm and in order; which stored band each is; what was assumed.
 
         Parameters
         ----------
@@ -194,7 +181,7 @@ class Description:
         sort_bands : sort bands whose wavelengths do not increase (two detectors that overlap)
         given : the bands of a file of ``count``, or "numbers": those count from 1 in place of wavelengths
 
-        >>> Description(bands=ListedBands(np.array([8.0, 8.1]), np.full(2, 0.1), "um")).band_table(None, "x").notes
+        >>> Description(bands=ListedBands(np.array([8.0, 8.1]), np.full(2, 0.1), "um")).band_table(None, "x")[2]
         ('warning: no band below 8000 nm: the model has reflected sunlight, no emission',)
 
         Raises
@@ -206,10 +193,10 @@ class Description:
         """
         if given == "numbers":
             warning = "warning: bands are identified by number: values labelled nm are band numbers"
-            return BandTable(SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (warning,))
+            return SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (warning,)
         if given is not None:
             refuse(len(given) != count, "bands.given", where, given=len(given), count=count)
-            return BandTable(given, np.arange(count), ("wavelengths as given beside the cube",))
+            return given, np.arange(count), ("wavelengths as given beside the cube",)
         bands = needed(self.listed(), "bands.none", where)
         has = np.flatnonzero(np.isfinite(bands.wavelength))
         refuse(not has.size, "bands.without", where)
@@ -244,7 +231,7 @@ class Description:
         if width is None:
             width, apart = _spacing_by_detector(centre)
             notes.append(spacing_note("the file lists no fwhm", np.sort(centre[apart])))
-        return BandTable(SpectralAxis(centre[order], width[order], good[order]), has[order], tuple(notes))
+        return SpectralAxis(centre[order], width[order], good[order]), has[order], tuple(notes)
 
     def scaling(self, quantity: str, unit: str | None, scale: float | None, bands: int, where: str) -> Scale:
         """Gain and offset (B,) of so many stored bands in the internal unit.
@@ -470,24 +457,22 @@ def gdal_transform(text: str | None) -> Affine | None:
 
 
 def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
-    """Where the stored values are the ignore value, compared in the stored type."""
-    kept = ignore_in_type(stored.dtype, ignore)
-    if kept is None:
-        return np.zeros(stored.shape, bool)
-    return np.asarray(np.isnan(stored) if np.isnan(ignore) else stored == kept)
+    """Where the stored values are the ignore value, compared in the stored type; nowhere where that cannot hold it.
 
-
-def ignore_in_type(dtype: np.dtype, ignore: float) -> Any | None:
-    """The ignore value as a stored value, None where the type cannot hold it."""
-    if dtype.kind == "f":
-        beyond = np.isfinite(ignore) and abs(ignore) > 1.0000001 * float(np.finfo(dtype).max)
-        return None if beyond else dtype.type(ignore)
-    if not float(ignore).is_integer():
-        return None
-    limits = np.iinfo(dtype)
-    if float(ignore) == float(limits.max):  # as a float, the largest 64-bit number is the next power of two
-        return dtype.type(limits.max)
-    return dtype.type(int(ignore)) if limits.min <= int(ignore) <= limits.max else None
+    >>> [equals(np.array([of], kind), of).tolist() for of, kind in ((np.nan, "f4"), (-9999.1, "f4"), (-1.0, "i2"))]
+    [[True], [True], [True]]
+    >>> [equals(np.array([2**63 - 1, 7]), of).tolist() for of in (2.0**63, 2.0**64, 7.5)]
+    [[True, False], [False, False], [False, False]]
+    """
+    if np.isnan(ignore):
+        return np.asarray(np.isnan(stored))
+    kind: type[Any] = stored.dtype.type
+    if stored.dtype.kind == "f":
+        fits = np.isinf(ignore) or abs(ignore) <= 1.0000001 * float(np.finfo(kind).max)
+        return np.asarray(stored == (kind(ignore) if fits else np.nan))
+    least, most = np.iinfo(kind).min, np.iinfo(kind).max
+    fits = ignore % 1.0 == 0.0 and least <= ignore <= float(most)  # of 64 bits the next power of two
+    return np.asarray(stored == kind(min(int(ignore), most))) if fits else np.zeros(stored.shape, bool)
 
 
 _LEAST_FILLED = 8  # bands that hold one number by no chance

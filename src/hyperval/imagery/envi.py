@@ -9,7 +9,8 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -151,8 +152,7 @@ def pixel_area_m2(transform: Affine | None, crs: CRS | None, entries: Mapping[st
 class EnviRaster(Raster):
     """An ENVI data file whose size is exactly what its ``header`` says."""
 
-    header: EnviHeader = field(kw_only=True)
-
+    header = property(attrgetter("description.header"))
     kind = "ENVI image"
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
@@ -196,9 +196,11 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     named = [p for p in files if data.name.lower().startswith(p.stem.lower())]
     gains = max(named, key=lambda p: len(p.stem), default=None)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
-    about = Description(entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains)
+    about = Description(
+        entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains, band_names=parsed.band_names
+    )
     image_size, place = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
-    return EnviRaster(data, *image_size, parsed.dtype, about, *place, others, header=parsed)
+    return EnviRaster(data, *image_size, parsed.dtype, about, *place, others)
 
 
 @dataclass(eq=False)
@@ -229,13 +231,12 @@ class EnviWriter:
         if stored.ndim != 3 or stored.shape[1:] != (header.samples, header.bands):
             raise refusal("write.shape", shape=stored.shape, samples=header.samples, bands=header.bands)
         refuse(self.lines_written + len(stored) > header.lines, "write.many", lines=header.lines)
-        if header.interleave == "bsq":
-            parts = [(band * header.lines + self.lines_written, stored[:, :, band]) for band in range(header.bands)]
-        else:
-            parts = [(self.lines_written * header.bands, stored.transpose(_ORDERS[header.interleave]))]
-        for row, values in parts:
+        planes = stored.transpose(_ORDERS[header.interleave])
+        planes = planes if header.interleave == "bsq" else planes[None]  # the lines of each band, or all at once
+        for number, plane in enumerate(planes):
+            row = number * header.lines + self.lines_written * header.bands // len(planes)
             self.stream.seek(header.header_offset + row * header.samples * header.dtype.itemsize)
-            self.stream.write(np.ascontiguousarray(values).tobytes())
+            self.stream.write(np.ascontiguousarray(plane).tobytes())
         self.lines_written += len(stored)
 
 
@@ -247,14 +248,12 @@ def described_by(raster: Raster, header: Path) -> Raster:
     InputError : a header of an image of another size.
     """
     parsed = read_header(checked_file(header, what="ENVI header"), sidecar=True)
-    if raster.size != (parsed.lines, parsed.samples, parsed.bands):
-        stated = (parsed.lines, parsed.samples, parsed.bands)
-        raise refusal("image.described", parsed.path, size=raster.size, stated=stated)
+    stated = (parsed.lines, parsed.samples, parsed.bands)
+    refuse(raster.size != stated, "image.described", parsed.path, size=raster.size, stated=stated)
     transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
-    about = replace(
-        raster.description, header=parsed, entries=parsed.entries, notes=(*raster.description.notes, *parsed.notes)
-    )
-    return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
+    notes = (*raster.description.notes, *parsed.notes)
+    own = replace(raster.description, header=parsed, entries=parsed.entries, notes=notes, band_names=parsed.band_names)
+    return replace(raster, description=own, transform=transform, crs=crs, other_files=(parsed.path,))
 
 
 @contextmanager

@@ -123,8 +123,7 @@ class LookupTable:
         if fit is None and beyond:
             near = self._cells.data[self._cells.query(cell)[1]]
             fit = self._raw_at(near)
-        place = f"({xy[0]:.8g}, {xy[1]:.8g})"
-        raw, change = needed(fit, "place.nowhere", where, place=place, what="the lookup table")
+        raw, change = needed(fit, "place.nowhere", where, xy=xy, what="the lookup table")
         return np.asarray(raw + change @ (cell - near))
 
     @cached_property
@@ -226,6 +225,10 @@ class LocationTable(LookupTable):
     A place is found by a plane through the coordinates of the 7 x 7 pixels around the nearest one; an InputError is one
     that no pixel lies near.
 
+    Attributes
+    ----------
+    meridian : longitude of one of the pixels, around which those of others are counted on; None on another map
+
     >>> from tempfile import TemporaryDirectory
     >>> from hyperval.imagery import open_raster, write_cube
     >>> rng, (line, sample) = np.random.default_rng(1), np.indices((20, 20)) + 0.5
@@ -244,7 +247,18 @@ class LocationTable(LookupTable):
     ...     table = location_table(open_raster(igm), (60, 30))
     ...     bool(np.abs(table.to_pixel([[-94.0, 585.0]], where="", beyond=True)).max() > 300.0)
     True
+    >>> across = np.stack([(179.99 + 0.002 * sample + 180.0) % 360.0 - 180.0, -0.002 * line], -1)  # the date line
+    >>> with TemporaryDirectory() as folder:
+    ...     table = location_table(open_raster(write_cube(f"{folder}/igm", across, data_type=5)), (60, 30))
+    ...     table.to_pixel([[179.994, -0.002], [-179.994, -0.1]], where="").round(6).tolist()
+    ...     round(table.middle[0], 6), table.divided(shapely.box(-179.996, -0.1, 179.994, -0.01), "").bounds[::2]
+    ...     bool(table.to_pixel([[1979.994, -0.002]], where="", beyond=True)[0, 0] > 1e5)  # metres are no longitude
+    [[2.0, 1.0], [8.0, 50.0]]
+    (-179.979, (179.994, 180.004))
+    True
     """
+
+    meridian: float | None = None
 
     def _areas(self) -> Iterator[float | None]:
         """Ground areas of pixels [m2] over places along the image."""
@@ -257,15 +271,15 @@ class LocationTable(LookupTable):
 
     def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
         """A geometry on the map with vertices at most 4 pixels apart on every side."""
-        return _divided(geometry, self._pixel, where)
+        return _divided(shapely.transform(geometry, self._near), self._pixel, where)
 
     @property
     def middle(self) -> tuple[float, float]:
         """Map coordinates (x, y) of the pixel with a place that is nearest to the middle of the image."""
         _, nodes, _ = self._coarse
         line, sample = nodes[np.argmin(np.hypot(*(nodes - np.array(self.shape) / 2.0).T))]
-        x, y = self._xy(int(line), 1)
-        return float(x[0, sample]), float(y[0, sample])
+        x, y = (float(v[0, sample]) for v in self._xy(int(line), 1))
+        return x - 360.0 * (self.meridian is not None and round(x / 360.0)), y
 
     @cached_property
     def _coarse(self) -> tuple[Any, Index, Array]:
@@ -287,15 +301,20 @@ class LocationTable(LookupTable):
         fit = needed(self._fit(int(line), int(sample)), "place.same", self.raster.path)
         return math.sqrt(abs(float(np.linalg.det(fit[1]))))
 
+    def _near(self, xy: Array) -> Array:
+        """Places (..., 2) by longitudes that are counted on across the date line from those of the image."""
+        turns = 0.0 if self.meridian is None else np.clip(np.round((xy - (self.meridian, 0.0)) / 360.0), -1.0, 1.0)
+        return np.asarray(xy - 360.0 * turns)
+
     def _place(self, xy: Array, where: str, beyond: bool) -> Array:
-        tree, nodes, scale = self._coarse
-        line, sample = nearest = tuple(int(v) for v in nodes[tree.query(xy * scale)[1]])
+        (tree, nodes, scale), at = self._coarse, self._near(xy)
+        line, sample = nearest = tuple(int(v) for v in nodes[tree.query(at * scale)[1]])
         before = nearest
         for _ in range(_STEPS):
             fit = self._fit(line, sample)
             if fit is None:
                 break
-            place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], xy - fit[0])
+            place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], at - fit[0])
             near = tuple(int(v) for v in np.clip(np.floor(place[::-1]), 0, np.array(self.shape) - 1))
             if near in ((line, sample), before):  # or at the edge of two, each of which says that it lies in the other
                 outside = max(place[0] - self.shape[1], place[1] - self.shape[0], -place[0], -place[1])
@@ -304,9 +323,9 @@ class LocationTable(LookupTable):
                 break
             before, (line, sample) = (line, sample), near
         if beyond and (fit := self._fit(*nearest)) is not None:  # the planes of a line that turns lead nowhere
-            return np.asarray(nearest[::-1] + np.linalg.solve(fit[1], xy - fit[0]) + 0.5)
+            return np.asarray(nearest[::-1] + np.linalg.solve(fit[1], at - fit[0]) + 0.5)
         what = f"the image, whose places are in {self.crs or 'an unknown system'}"
-        raise refusal("place.nowhere", where, place=f"({xy[0]:.8g}, {xy[1]:.8g})", what=what)
+        raise refusal("place.nowhere", where, xy=xy, what=what)
 
     def _fit(self, line: int, sample: int) -> tuple[Array, Array] | None:
         """Map coordinates of a pixel's centre, and (2, 2) their change with sample and line; None without any."""
@@ -317,15 +336,14 @@ class LocationTable(LookupTable):
         return fit if fit is not None and np.linalg.det(fit[1]) else None
 
     def _xy(self, first: int, count: int) -> tuple[Array, Array]:
-        stored = self.raster.read_bands(first, count).astype(float)
-        return stored[0], stored[1]
+        x, y = self.raster.read_bands(first, count)[:2].astype(float)
+        if self.meridian is not None:
+            x = np.where((np.abs(x) <= 180.0) & (np.abs(y) <= 90.0), self._near(np.stack([x, y], -1))[..., 0], np.nan)
+        return x, y
 
     def _valid(self, x: Array, y: Array) -> Mask:
         """Where the coordinates are numbers and no fill."""
-        good = np.isfinite(x) & np.isfinite(y) & (x > -9990.0) & ((x != 0) | (y != 0))
-        if self.crs is not None and self.crs.is_geographic:
-            good &= (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
-        return np.asarray(good)
+        return np.asarray(np.isfinite(x) & np.isfinite(y) & (x > -9990.0) & ((x != 0) | (y != 0)))
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:
@@ -352,7 +370,9 @@ def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
     good = table._valid(x, y)
     refuse(not good.any(), "place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
-    return LocationTable(raster, Affine.identity(), CRS.from_epsg(4326) if degrees else raster.crs, shape)
+    crs = CRS.from_epsg(4326) if degrees else raster.crs
+    meridian = float(x[good][0]) if crs is not None and crs.is_geographic else None
+    return LocationTable(raster, Affine.identity(), crs, shape, meridian=meridian)
 
 
 _TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
@@ -375,7 +395,7 @@ def companion(image: Path, kind: str) -> Path | None:
         others = []
         for header in image.parent.glob("*.[hH][dD][rR]"):
             stem = header.with_suffix("")
-            others += [p for p in (stem, stem.with_suffix(".img"), stem.with_suffix(".dat")) if p.is_file()][:1]
+            others += [p for p in (stem, *map(stem.with_suffix, (".img", ".dat", f".{kind}"))) if p.is_file()][:1]
     fits = [p for p in sorted(set(others)) if p != image and kind in _name(p)[1] and _name(p)[0] == own]
     if len(fits) > 1 and image.suffix.lower() not in _TREES:
         fits = [p for p in fits if kinds <= _name(p)[1]]
@@ -437,9 +457,8 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     row("is", by, "its first bytes" + (f", and {files} beside it" if files else ""))
     row("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples"))
     try:
-        table, listed = about.band_table(None, where, sort_bands=True), about.listed()
-        assert listed is not None  # noqa: S101 - a table is made of them
-        centre, width = table.axis.centre_nm, table.axis.fwhm_nm
+        (axis, _, said), listed = about.band_table(None, where, sort_bands=True), needed(about.listed(), "bands.none")
+        centre, width = axis.centre_nm, axis.fwhm_nm
         stated = listed.where.get("wavelength", by)
         row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
         known = listed.wavelength[np.isfinite(listed.wavelength)]
@@ -447,7 +466,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         row("wavelength unit", unit, "guess: by the values" if guessed else stated)
         by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
         row("widths", f"{width.min():g} to {width.max():g} nm", by_width)
-        notes += table.notes
+        notes += said
     except HypervalError as error:
         row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
     row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")

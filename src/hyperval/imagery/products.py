@@ -9,6 +9,7 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -156,14 +157,13 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
             good &= ~((wavelength >= low) & (wavelength <= high))
         sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
-        told = {key: [of] if isinstance(of, str) else of for key, of in (layout.entries or {}).items()}
-        entries = {key: text for key, of in told.items() if (text := "T".join(filter(None, map(tree.text, of))))}
+        said = {"acquisition time": _time(tree), "sensor": sensor}
         unit, unit_notes = _unit(tree)
         centre, widths = np.where(wavelength > 0, wavelength, np.nan), None if np.isnan(width).all() else width
         about = Description(
             product=layout.product,
             bands=ListedBands(centre, widths, unit_nm, good) if (unit_nm := layout.wavelength_unit) else None,
-            names=tuple(layout.band_names) if isinstance(layout.band_names, list) else tree.texts(layout.band_names),
+            band_names=tuple(names) if isinstance(names := layout.band_names, list) else tree.texts(names),
             scale=Scale(gain, offset, f"scale of the {layout.product}"),
             quantity=layout.quantity,
             unit=unit,
@@ -171,7 +171,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
             ignored=ignore,
             sensor=sensor,
             sorts=bool(layout.sorts),
-            entries=entries | ({"sensor": sensor} if sensor else {}),
+            entries={key: text for key, text in said.items() if text},
             notes=(*unit_notes, *notes, *([layout.remark] if layout.remark else [])),
             sun_zenith_deg=_sun(tree),
         )
@@ -210,7 +210,7 @@ def _piece(tree: ProductTree, array: ProductLayout, image: h5py.Dataset, ignore:
     second = tree.image(array.plus[0])
     refuse(second.shape != image.shape, "product.shape", tree.path, name=second.name, other=image.name)
     weight = 1.0 / tree.number(array.plus[1])
-    terms = first._replace(ignore=ignore), arrays.Term(second.name.strip("/"), weight, arrays.stated(second.attrs))
+    terms = first._replace(ignore=ignore), arrays.Term(second.name.strip("/"), weight)
     return arrays.Piece(terms, array.dimensions, image.shape, np.dtype(np.float32))
 
 
@@ -313,6 +313,22 @@ def _crs(tree: ProductTree) -> CRS | None:
         return CRS.from_epsg(int(numbers[-1])) if numbers else crs_of_wkt(wkt)
     except CRSError:
         return None
+
+
+def _time(tree: ProductTree) -> str:
+    """When the image was taken, as the file says it: in words, in seconds since 1970, or a day and a clock.
+
+    >>> from types import SimpleNamespace as Of
+    >>> def told(**held):
+    ...     layout = ProductLayout(seconds="s", time="t", day_and_clock=("day", "clock"))
+    ...     return _time(Of(layout=layout, text=held.get, floats=lambda name: np.array(held.get(name, []))))
+    >>> told(s=[-9999.0, 1744134271.5]), told(day="20120924", clock="131511"), told(t="2024-06-15T10:57:42Z", day="x")
+    ('2025-04-08T17:44:31.500000+00:00', '20120924T131511', '2024-06-15T10:57:42Z')
+    """
+    seconds = tree.floats(tree.layout.seconds)
+    if np.any(known := seconds > 0.0):
+        return datetime.fromtimestamp(float(np.median(seconds[known])), UTC).isoformat()
+    return tree.text(tree.layout.time) or "T".join(filter(None, map(tree.text, tree.layout.day_and_clock or ())))
 
 
 def _sun(tree: ProductTree) -> float | None:

@@ -203,8 +203,11 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
     ...     raster_of_size(maps[0], ImageGrid((9, 8), table)).size
     ...     with suppress(InputError):
     ...         raster_of_size(maps[1], ImageGrid((9, 8), table)).size
+    ...     shown = write_cube(Path(f"{folder}/gis"), of, data_type=1, transform=Affine.scale(1.0, -1.0))
+    ...     raster_of_size(shown, ImageGrid((9, 8), table)).size
     '0'
     '7'
+    (9, 8, 1)
     (9, 8, 1)
 
     Raises
@@ -221,7 +224,8 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
     raster = raster or open_raster(path)
     if raster.transform is not None and isinstance(image, Cube) and (table := table_of(image.raster)[0]) is not None:
         position, crs = table, table.crs
-    on_map = raster.transform is not None and position is not None and (raster.crs is None) == (crs is None)
+    in_pixels = raster.crs is None and raster.transform == Affine.scale(1.0, -1.0)  # as a GIS shows what has no place
+    on_map = None not in (raster.transform, position) and not in_pixels and (raster.crs is None) == (crs is None)
     raw = on_map and not isinstance(position, Affine)
     told = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape, "own": raster.crs}
     refuse(raster.size[:2] != shape, "image.on_map" if raw else "image.size", path, **told)

@@ -22,6 +22,7 @@ from rasterio.windows import Window
 from hyperval.data import Array
 from hyperval.envi_header import header_beside
 from hyperval.errors import reader, refusal, refuse
+from hyperval.imagery.arrays import quantity_of
 from hyperval.imagery.description import MAX_READ_BYTES, Description, ListedBands, Raster, Scale, wavelengths_in_names
 from hyperval.imagery.envi import described_by
 from hyperval.imagery.products import NO_MAP, described_beside
@@ -70,7 +71,10 @@ def open_tiff(path: Path, header: Path | str | None) -> Raster:
         dtype = _checked_type(dataset, path)
         transform = None if dataset.transform == Affine.identity() else dataset.transform
         scale = Scale(np.array(dataset.scales), np.array(dataset.offsets), "scale and offset tags of the GeoTIFF")
-        about = Description(bands=_bands_in_tags(dataset, path), scale=scale, ignore_value=dataset.nodata)
+        units = set(dataset.units)
+        quantity, unit, said = quantity_of(units.pop() if len(units) == 1 else None, "", "")
+        bands = _bands_in_tags(dataset, path)
+        about = Description("", bands, scale, quantity, unit, dataset.nodata, notes=said)
         size = dataset.height, dataset.width, dataset.count
         raster = TiffRaster(path, *size, dtype, about, transform, dataset.crs)
     sidecar = Path(header) if header is not None else header_beside(path)

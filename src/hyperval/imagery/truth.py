@@ -165,7 +165,9 @@ def read_targets(
         where, material = f"{path}:{line}", row["material"]
         name = row.get("name") or f"{material} {line - 1}"
         refuse(not material or name in out, "target.name", where)
-        number = {key: _number(row.get(key), key, where) for key in sorted(_NUMERIC)}
+        number = {key: number_of(row.get(key, "")) for key in sorted(_NUMERIC)}
+        for key in (key for key, value in number.items() if row.get(key, "").strip() and not math.isfinite(value)):
+            raise refusal("target.number", where, key=key, text=row[key][:40])
         width, length, doubt = _size(number, where)
         word, area = row.get("shape", "").lower(), number["area_m2"]
         refuse(word not in _FIGURES, "target.shape", where, shape=word[:40])
@@ -251,15 +253,6 @@ _NUMERIC = frozenset(
     {"side_m", "width_m", "length_m", "area_m2", "heading_deg", "position_uncertainty_m"}
     | {column for pair in _PLACES for column in pair}
 )
-
-
-def _number(text: str | None, key: str, where: str) -> float:
-    """The number of a cell, NaN where it is empty."""
-    if text is None or not text.strip():
-        return math.nan
-    value = number_of(text)
-    refuse(not math.isfinite(value), "target.number", where, key=key, text=text[:40])
-    return value
 
 
 def intersected_objects(

@@ -75,7 +75,7 @@ def asd_records(file: SpectraFile) -> list[FieldSpectrum]:
     dtype, alone = np.dtype(_FORMATS[int(head["format"])]), raw[:3] == b"ASD"  # version 1: reflectance, no reference
     values = _array(raw, HEADER_BYTES, channels, dtype, where, ratio=alone)
     nm = first + step * np.arange(channels, dtype=float)
-    record = FieldSpectrum(file.path.stem, nm, values, source=where, wavelength_unit="nm")
+    record = FieldSpectrum(file.path.stem, nm, values, wavelength_unit="nm")
     flag, end = HEADER_BYTES + values.size * dtype.itemsize, len(raw)
     if not alone and len(raw) >= flag + 20:
         end = flag + 20 + int(struct.unpack_from("<H", raw, flag + 18)[0]) + channels * dtype.itemsize
@@ -241,8 +241,7 @@ def specpr_records(file: SpectraFile) -> list[FieldSpectrum]:
         refuse(none, "specpr.grid", where, number=i, title=_title(raw[i]), grid=grid, channels=channels)
         wavelength, values = (_values(raw, at, where) for at in (grid, i))
         spread = _values(raw, errors[i], where) if i in errors else None
-        record = FieldSpectrum(_title(raw[i]), wavelength, values, spread, source=where)
-        out.append(replace(record, wavelength_unit="um", unit="fraction"))
+        out.append(FieldSpectrum(_title(raw[i]), wavelength, values, spread, wavelength_unit="um", unit="fraction"))
     refuse(not out, "specpr.none", where)
     return out
 
@@ -299,11 +298,9 @@ def library_records(file: SpectraFile) -> list[FieldSpectrum]:
 
 
 def on_one_grid(
-    names: Iterable[Any], wavelength: Any, rows: Any, where: object, unit: str | None, scale: str | None = None
+    names: Iterable[Any], wavelength: Any, rows: Any, source: object, unit: str | None, scale: str | None = None
 ) -> list[FieldSpectrum]:
     """Spectra (spectrum, channel) on one set of wavelengths."""
-    named = zip(names, np.asarray(rows, float), strict=True)
-    record = FieldSpectrum(
-        "", np.asarray(wavelength, float), np.array([]), source=str(where), wavelength_unit=unit, unit=scale
-    )
-    return [replace(record, name=str(name), values=row) for name, row in named]
+    named, nm = zip(names, np.asarray(rows, float), strict=True), np.asarray(wavelength, float)
+    of = str(source)
+    return [FieldSpectrum(str(name), nm, row, source=of, wavelength_unit=unit, unit=scale) for name, row in named]

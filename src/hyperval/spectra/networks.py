@@ -69,9 +69,9 @@ def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
         name = f"series {i + 1}: zenith {zenith:.0f} azimuth {azimuth:.0f}"
         size, spread = np.abs(rho[i]), values["std_reflectance"][:, i]
         notes = (f"quality flags {flags[i]:#x}",) if flags[i] else ()
-        record = FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, str(path), notes=notes)
         errors = SpectrumErrors(random[i] * size, systematic[i] * size, correlation)
-        records.append(replace(record, errors=errors, wavelength_unit="nm", unit="fraction"))
+        record = FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, notes=notes, errors=errors)
+        records.append(replace(record, wavelength_unit="nm", unit="fraction"))
     return records
 
 
@@ -88,11 +88,11 @@ def _without_rounding(stored: Array) -> Array:
 NO_VALUE = 9996.0  # and above, up to 9999: night, bad weather, outside the instrument's range, other causes
 MARKED = 9.0  # of an uncertainty: more than any is
 STATE = {
-    "P": "pressure_hpa", "T": "temperature_k", "WV": "water_vapour_g_cm2", "O3": "ozone_dobson",
+    "P": "pressure_hpa", "T": "temperature_k", "WV": "water_vapour_g_cm2", "O3": "ozone_atm_cm",
     "AOD": "aot550", "Ang": "angstrom_exponent",
 }  # fmt: skip
 SURFACE, TOP = "reflectance", "top-of-atmosphere reflectance"
-_DOBSON_PER_ATM_CM = 1000.0
+_IN_FILE = {"O3": 1000.0}  # Dobson units in an atm cm
 # First words of the lines that are read, but for those of the spectra.
 _PLACE, _TIME = ("Lat", "Lon", "Alt"), ("Year", "DOY(U)", "UTC")
 
@@ -106,7 +106,7 @@ class RadCalNetDay:
     site, latitude_deg, longitude_deg, altitude_m : of the heading
     quantity : "reflectance" of the surface, or "top-of-atmosphere reflectance"
     times : (T,) UTC
-    state : name of ``STATE`` -> (T,) pressure [hPa], temperature [K], water vapour [g cm-2], ozone [Dobson], aerosol
+    state : name of ``STATE`` -> (T,) pressure [hPa], temperature [K], water vapour [g cm-2], ozone [atm cm], aerosol
         optical depth at 550 nm, Angstrom exponent; names with ``u_`` before them: their standard uncertainties
     wavelength_nm : (W,)
     values, uncertainty : (T, W) reflectance and its standard uncertainty [1]
@@ -145,12 +145,9 @@ class RadCalNetDay:
         return self.labels.index(label)
 
     def at(self, label: str) -> dict[str, float]:
-        """State of a half hour and its standard uncertainties, names with ``u_`` before them; ozone in atm cm."""
+        """State of a half hour and its standard uncertainties, names with ``u_`` before them."""
         i = self.column(label)
-        numbers = {name: float(values[i]) for name, values in self.state.items()}
-        for name in ("ozone", "u_ozone"):
-            numbers[f"{name}_atm_cm"] = numbers.pop(f"{name}_dobson") / _DOBSON_PER_ATM_CM
-        return numbers
+        return {name: float(values[i]) for name, values in self.state.items()}
 
 
 @reader
@@ -177,7 +174,7 @@ def radcalnet_records(file: SpectraFile) -> list[FieldSpectrum]:
     kind, records = "" if day.quantity == SURFACE else day.quantity, []
     for label in day.valid:
         values, uncertainty = day.values[i := day.column(label)], day.uncertainty[i]
-        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, source=day.source, quantity=kind)
+        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, quantity=kind)
         records.append(replace(record, wavelength_unit="nm", unit="fraction"))
     return records
 
@@ -205,7 +202,9 @@ def day_of(text: str, path: Path) -> RadCalNetDay:
     times = tuple(map(clock.time, year.numbers(count), days.numbers(count), clock.cells(count)))
     refuse(any(b <= a for a, b in pairwise(times)), "radcalnet.disorder", clock.where)
     (nm, values), (u_nm, uncertainty) = (_spectra(part, count, str(path)) for part in parts)
-    state, doubt = ({name: part[f"{key}:"].numbers(count) for key, name in STATE.items()} for part in parts)
+    state, doubt = (
+        {name: part[f"{key}:"].numbers(count) / _IN_FILE.get(key, 1.0) for key, name in STATE.items()} for part in parts
+    )
     refuse(not np.array_equal(nm, u_nm), "radcalnet.unlike", path)
     values, uncertainty = (np.where(uncertainty >= MARKED, np.nan, x) for x in (values, uncertainty))
     refuse(any(np.nanmin(u, initial=0.0) < 0 for u in (uncertainty, *doubt.values())), "network.negative", path)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -102,14 +102,10 @@ def read_records(
     else:
         listed = _at_hand(path)
     numbers = {w for w in records or () if isinstance(w, int)}
-    for number in numbers:
-        _check_number(number, len(listed), listed[0].source if listed else "library")
+    for number in (number for number in numbers if not 0 <= number < len(listed)):
+        raise refusal("record.number", listed[0].source if listed else "library", number=number, last=len(listed) - 1)
     wanted = listed if records is None else [r for i, r in enumerate(listed) if i in numbers or r.name in records]
     return [finished(record, quantity, wavelength_unit, reflectance_unit, unit) for record in wanted]
-
-
-def _check_number(number: int, count: int, where: str) -> None:
-    refuse(not 0 <= number < count, "record.number", where, number=number, last=count - 1)
 
 
 def _at_hand(library: Any) -> list[FieldSpectrum]:
@@ -133,14 +129,6 @@ def _at_hand(library: Any) -> list[FieldSpectrum]:
     return binary.on_one_grid(names, wavelength, rows, "library at hand", None if unit is None else str(unit))
 
 
-class Format(NamedTuple):
-    """A format of spectra: how a file of it is known, and how its records are read."""
-
-    name: str
-    knows: Callable[[SpectraFile], object]
-    records: Callable[[SpectraFile], list[FieldSpectrum]]
-
-
 def _refused(file: SpectraFile) -> list[FieldSpectrum]:
     """Raise InputError for a format that is known and not read, with how to get at its numbers."""
     name = next(name for mark, name in _NOT_READ.items() if file.head.startswith(mark))
@@ -151,33 +139,33 @@ def _begins(*marks: bytes) -> Callable[[SpectraFile], bool]:
     return lambda file: file.head.startswith(marks)
 
 
-# The first that knows a file reads it: marks before tables, and text that anything can be at the end.
-FORMATS = (
-    Format("SPECPR", lambda f: np.fromfile(f.path, "S12", 1).tolist() == [binary.MARK], binary.specpr_records),
-    Format("ASD", binary.is_asd, binary.asd_records),
-    Format("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), text.plot_records),
-    Format("header of an ENVI spectral library", _begins(*binary.HEADERS), binary.library_records),
-    Format("SVC .sig", _begins(b"/*** Spectra Vista"), text.svc_records),
-    Format("GER .sig", _begins(b"///GER"), text.ger_records),
-    Format("", _begins(*_NOT_READ), _refused),
-    Format("HYPERNETS", networks.is_hypernets, networks.hypernets_records),
-    Format("RadCalNet", networks.is_radcalnet, networks.radcalnet_records),
-    Format("Spectral Evolution .sed", text.is_sed, text.sed_records),
-    Format("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
-    Format("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
-    Format("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f.text), text.row_records),
-    Format("text, a spectrum a column", lambda f: True, text.text_records),
+# Formats of spectra: name, how a file of it is known, and what reads its records.  The first that knows a file reads
+# it: marks before tables, and text that anything can be at the end.
+FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile], list[FieldSpectrum]]], ...] = (
+    ("SPECPR", lambda f: np.fromfile(f.path, "S12", 1).tolist() == [binary.MARK], binary.specpr_records),
+    ("ASD", binary.is_asd, binary.asd_records),
+    ("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), text.plot_records),
+    ("header of an ENVI spectral library", _begins(*binary.HEADERS), binary.library_records),
+    ("SVC .sig", _begins(b"/*** Spectra Vista"), text.svc_records),
+    ("GER .sig", _begins(b"///GER"), text.ger_records),
+    ("", _begins(*_NOT_READ), _refused),
+    ("HYPERNETS", networks.is_hypernets, networks.hypernets_records),
+    ("RadCalNet", networks.is_radcalnet, networks.radcalnet_records),
+    ("Spectral Evolution .sed", text.is_sed, text.sed_records),
+    ("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
+    ("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
+    ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f.text), text.row_records),
+    ("text, a spectrum a column", lambda f: True, text.text_records),
 )
 
 
 def _records(path: Path, columns: tuple[str | int, ...] | None, quantity: str) -> list[FieldSpectrum]:
-    file = SpectraFile(path, columns, quantity, ", ".join(form.name for form in FORMATS if form.name))
+    file = SpectraFile(path, columns, quantity, ", ".join(name for name, *_ in FORMATS if name))
     refuse_own(path)
-    records = next(form for form in FORMATS if form.knows(file)).records(file)
-    if text.quantity_in(path.stem) != "radiance":
-        return records
+    records = next(read for _, knows, read in FORMATS if knows(file))(file)
     # ..._rdn_... as the producers of images name what they cut out of them: it counts where the file says nothing.
-    return [replace(r, quantity=r.quantity or "radiance") for r in records]
+    named = "radiance" if text.quantity_in(path.stem) == "radiance" else ""
+    return [replace(r, source=r.source or str(path), quantity=r.quantity or named) for r in records]
 
 
 def _chosen(records: list[FieldSpectrum], record: str | int | None, where: str) -> FieldSpectrum:
@@ -188,7 +176,7 @@ def _chosen(records: list[FieldSpectrum], record: str | int | None, where: str) 
         refuse(count > 1, "record.pair" if pair else "record.several", where, count=count, names=names)
         return records[0]
     if isinstance(record, int):
-        _check_number(record, count, where)
+        refuse(not 0 <= record < count, "record.number", where, number=record, last=count - 1)
         return records[record]
     exact = [r for r in records if r.name == record]
     if not exact and record == "mean":

@@ -108,7 +108,7 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
             continue
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
-        record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], where, unit)
+        record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], unit)
         own = percent_in(titles[spread[i]]) if i in spread else None
         refuse(own not in (None, record.unit or "fraction"), "text.spread", where, title=titles[spread.get(i, 0)])
         named, is_spread = title_words(titles[i])
@@ -146,10 +146,10 @@ def _deviations(titles: list[str]) -> dict[int, int]:
     return found
 
 
-def _of_column(says: str, name: str, wavelength: Array, values: Array, where: str, unit: str | None) -> FieldSpectrum:
+def _of_column(says: str, name: str, wavelength: Array, values: Array, unit: str | None) -> FieldSpectrum:
     """A column of numbers with the quantity and the units that a text says it has."""
-    record = FieldSpectrum(name, wavelength, values, source=where, quantity=quantity_in(says), wavelength_unit=unit)
-    return replace(record, unit=power_unit_in(says) or percent_in(says))
+    own = power_unit_in(says) or percent_in(says)
+    return FieldSpectrum(name, wavelength, values, quantity=quantity_in(says), wavelength_unit=unit, unit=own)
 
 
 def plot_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -160,7 +160,7 @@ def plot_records(file: SpectraFile) -> list[FieldSpectrum]:
     unlike = sorted(titles) != list(range(count)) or count < 2
     refuse(unlike, "text.titles", file.path, titles=len(titles), count=count)
     unit = wavelength_unit_in(titles[0], "", str(file.path))
-    return [_of_column(titles[i], titles[i], table[:, 0], table[:, i], str(file.path), unit) for i in range(1, count)]
+    return [_of_column(titles[i], titles[i], table[:, 0], table[:, i], unit) for i in range(1, count)]
 
 
 def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
@@ -488,12 +488,6 @@ def _value(cell: str) -> float | None:
 # What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
 SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
 SVC_SCALE = 1e-10
-# How the title of a column of a .sed file begins, and its usual forms.
-_SED_COLUMNS = {
-    "reflectance": (r"reflect|tgt\.?\s*/\s*ref", "'Reflect. %', 'Reflect. [1.0]' or 'Tgt./Ref. %'"),
-    "radiance": (r"rad\w*\.?\s*\(target", "'Rad. (Target)'"),
-    "irradiance": (r"irr\w*\.?\s*\(target", "'Irr. (Target)'"),
-}
 
 
 def svc_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -550,7 +544,7 @@ def _signature(
     refuse(unlike, "sig.columns", f"{path}:{start}", count=table.shape[1], wanted=expected)
     check_last_line(text, str(path))
     name = entries.get("name", "").removesuffix(".sig") or path.stem
-    record = FieldSpectrum(name, table[:, 0], table[:, -1], source=str(path), quantity="reflectance")
+    record = FieldSpectrum(name, table[:, 0], table[:, -1], quantity="reflectance")
     return replace(record, wavelength_unit="nm", unit="percent"), table, entries
 
 
@@ -572,10 +566,10 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     titles, there = [t.strip() for t in lines[begin + 1].split("\t")], f"{path}:{begin + 2}"
     stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
     wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
-    pattern, forms = _SED_COLUMNS[wanted]
+    pattern = r"reflect|tgt\.?\s*/\s*ref" if wanted == "reflectance" else rf"{wanted[:3]}\w*\.?\s*\(target"
     columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
     lacking = len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE)
-    refuse(lacking, "sed.column", there, wanted=wanted, titles=", ".join(titles), forms=forms)
+    refuse(lacking, "sed.column", there, wanted=wanted, titles=", ".join(titles))
     title = titles[columns[0]]
     unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
     refuse(unit is None and wanted == "reflectance", "sed.unit", there, title=title)
@@ -586,8 +580,8 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
     check_stated(table[:, 0], where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
     check_last_line(text, where)
-    record = FieldSpectrum(path.stem, table[:, 0], table[:, columns[0]], source=where, quantity=wanted)
-    return [replace(record, wavelength_unit="nm", unit=unit)]
+    values = table[:, columns[0]]
+    return [FieldSpectrum(path.stem, table[:, 0], values, quantity=wanted, wavelength_unit="nm", unit=unit)]
 
 
 MAX_WAVELENGTH_FILES = 40  # that are looked into
