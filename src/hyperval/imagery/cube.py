@@ -298,7 +298,8 @@ class Cube:
 
 
 def _checked(cube: Cube, scale: float | None) -> Cube:
-    """The cube without the bands that hold no number in any pixel seen; those that hold the same one are bad.
+    """The cube without the bands that hold no number in any pixel seen, and the bad ones that lack some where good ones
+    do not; those that hold the same number everywhere are bad.
 
     ``scale`` is what the caller states.
 
@@ -308,6 +309,15 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     >>> open_cube(packed, quantity="reflectance")
     Traceback (most recent call last):
     hyperval.errors.InputError: xarray: half of the reflectance values lie below -19.5...
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import write_cube
+    >>> axis = SpectralAxis(np.array([500.0, 600.0, 700.0]), 10.0, np.array([True, True, False]))
+    >>> seen = np.linspace(0.1, 0.4, 3072).reshape(32, 32, 3)
+    >>> seen[:5, :, 2] = np.nan  # as bands of water vapour often are
+    >>> with TemporaryDirectory() as folder:
+    ...     cube = open_cube(write_cube(f"{folder}/x.img", seen, axis=axis), quantity="reflectance")
+    ...     (cube.bands, cube.marked_pixels(np.ones((32, 32), bool))[1].all().item())
+    (2, True)
 
     Raises
     ------
@@ -319,13 +329,13 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     values = values[np.nan_to_num(values).any(axis=1) & ~filled(stored.T, cube.ignore_value)]
     cube = replace(cube, notes=(*cube.notes, *fill_notes(stored, cube.ignore_value)))
     known = np.isfinite(values)
-    some = np.asarray(known.any(axis=0))
+    some = np.asarray(known.any(axis=0)) & (cube.axis.good | known[known[:, cube.axis.good].all(axis=1)].all(axis=0))
     highest = np.max(values, axis=0, where=known, initial=-np.inf)
     varies = highest > np.min(values, axis=0, where=known, initial=np.inf)
-    if len(values) >= _FEWEST_CHECKED and varies.any() and np.any(cube.axis.good & ~varies):
+    if len(values) >= _FEWEST_CHECKED and varies.any() and not np.all((varies | ~cube.axis.good) & some):
         axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & varies)
-        numbers = ", ".join(str(n + 1) for n in cube.stored_band[~varies][:_MOST_LISTED])
-        what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(~some)} none"
+        numbers = ", ".join(str(n + 1) for n in cube.stored_band[~(varies & some)][:_MOST_LISTED])
+        what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(~some)} none, or not in all"
         notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
         cube = replace(cube, axis=axis.select(some), stored_band=cube.stored_band[some], notes=notes)
         values = values[:, some]
