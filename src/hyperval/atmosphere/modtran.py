@@ -435,19 +435,18 @@ def _day(state: AtmosphericState) -> int:
     return min(range(4, 186), key=lambda day: abs(solar.distance_on_day(day) - distance))
 
 
-def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: int = 5) -> str:
-    """The deck: one case for each albedo of uniform ground, radiance with the sun, from the ground to the sensor.
+def tape5(state: AtmosphericState, version: int = 5) -> str:
+    """The deck: one case for each albedo of ``ALBEDOS``, radiance with the sun, from the ground to the sensor.
 
     Parameters
     ----------
     state : atmosphere, sun and sensor
-    albedos : reflectance of the ground of each case, 0-1
     version : 4 or 5, which differ in cards 1, 1A and 4.  Version 4 takes the aerosol as meteorological range (the
         LOWTRAN rule), version 5 as optical depth at 550 nm
 
     Raises
     ------
-    UsageError : no run, an unknown version, or a state that MODTRAN cannot be told.
+    UsageError : an unknown version, or a state that MODTRAN cannot be told.
     """
     refuse(version not in (4, 5), "modtran.cards", version=version)
     view, sun, azimuth = _angles(state)
@@ -458,14 +457,8 @@ def tape5(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, version: 
         "water": _amount("g", state.water_vapour_g_cm2), "ozone": _amount("a", state.ozone_atm_cm),
         "sensor": state.sensor_altitude_km, "view": view, "azimuth": azimuth, "sun": sun,
     }  # fmt: skip
-    cards, last = _TABLE["cards"][version], len(_checked(albedos)) - 1
-    return "".join(cards.format(albedo=albedo, more=int(i < last), **told) for i, albedo in enumerate(albedos))
-
-
-def _checked(albedos: Sequence[float]) -> Sequence[float]:
-    absurd = not albedos or not all(0.0 <= a <= 1.0 for a in albedos)
-    refuse(absurd, "modtran.ground", albedos=list(albedos))
-    return albedos
+    cards = _TABLE["cards"][version]
+    return "".join(cards.format(albedo=albedo, more=int(albedo != ALBEDOS[-1]), **told) for albedo in ALBEDOS)
 
 
 def _amount(unit: str, value: float | None) -> str:
@@ -473,22 +466,16 @@ def _amount(unit: str, value: float | None) -> str:
     return " " * 10 if value is None else f"  {unit}{value:7.5f}"
 
 
-def modtran6_json(state: AtmosphericState, albedos: Sequence[float] = ALBEDOS, name: str = "hyperval") -> str:
-    """The input of MODTRAN 6: one case for each albedo of uniform ground, all under one name and so in one output.
+def modtran6_json(state: AtmosphericState) -> str:
+    """The input of MODTRAN 6: one case for each albedo of ``ALBEDOS``, all under one name and so in one output.
 
     Raises
     ------
-    UsageError : no run, or a state that MODTRAN cannot be told.
+    UsageError : a state that MODTRAN cannot be told.
     """
-    cases = [{"MODTRANINPUT": _json_case(state, a, number, name)} for number, a in enumerate(_checked(albedos))]
-    return json.dumps({"MODTRAN": cases}, indent=2) + "\n"
-
-
-def _json_case(state: AtmosphericState, albedo: float, number: int, name: str) -> dict[str, Any]:
-    view, sun, azimuth = _angles(state)
-    haze, word = _haze(state)
+    (view, sun, azimuth), (haze, word) = _angles(state), _haze(state)
     told: dict[str, dict[str, Any]] = {
-        "ATMOSPHERE": {"MODEL": MODELS[state.model][1]}, "SURFACE": {"SURREF": albedo},
+        "ATMOSPHERE": {"MODEL": MODELS[state.model][1]}, "SURFACE": {"SURREF": 0.0},
         # A negative range is an optical depth at 550 nm.
         "AEROSOLS": {"IHAZE": word} | ({"VIS": -state.aerosol_optical_depth} if haze else {}),
         "GEOMETRY": {"OBSZEN": view, "IDAY": _day(state), "PARM1": azimuth, "PARM2": sun},
@@ -498,7 +485,12 @@ def _json_case(state: AtmosphericState, albedo: float, number: int, name: str) -
             told[section] |= {key: getattr(state, field)} | ({of_unit: unit} if unit else {})
     fixed = _TABLE["input"]
     sections = {section: fixed.get(section, {}) | told.get(section, {}) for section in (*told, *fixed)}
-    return {"NAME": name, "DESCRIPTION": "", "CASE": number, **sections}
+    grounds = [sections["SURFACE"] | {"SURREF": albedo} for albedo in ALBEDOS]
+    cases = [
+        {"NAME": _NAME, "DESCRIPTION": "", "CASE": number, **sections, "SURFACE": ground}
+        for number, ground in enumerate(grounds)
+    ]
+    return json.dumps({"MODTRAN": [{"MODTRANINPUT": case} for case in cases]}, indent=2) + "\n"
 
 
 _MAX_BYTES = 16 << 20
@@ -647,7 +639,7 @@ def modtran_terms(state: AtmosphericState, folder: Path) -> AtmosphericTerms:
     """
     modtran = configured_modtran()
     six = modtran.version == 6
-    deck = modtran6_json(state, name=_NAME) if six else tape5(state, version=modtran.version)
+    deck = modtran6_json(state) if six else tape5(state, modtran.version)
     binary = _fingerprint(str(modtran.executable), modtran.executable.stat().st_mtime_ns)
     inputs = {"scheme": _SCHEME, "binary": binary, "version": modtran.version, "deck": deck}
 
