@@ -58,6 +58,9 @@ def to_internal(unit: str, quantity: str) -> float:
     >>> [to_internal(unit, "radiance") for unit in ("uW/cm^2*nm*sr", "W/m2 sr-1 um-1", "SRU", "µflick")]
     [1.0, 0.1, 1.0, 0.001]
 
+    >>> to_internal("(microwatts/cm^2)/(nm*sr)", "radiance"), to_internal("W⋅m-2⋅sr-1⋅um-1", "radiance")
+    (1.0, 0.1)
+
     Raises
     ------
     UsageError : an unknown unit.
@@ -133,8 +136,8 @@ def _parts(unit: str) -> list[tuple[str, int]]:
     text = _NAMED.get(unit.strip().translate(_SIGNS).lower(), unit.strip())
     text = re.sub(r"\b(?:square|sq\.?)\s*([a-z]+)", r"\g<1>2", text, flags=re.IGNORECASE)
     text = re.sub(r"\sper\s", "/", text, flags=re.IGNORECASE)
-    text = text.replace("**", "^").translate(_SIGNS).replace("^", "")
-    grouped = re.fullmatch(r"[^()/]+/\s*\([^()/]*\)", text) is not None  # W/(m2 sr um): all are divided by
+    text = re.sub(r"^\(([^()]*)\)\s*/", r"\1/", text.replace("**", "^").translate(_SIGNS).replace("^", ""))
+    grouped = re.fullmatch(r"[^()]+/\s*\([^()/]*\)", text) is not None  # W/(m2 sr um): all are divided by
     if not grouped and re.search(r"[()]", text):
         return []
     numerator, *divisors = re.sub(r"[()]", " ", text).split("/")
@@ -150,5 +153,5 @@ def _parts(unit: str) -> list[tuple[str, int]]:
 
 # Micro, minus and dot have several characters; raised digits are digits.
 _SIGNS = str.maketrans({
-    "µ": "u", "μ": "u", "−": "-", "–": "-", "⁻": "-", "·": " ", ".": " ", "*": " ", "²": "2", "¹": "1",
+    "µ": "u", "μ": "u", "−": "-", "–": "-", "⁻": "-", "·": " ", "⋅": " ", ".": " ", "*": " ", "²": "2", "¹": "1",
 })  # fmt: skip
