@@ -286,10 +286,7 @@ class Geometry(Model):
     side_m: float | None = Field(None, gt=0)
     length_m: float | None = Field(None, gt=0)
     width_m: float | None = Field(None, gt=0)
-    heading_deg: float | Literal["random"] = Field(
-        0.0,
-        description="of the length, counter-clockwise from the direction of the lines; a list of targets: clockwise",
-    )
+    heading_deg: float | Literal["random"] = Field(0.0, description="of the length, counter-clockwise from the lines")
     gsd_m: float = Field(title="ground sampling distance", gt=0, description="ground side of a pixel")
     psf_fwhm_pixels: BlurWidth | tuple[BlurWidth, BlurWidth] | None = Field(
         None,

@@ -618,7 +618,7 @@ def compare_spectra(
             yield row(f"fraction_inside_stated{ending}", share, n=int(bands.sum()))
     for name, region in parts.items():
         if region.any() or name == "windows":  # what the sensor does not see was not planned
-            yield from _summary(name, ratio, covariance, usable & region & np.isfinite(ratio))
+            yield from _summary(name, ratio, covariance, usable & region)
     if window.any():
         yield from _consistency(predicted, observed, window, axis.centre_nm)
     else:
@@ -647,18 +647,26 @@ def shares(left: SpectralEstimate, right: SpectralEstimate, bands: Mask) -> list
     return sorted(((name, part / total) for name, part in found.items()), key=lambda item: -item[1])
 
 
+MOST_WITHOUT_RATIO = 0.1  # of the bands of a region
 _SUMMARIES = ("median_difference_ratio", "median_abs_difference_ratio", "max_abs_difference_ratio")
 
 
 def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterator[Result]:
-    names = [f"{metric}_{name}" for metric in _SUMMARIES]
-    if not bands.any():
-        yield from without("no_bands.region", *names, region=name)
+    """Rows of a region; none where more than a tenth of its bands have no ratio, as a model may be wrong in these.
+
+    >>> ratio, one = np.array([0.01, 0.0, 0.02, np.nan]), np.ones(4, dtype=bool)
+    >>> [(r.value, r.reason[:6]) for r in _summary("windows", ratio, np.eye(4), one)][0]
+    (nan, '1 of 4')
+    """
+    names, use = [f"{metric}_{name}" for metric in _SUMMARIES], bands & np.isfinite(ratio)
+    told = {"lost": int(np.sum(bands & ~use)), "count": int(bands.sum())}
+    if told["lost"] > MOST_WITHOUT_RATIO * told["count"] or not use.any():
+        yield from without("no_bands.positive" if use.any() else "no_bands.region", *names, region=name, **told)
         return
-    r, here = ratio[bands], covariance[np.ix_(bands, bands)]
+    why, r, here = said("no_bands.positive", **told) if told["lost"] else "", ratio[use], covariance[np.ix_(use, use)]
     values, intervals = (np.median(r), np.median(np.abs(r)), np.max(np.abs(r))), summary_intervals(r, here)
     for metric, value, interval in zip(names, values, intervals, strict=True):
-        yield row(metric, value, interval, n=r.size)
+        yield row(metric, value, interval, n=r.size, reason=why)
 
 
 _TESTS = (
