@@ -23,7 +23,7 @@ from hyperval.datasets import SIMULATED, check_copy, how_to_get, owner_of, resol
 from hyperval.envi_header import header_beside
 from hyperval.errors import HypervalError, InputError
 from hyperval.imagery import needs_header
-from hyperval.metrics import foreign
+from hyperval.metrics import Kind, foreign, metric_of
 from hyperval.model import Sources
 from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe, open_place, target_groups
 from hyperval.paths import Resolve
@@ -156,6 +156,11 @@ def _items(job: Job, finished: Path | None) -> list[Item]:
 def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
     """Criteria that what is known beforehand, or of a cube what an earlier run found, does not decide."""
     campaign = job.campaign
+    for gate in campaign.comparisons:
+        metric = metric_of(gate.metric)
+        if gate.gate and (metric.kind is Kind.STATISTIC or metric.kind is Kind.QUANTITY and metric.interval == "none"):
+            words = "a value without an interval, which no range decides: gate: false, or another metric"
+            yield Item("", COMPARISON, NEVER_MET, f"{gate.product} {gate.metric}", words)
     found: list[tuple[Result, str]] = []
     if campaign.collection.cube is not None and finished is not None and is_run(finished):
         rows = (row for row in read_rows(finished, every=False) if row.campaign == campaign.name and row.gates)
