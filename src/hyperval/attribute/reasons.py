@@ -26,7 +26,7 @@ from hyperval.attribute.candidates import (
     rarer_candidates,
     usual_inputs,
 )
-from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Reasoner, Whitened, posterior, posteriors
+from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Reasoner, Residuals, Whitened
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
@@ -442,7 +442,7 @@ class Causes:
         """
         columns, exact = dict(columns), set[tuple[Candidate, float]]()
         for last in range(MOST_ROUNDS, -1, -1):
-            found = posterior(ALL, residual, covariance, columns, self.wide[of], noisy)
+            found = Residuals(residual, covariance, columns, self.wide[of]).posterior(ALL, noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
             # At none of those that the model was asked at.
@@ -666,7 +666,8 @@ def attribute(
     shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
     outcomes = _what_ifs(model, causes, options.what_ifs)
     columns, _ = causes.standing()
-    ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
+    everything = Residuals(causes.residual, causes.covariance, columns, causes.wide)
+    ranked = everything.posteriors(stack, options.each)
     if accepted and (since := causes.changed(accepted[0], simulated=simulated)) is not None:
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
