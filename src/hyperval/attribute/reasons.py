@@ -69,6 +69,7 @@ UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not ch
 Truths = Sequence[Truth]  # what is moved in each scenario
 # Sides of an accepted run by quantity (:meth:`Causes.sides`), and its reduced chi-square of all residuals, 0: not known
 Accepted = tuple[Mapping[str, Sequence[str]], float]
+Classes = Mapping[str, Mapping[str, Array]]  # (B,) mean of each by product
 Key = tuple[str, str, str]  # background, detector, metric
 Evaluate = Callable[..., list[tuple[Array, Array]]]  # of truths, a title, and whether a budget is made of them
 Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
@@ -703,20 +704,15 @@ def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Arra
 
 
 def _of_spectra(
-    stack: Stack,
-    classes: Mapping[str, Mapping[str, Array]],
-    fractions: Mapping[str, float],
-    centre_nm: Array,
-    level: Array,
-    arms: Mapping[str, Array],
+    stack: Stack, classes: Classes, area: Mapping[str, float], centre_nm: Array, level: Array, arms: Mapping[str, Array]
 ) -> dict[Candidate, Array]:
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
     bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
     gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, alike=alike) for alike in (False, True))
     own, shared = gain.sum(axis=1), offset.sum(axis=1)
-    scene = stack.of_scene(classes, fractions, shared)
+    scene = stack.of_scene(classes, area, shared)
     flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
-    smooth, mean, area = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
+    smooth, mean, part = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
     parts: list[tuple[str, str, str, tuple[float, ...], Array]] = [
         (SINGLE_BANDS, "sensor", f"{100 * BAND_PART:g} % in each band", (), BAND_PART * bands),
         ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
@@ -724,7 +720,7 @@ def _of_spectra(
         ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (scene - own)),
         ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.levelled(level)),
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
-        *((name, "region", area, (-5.0, 50.0), change) for name, change in mixed.items()),
+        *((name, "region", part, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
     for where, arm in arms.items():
         parts.append((f"sensor gain of {where}", "sensor", "1 %", (-20.0, 25.0), 0.01 * own * arm[stack.bands]))
