@@ -149,17 +149,21 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
             yield f"warning: noise counts twice: the pixels that give {c.name!r} its covariance hold it too, {much}"
 
 
+NEAR_A_POWER = 0.3  # of ten: to a factor of two
+
+
 def _of_scale(rows: Sequence[Result]) -> Iterator[str]:
     """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
 
     >>> def rows(*levels):
     ...     return [Result("", "reflectance", "", "", "median_difference_ratio_windows", 0.4 / x - 1.0) for x in levels]
-    >>> [[text[9:63] for text in _of_scale(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4))]
-    [['every measured reflectance is some 0.1 times the predi'], []]
+    >>> [[text[9:63] for text in _of_scale(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4), (0.1,))]
+    [['every measured reflectance is some 0.1 times the predi'], [], []]
     """
     for product in ("radiance", "reflectance", "toa_reflectance"):
         own = [r.value for r in rows if (r.product, r.metric) == (product, "median_difference_ratio_windows")]
-        powers = {-round(math.log10(1.0 + ratio)) for ratio in own if ratio > -1.0}
+        logs = [math.log10(1.0 + ratio) for ratio in own if ratio > -1.0]
+        powers = {-round(x) if abs(x - round(x)) < NEAR_A_POWER else 0 for x in logs}
         if len(powers) == 1 and (power := powers.pop()):
             why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
             yield f"warning: every measured {product} is some {10.0**power:g} times the predicted one: {why}"
