@@ -35,6 +35,7 @@ from .reasons import (
     causes_of,
     changed_scenarios,
     reason_for,
+    scale_warnings,
     shares_of_variance,
 )
 from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stacked
@@ -46,5 +47,5 @@ __all__ = [
     "Truths", "WhatIf", "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "candidates", "causes_of",
     "changed_scenarios", "common_and_own", "errors_of_file", "exchanged_pairs", "few_objects", "further_candidates",
     "injected_errors", "injected_prediction", "kind_of", "others_in_place", "quantities", "rarer_candidates",
-    "reason_for", "sampled_covariance", "shares_of_variance", "stacked",
+    "reason_for", "sampled_covariance", "scale_warnings", "shares_of_variance", "stacked",
 ]  # fmt: skip

@@ -734,6 +734,26 @@ def _of_spectra(
     return out
 
 
+NEAR_A_POWER = 0.3  # of ten: to a factor of two
+
+
+def scale_warnings(rows: Sequence[Result]) -> Iterator[str]:
+    """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
+
+    >>> def rows(*levels):
+    ...     return [Result("", "reflectance", "", "", "median_difference_ratio_windows", 0.4 / x - 1.0) for x in levels]
+    >>> [[text[9:63] for text in scale_warnings(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4), (0.1,))]
+    [['every measured reflectance is some 0.1 times the predi'], [], []]
+    """
+    for quantity in ("radiance", "reflectance", "toa_reflectance"):
+        own = [r.value for r in rows if (r.product, r.metric) == (quantity, "median_difference_ratio_windows")]
+        logs = [math.log10(1.0 + ratio) for ratio in own if ratio > -1.0]
+        powers = {-round(x) if abs(x - round(x)) < NEAR_A_POWER else 0 for x in logs}
+        if len(powers) == 1 and (power := powers.pop()):
+            why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
+            yield f"warning: every measured {quantity} is some {10.0**power:g} times the predicted one: {why}"
+
+
 def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:
     """A change, with a remark where numbers that are the same have another reduced chi-square than ``then``, if any."""
     other = then and abs(now / then - 1.0) > OFF

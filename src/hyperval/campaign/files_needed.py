@@ -356,8 +356,7 @@ def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
     for name in twice(names):
         lookup.add(("collection", "regions"), f"two regions are named {name!r}")
     known: dict[str, Sequence[str]] = {"region": names}
-    truth = collection.targets
-    seen = place if truth is None else lookup.tried(("collection", "targets"), opened, targets=truth)
+    seen = lookup.tried(("collection", "targets"), opened, targets=collection.targets) if collection.targets else place
     if detection is not None and detection.targets and seen is not None:  # else one mistake would make others
         lookup.tried(("detection",), check_line_for_detection, seen, collection)
         for i, target in enumerate(detection.targets):

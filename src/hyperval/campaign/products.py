@@ -23,7 +23,7 @@ from rasterio.warp import transform as reproject
 
 from hyperval import model, observe
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place
+from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place, scale_warnings
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
 from hyperval.compare import compare_products, judged, told_apart, would_decide
@@ -108,7 +108,7 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
     place = side.observed.place
     if place is None:
         return
-    yield from _of_scale(rows)
+    yield from scale_warnings(rows)
     yield from _of_noise(side, prediction) if prediction is not None else ()
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
@@ -147,26 +147,6 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
         if pixels is not None and snr is not None and (part := noise_share(pixels, snr)) > MOST_OF_NOISE:
             much = f"{100.0 * part:.0f} % of the predicted variance, on average over directions: too many false alarms"
             yield f"warning: noise counts twice: the pixels that give {c.name!r} its covariance hold it too, {much}"
-
-
-NEAR_A_POWER = 0.3  # of ten: to a factor of two
-
-
-def _of_scale(rows: Sequence[Result]) -> Iterator[str]:
-    """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
-
-    >>> def rows(*levels):
-    ...     return [Result("", "reflectance", "", "", "median_difference_ratio_windows", 0.4 / x - 1.0) for x in levels]
-    >>> [[text[9:63] for text in _of_scale(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4), (0.1,))]
-    [['every measured reflectance is some 0.1 times the predi'], [], []]
-    """
-    for product in ("radiance", "reflectance", "toa_reflectance"):
-        own = [r.value for r in rows if (r.product, r.metric) == (product, "median_difference_ratio_windows")]
-        logs = [math.log10(1.0 + ratio) for ratio in own if ratio > -1.0]
-        powers = {-round(x) if abs(x - round(x)) < NEAR_A_POWER else 0 for x in logs}
-        if len(powers) == 1 and (power := powers.pop()):
-            why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
-            yield f"warning: every measured {product} is some {10.0**power:g} times the predicted one: {why}"
 
 
 MOST_OF_NOISE = 0.1
