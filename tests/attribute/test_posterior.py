@@ -26,7 +26,7 @@ WAVE = 0.1 * np.sin(40 * X)
 
 def _posterior(residual, columns=COLUMNS, covariance=None):
     covariance = 0.1**2 * np.eye(N) if covariance is None else covariance
-    return attribute.posterior("all", residual, covariance, columns, WIDE)
+    return attribute.Residuals(residual, covariance, columns, WIDE).posterior("all")
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_a_noise_that_is_wrong_is_named_where_the_sum_of_all_residuals_passes():
     cause = attribute.Candidate("electrons", "sensor", "5 %", False, sizes=(-9.0, 9.0))
     residual = 0.93 * rng.normal(size=n) + 4.0 * electrons
     columns = {cause: np.outer(electrons, cause.sizes)}
-    found = attribute.posterior("all", residual, np.eye(n), columns, np.zeros((n, 1)) + 0.1)
+    found = attribute.Residuals(residual, np.eye(n), columns, np.zeros((n, 1)) + 0.1).posterior("all")
     assert found.p_value > 0.05
     assert found.first == "electrons"
 
@@ -118,9 +118,9 @@ def test_what_all_subjects_share_is_told_apart_from_what_differs():
     noise = 0.005 * rng.normal(size=60)
     for candidate, group in zip(columns, (attribute.COMMON, attribute.DIFFERENT), strict=True):
         residual = 3 * columns[candidate][:, 0] + noise
-        parts = attribute.common_and_own(common, residual, covariance, columns, wide)
-        found = {name: attribute.posterior(name, *data) for name, data in parts.items()}
-        assert TILT not in parts[attribute.DIFFERENT][2]  # what all share
+        parts = attribute.common_and_own(common, attribute.Residuals(residual, covariance, columns, wide))
+        found = {name: data.posterior(name) for name, data in parts.items()}
+        assert TILT not in parts[attribute.DIFFERENT].columns  # what all share
         assert [found[name].dof for name in (attribute.COMMON, attribute.DIFFERENT)] == [20, 40]
         assert found[group].first == candidate.name
         assert found[group].fits[0].units == pytest.approx(3.0, abs=0.3)
@@ -131,7 +131,7 @@ def test_the_two_parts_hold_all_of_the_residuals_and_do_not_correlate():
     rng = np.random.default_rng(8)
     a = rng.normal(size=(60, 60))
     covariance, r = a @ a.T / 60 + 0.1 * np.eye(60), rng.normal(size=60)
-    parts = attribute.common_and_own(common, r, covariance, columns, np.eye(60))
+    parts = attribute.common_and_own(common, attribute.Residuals(r, covariance, columns, np.eye(60)))
     whole = sum(x @ np.linalg.solve(c, x) for x, c, *_ in parts.values())
     assert whole == pytest.approx(r @ np.linalg.solve(covariance, r), rel=1e-9)
 
@@ -172,7 +172,7 @@ def test_rounding_neither_orders_what_explains_the_same_nor_counts_as_an_effect(
         attribute.Candidate("m", "", "", False): np.array([[0.3 * (1.0 + 4e-16)], [0.0]]),
         attribute.Candidate("far alone", "", "", False): np.array([[1e-17], [1.0]]),
     }
-    _, near = attribute.posteriors(stack, np.array([5.0, 0.0]), np.eye(2), columns, 0.1 * np.eye(2), ["near"])
+    _, near = attribute.Residuals(np.array([5.0, 0.0]), np.eye(2), columns, 0.1 * np.eye(2)).posteriors(stack, ["near"])
     assert [f.name for f in near.fits] == sorted([name, "m"])
 
 

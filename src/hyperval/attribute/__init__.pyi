@@ -21,11 +21,10 @@ from .posterior import (
     NOTHING,
     Posterior,
     Reasoner,
+    Residuals,
     Whitened,
     common_and_own,
     kind_of,
-    posterior,
-    posteriors,
 )
 from .reasons import (
     Causes,
@@ -36,6 +35,7 @@ from .reasons import (
     causes_of,
     changed_scenarios,
     reason_for,
+    scale_warnings,
     shares_of_variance,
 )
 from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stacked
@@ -43,9 +43,9 @@ from .schema import AttributionOptions, WhatIf
 
 __all__ = [
     "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
-    "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "ScenarioModel", "Stack", "Truths", "WhatIf",
-    "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "candidates", "causes_of",
+    "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "Residuals", "ScenarioModel", "Stack",
+    "Truths", "WhatIf", "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "candidates", "causes_of",
     "changed_scenarios", "common_and_own", "errors_of_file", "exchanged_pairs", "few_objects", "further_candidates",
-    "injected_errors", "injected_prediction", "kind_of", "others_in_place", "posterior", "posteriors",
-    "quantities", "rarer_candidates", "reason_for", "sampled_covariance", "shares_of_variance", "stacked",
+    "injected_errors", "injected_prediction", "kind_of", "others_in_place", "quantities", "rarer_candidates",
+    "reason_for", "sampled_covariance", "scale_warnings", "shares_of_variance", "stacked",
 ]  # fmt: skip

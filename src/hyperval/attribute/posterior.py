@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -719,60 +720,59 @@ def _after(fit: Fit, x: Array) -> Array:
     return np.asarray((x - fit.freed @ ((fit.freed.T @ x).T * less).T) / np.sqrt(fit.factor2))
 
 
-def posteriors(
-    stack: Stack,
-    residual: Array,
-    covariance: Array,
-    columns: Mapping[Candidate, Array],
-    wide: Array,
-    each: Sequence[str],
-) -> list[Posterior]:
-    """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``.
-
-    A gain that all subjects share is no reason for what differs between them:
-
-    >>> from hyperval.attribute import ResidualBlock
-    >>> level, noise = np.array([1.0, 2.0, 3.0, 1.5, 1.0, 0.5]), 0.01 * np.random.default_rng(1).normal(size=6)
-    >>> seen, half = level + level * noise, (("lawn", slice(0, 3)), ("lot", slice(3, 6)))
-    >>> blocks = [
-    ...     ResidualBlock("radiance", n, "", seen[i], np.diag(1e-4 * level[i] ** 2), len, np.arange(3))
-    ...     for n, i in half
-    ... ]
-    >>> stack, gain = Stack(tuple(blocks)), Candidate("gain", "sensor", "1 %", False, sizes=(-20.0, 25.0))
-    >>> columns = {gain: np.outer(0.01 * level, gain.sizes)}
-    >>> found = posteriors(stack, level * noise, stack.covariance, columns, 0.1 * np.diag(level), [])
-    >>> [(posterior.group, [fit.name for fit in posterior.fits]) for posterior in found]
-    [('all', ['gain']), ('what all subjects share', ['gain']), ('what differs between subjects', [])]
+class Residuals(NamedTuple):
+    """Residuals (n,), observed minus predicted, with their covariance (n, n); what candidates, (n, k) each, and no
+    candidate, (n, K), would do to them.
     """
 
-    def part(of: Index) -> tuple[Array, Array, dict[Candidate, Array], Array]:
-        moved = {c: g[of] for c, g in columns.items() if _moves(g[of], g)}
-        return residual[of], covariance[np.ix_(of, of)], moved, wide[of]
+    values: Array
+    covariance: Array
+    columns: Mapping[Candidate, Array]
+    wide: Array
 
-    parts: list[Posterior] = []
-    # Of the prediction: of what was measured, any factor below 1 on the prediction would leave less of what differs.
-    spectra, common = stack.common_bands(stack.observed - residual)
-    if common.size and len(spectra) > common.shape[1]:
-        parts = [posterior(name, *data) for name, data in common_and_own(common, *part(spectra)).items()]
-    out = [replace(posterior(ALL, residual, covariance, columns, wide), parts=tuple(parts)), *parts]
-    subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
-    named = stack.named("subject")  # with the background seen through its filter
-    out += [posterior(s, *part(np.flatnonzero(np.isin(named, [s, background_of(s)])))) for s in subjects]
-    return [replace(r, level=ENOUGH / len(out)) for r in out]
+    def of(self, entries: Index) -> Residuals:
+        """Some of them, and the candidates that move these."""
+        moved = {c: g[entries] for c, g in self.columns.items() if _moves(g[entries], g)}
+        return Residuals(self.values[entries], self.covariance[np.ix_(entries, entries)], moved, self.wide[entries])
+
+    def posterior(self, group: str, noisy: bool = True) -> Posterior:
+        """Of their causes."""
+        data = Whitened(self.values, self.covariance)
+        columns = {c: data.whiten(g) for c, g in self.columns.items()}
+        return Reasoner(columns, data.whiten(self.wide), noisy=noisy).posterior(group, data.residual)
+
+    def posteriors(self, stack: Stack, each: Sequence[str]) -> list[Posterior]:
+        """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``.
+
+        A gain that all subjects share is no reason for what differs between them:
+
+        >>> from hyperval.attribute import ResidualBlock
+        >>> level, noise = np.array([1.0, 2.0, 3.0, 1.5, 1.0, 0.5]), 0.01 * np.random.default_rng(1).normal(size=6)
+        >>> seen, half = level + level * noise, (("lawn", slice(0, 3)), ("lot", slice(3, 6)))
+        >>> blocks = [
+        ...     ResidualBlock("radiance", n, "", seen[i], np.diag(1e-4 * level[i] ** 2), len, np.arange(3))
+        ...     for n, i in half
+        ... ]
+        >>> stack, gain = Stack(tuple(blocks)), Candidate("gain", "sensor", "1 %", False, sizes=(-20.0, 25.0))
+        >>> columns = {gain: np.outer(0.01 * level, gain.sizes)}
+        >>> told = Residuals(level * noise, stack.covariance, columns, 0.1 * np.diag(level))
+        >>> found = told.posteriors(stack, [])
+        >>> [(posterior.group, [fit.name for fit in posterior.fits]) for posterior in found]
+        [('all', ['gain']), ('what all subjects share', ['gain']), ('what differs between subjects', [])]
+        """
+        parts: list[Posterior] = []
+        # Of the prediction: of what was measured, any factor below 1 on it would leave less of what differs.
+        spectra, common = stack.common_bands(stack.observed - self.values)
+        if common.size and len(spectra) > common.shape[1]:
+            parts = [own.posterior(name) for name, own in common_and_own(common, self.of(spectra)).items()]
+        out = [replace(self.posterior(ALL), parts=tuple(parts)), *parts]
+        subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
+        named = stack.named("subject")  # with the background seen through its filter
+        out += [self.of(np.flatnonzero(np.isin(named, [s, background_of(s)]))).posterior(s) for s in subjects]
+        return [replace(r, level=ENOUGH / len(out)) for r in out]
 
 
-def posterior(
-    group: str, residual: Array, covariance: Array, columns: Mapping[Candidate, Array], wide: Array, noisy: bool = True
-) -> Posterior:
-    """Of the causes of residuals (n,), observed minus predicted, with covariance (n, n)."""
-    data = Whitened(residual, covariance)
-    known = Reasoner({c: data.whiten(g) for c, g in columns.items()}, data.whiten(wide), noisy=noisy)
-    return known.posterior(group, data.residual)
-
-
-def common_and_own(
-    common: Array, residual: Array, covariance: Array, columns: Mapping[Candidate, Array], wide: Array
-) -> dict[str, tuple[Array, Array, dict[Candidate, Array], Array]]:
+def common_and_own(common: Array, of: Residuals) -> dict[str, Residuals]:
     """What is common to all subjects, and what differs between them: two independent parts of the residuals.
 
     The common part is the generalised least-squares estimate of one factor for each band; the other is what no such
@@ -781,23 +781,19 @@ def common_and_own(
     Parameters
     ----------
     common : (m, K) what a unit of each band's factor does
-    residual, covariance : (m,), (m, m) of the spectra
-
-    Returns
-    -------
-    Group -> residuals, covariance and columns, as :func:`posterior` takes them.
+    of : those of the spectra
     """
     whole, _ = linalg.qr(common)
     rest = whole[:, common.shape[1] :]
-    weighted = linalg.solve(covariance, common, assume_a="pos")
+    weighted = linalg.solve(of.covariance, common, assume_a="pos")
     spread = linalg.inv(common.T @ weighted)
     spread = 0.5 * (spread + spread.T)
     estimate = spread @ weighted.T
     out = {}
-    for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ covariance @ rest)):
-        moved = {candidate: m @ g for candidate, g in columns.items()}
-        kept = {k: g for k, g in moved.items() if _moves(g, columns[k])}
-        out[name] = (m @ residual, c, kept, m @ wide)
+    for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ of.covariance @ rest)):
+        moved = {candidate: m @ g for candidate, g in of.columns.items()}
+        kept = {k: g for k, g in moved.items() if _moves(g, of.columns[k])}
+        out[name] = Residuals(m @ of.values, c, kept, m @ of.wide)
     return out
 
 

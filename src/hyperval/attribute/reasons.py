@@ -26,7 +26,7 @@ from hyperval.attribute.candidates import (
     rarer_candidates,
     usual_inputs,
 )
-from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Reasoner, Whitened, posterior, posteriors
+from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Reasoner, Residuals, Whitened
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
@@ -69,6 +69,7 @@ UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not ch
 Truths = Sequence[Truth]  # what is moved in each scenario
 # Sides of an accepted run by quantity (:meth:`Causes.sides`), and its reduced chi-square of all residuals, 0: not known
 Accepted = tuple[Mapping[str, Sequence[str]], float]
+Classes = Mapping[str, Mapping[str, Array]]  # (B,) mean of each by product
 Key = tuple[str, str, str]  # background, detector, metric
 Evaluate = Callable[..., list[tuple[Array, Array]]]  # of truths, a title, and whether a budget is made of them
 Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
@@ -442,7 +443,7 @@ class Causes:
         """
         columns, exact = dict(columns), set[tuple[Candidate, float]]()
         for last in range(MOST_ROUNDS, -1, -1):
-            found = posterior(ALL, residual, covariance, columns, self.wide[of], noisy)
+            found = Residuals(residual, covariance, columns, self.wide[of]).posterior(ALL, noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
             # At none of those that the model was asked at.
@@ -666,7 +667,8 @@ def attribute(
     shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
     outcomes = _what_ifs(model, causes, options.what_ifs)
     columns, _ = causes.standing()
-    ranked = posteriors(stack, causes.residual, causes.covariance, columns, causes.wide, options.each)
+    everything = Residuals(causes.residual, causes.covariance, columns, causes.wide)
+    ranked = everything.posteriors(stack, options.each)
     if accepted and (since := causes.changed(accepted[0], simulated=simulated)) is not None:
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
@@ -702,20 +704,15 @@ def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Arra
 
 
 def _of_spectra(
-    stack: Stack,
-    classes: Mapping[str, Mapping[str, Array]],
-    fractions: Mapping[str, float],
-    centre_nm: Array,
-    level: Array,
-    arms: Mapping[str, Array],
+    stack: Stack, classes: Classes, area: Mapping[str, float], centre_nm: Array, level: Array, arms: Mapping[str, Array]
 ) -> dict[Candidate, Array]:
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
     bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
     gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, alike=alike) for alike in (False, True))
     own, shared = gain.sum(axis=1), offset.sum(axis=1)
-    scene = stack.of_scene(classes, fractions, shared)
+    scene = stack.of_scene(classes, area, shared)
     flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
-    smooth, mean, area = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
+    smooth, mean, part = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
     parts: list[tuple[str, str, str, tuple[float, ...], Array]] = [
         (SINGLE_BANDS, "sensor", f"{100 * BAND_PART:g} % in each band", (), BAND_PART * bands),
         ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
@@ -723,7 +720,7 @@ def _of_spectra(
         ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (scene - own)),
         ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.levelled(level)),
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
-        *((name, "region", area, (-5.0, 50.0), change) for name, change in mixed.items()),
+        *((name, "region", part, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
     for where, arm in arms.items():
         parts.append((f"sensor gain of {where}", "sensor", "1 %", (-20.0, 25.0), 0.01 * own * arm[stack.bands]))
@@ -735,6 +732,26 @@ def _of_spectra(
             one = Candidate(name, kind, step, False, sizes=sizes, knots_nm=tuple(KNOTS_NM) if step == smooth else ())
             out[one] = np.outer(change, sizes) if sizes else change
     return out
+
+
+NEAR_A_POWER = 0.3  # of ten: to a factor of two
+
+
+def scale_warnings(rows: Sequence[Result]) -> Iterator[str]:
+    """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
+
+    >>> def rows(*levels):
+    ...     return [Result("", "reflectance", "", "", "median_difference_ratio_windows", 0.4 / x - 1.0) for x in levels]
+    >>> [[text[9:63] for text in scale_warnings(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4), (0.1,))]
+    [['every measured reflectance is some 0.1 times the predi'], [], []]
+    """
+    for quantity in ("radiance", "reflectance", "toa_reflectance"):
+        own = [r.value for r in rows if (r.product, r.metric) == (quantity, "median_difference_ratio_windows")]
+        logs = [math.log10(1.0 + ratio) for ratio in own if ratio > -1.0]
+        powers = {-round(x) if abs(x - round(x)) < NEAR_A_POWER else 0 for x in logs}
+        if len(powers) == 1 and (power := powers.pop()):
+            why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
+            yield f"warning: every measured {quantity} is some {10.0**power:g} times the predicted one: {why}"
 
 
 def with_uncertainty(since: Posterior, now: float, then: float) -> Posterior:

@@ -158,7 +158,7 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
     campaign = job.campaign
     for gate in campaign.comparisons:
         metric = metric_of(gate.metric)
-        if gate.gate and (metric.kind is Kind.STATISTIC or metric.kind is Kind.QUANTITY and metric.interval == "none"):
+        if gate.gate and (metric.kind is Kind.STATISTIC or (metric.kind is Kind.QUANTITY and metric.interval == "none")):
             words = "a value without an interval, which no range decides: gate: false, or another metric"
             yield Item("", COMPARISON, NEVER_MET, f"{gate.product} {gate.metric}", words)
     found: list[tuple[Result, str]] = []
@@ -361,8 +361,7 @@ def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
     for name in twice(names):
         lookup.add(("collection", "regions"), f"two regions are named {name!r}")
     known: dict[str, Sequence[str]] = {"region": names}
-    truth = collection.targets
-    seen = place if truth is None else lookup.tried(("collection", "targets"), opened, targets=truth)
+    seen = lookup.tried(("collection", "targets"), opened, targets=collection.targets) if collection.targets else place
     if detection is not None and detection.targets and seen is not None:  # else one mistake would make others
         lookup.tried(("detection",), check_line_for_detection, seen, collection)
         for i, target in enumerate(detection.targets):

@@ -23,7 +23,7 @@ from rasterio.warp import transform as reproject
 
 from hyperval import model, observe
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place
+from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place, scale_warnings
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
 from hyperval.compare import compare_products, judged, told_apart, would_decide
@@ -108,7 +108,7 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
     place = side.observed.place
     if place is None:
         return
-    yield from _of_scale(rows)
+    yield from scale_warnings(rows)
     yield from _of_noise(side, prediction) if prediction is not None else ()
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
@@ -141,22 +141,6 @@ def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
         if part < LEAST_OF_NOISE:
             words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
             yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
-
-
-def _of_scale(rows: Sequence[Result]) -> Iterator[str]:
-    """A warning where every spectrum that was measured is ten times what is predicted, a tenth of it, or the like.
-
-    >>> def rows(*levels):
-    ...     return [Result("", "reflectance", "", "", "median_difference_ratio_windows", 0.4 / x - 1.0) for x in levels]
-    >>> [[text[9:63] for text in _of_scale(rows(*seen))] for seen in ((0.04, 0.03, math.nan), (0.04, 0.4))]
-    [['every measured reflectance is some 0.1 times the predi'], []]
-    """
-    for product in ("radiance", "reflectance", "toa_reflectance"):
-        own = [r.value for r in rows if (r.product, r.metric) == (product, "median_difference_ratio_windows")]
-        powers = {-round(math.log10(1.0 + ratio)) for ratio in own if ratio > -1.0}
-        if len(powers) == 1 and (power := powers.pop()):
-            why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
-            yield f"warning: every measured {product} is some {10.0**power:g} times the predicted one: {why}"
 
 
 ALL_OF_IT = 0.95  # of the background: regions that hold less of it do not tell what it is made of

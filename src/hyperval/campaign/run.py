@@ -93,8 +93,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
         rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
         if campaign.attribution is not None:  # why the two sides differ
-            known = power.reasons if power else None
-            since = (known.sides, known.reduced_chi_square) if known else None
+            since = (known.sides, known.reduced_chi_square) if power and (known := power.reasons) else None
             own = asked_again(side, prediction), campaign.attribution, since
             rows += attribute(*own, simulated=bool(campaign.simulated))
     else:

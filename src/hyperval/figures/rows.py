@@ -25,8 +25,7 @@ _LOOKS: dict[Outcome, dict[str, Any]] = {
         (Outcome.SKIPPED, NOT_RUN, "triangle"),
     )
 }  # fmt: skip
-_MOST_ROWS = 11
-_MOST_PARTS = 5
+_MOST_ROWS, _MOST_PARTS = 11, 5
 _HALF = 0.36  # of a row: what the accepted range fills to either side
 _P_VALUE = "p-value"  # of a test, which has no size in units of the field
 _LEAST_P = 1e-6
@@ -66,21 +65,18 @@ def effect_text(row: Result) -> str:
     >>> [effect_text(replace(row, outcome=outcome)) for outcome in (Outcome.DISAGREES, Outcome.UNDECIDED)]
     ['1.69 × (1.29 to 2.2), p = 0.002', '1.69 × (1.29 to 2.2)']
     """
-    if row.effect_unit == _P_VALUE:
-        return _p_text(row.effect)
-    if math.isnan(row.effect):
-        return ""
+    is_p = row.effect_unit == _P_VALUE
+    p = row.effect if is_p else row.p_value
+    told_p = f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
+    if is_p or math.isnan(row.effect):
+        return told_p * is_p
     short = next((words for unit, words in _SHORT.items() if row.effect_unit.startswith(unit)), "")
     # Limits that no digit tells apart are no interval: nothing was stated.
     low, high = ("" if math.isnan(end) else short_text(end) for end in (row.effect_lower, row.effect_upper))
     interval = f" ({low} to {high})" if low != high and low and high else ""
     reaches_in = not (row.effect_lower > row.accepted_high or row.effect_upper < row.accepted_low)
     by_p = row.outcome is Outcome.DISAGREES and reaches_in and not math.isnan(row.p_value)
-    return f"{short_text(row.effect, _sign(row))}{short}{interval}{f', {_p_text(row.p_value)}' * by_p}"
-
-
-def _p_text(p: float) -> str:
-    return f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
+    return f"{short_text(row.effect, _sign(row))}{short}{interval}{f', {told_p}' * by_p}"
 
 
 def _sign(row: Result) -> str:
