@@ -126,6 +126,16 @@ class Input(Moving, OneOf):
             return spaced(self.grid.start, self.grid.stop, self.grid.count)
         return column_of(self.values) if self.values is not None else None
 
+    def is_axis(self, scale: str) -> bool:
+        """Whether its values are numbers, which on a logarithmic scale lie above 0.
+
+        >>> some = [0.1, 0.2], [0, 1], ["emit", "sbg"]
+        >>> [Input(name="x", path="y", values=v).is_axis(scale) for v in some for scale in ("linear", "log")]
+        [True, True, True, False, False, False]
+        """
+        values = np.array(self.random.ends) if self.random is not None else self.listed
+        return values is not None and values.dtype != object and (scale == "linear" or bool(values.min() > 0))
+
 
 class Design(Model):
     """Which combinations of the inputs are evaluated.
@@ -184,8 +194,7 @@ class Output(Model):
     @property
     def words(self) -> str:
         """Label with unit, for axes."""
-        unit = " [µW cm⁻² sr⁻¹ nm⁻¹]" if self.kind == "radiance" else ""
-        return (self.label or self.name) + unit
+        return (self.label or self.name) + " [µW cm⁻² sr⁻¹ nm⁻¹]" * (self.kind == "radiance")
 
 
 class Required(Moving):
@@ -272,6 +281,9 @@ class StudyFile(FileModel):
         "output {!r}: give pfa, or an input that moves pfa, and not both": lambda s: [
             o.name for o in s.outputs if o.kind == "pd" and (o.pfa is None) != ("pfa" in s.paths)
         ],
+        "knees and heat maps run along numbers, above 0 on a logarithmic scale; {!r} has others": lambda s: [
+            i.name for i in s.inputs for name, scale in s.axes if name == i.name and not i.is_axis(scale)
+        ],
         "knees: {!r} is random; a knee needs values or a grid": lambda s: [
             k.along for k in s.knees if any(i.random and i.name == k.along for i in s.inputs)
         ],
@@ -309,6 +321,12 @@ class StudyFile(FileModel):
     def paths(self) -> list[str]:
         """What its inputs move."""
         return [m.path for i in self.inputs for m in i.targets]
+
+    @property
+    def axes(self) -> list[tuple[str | None, str]]:
+        """Inputs that knees and heat maps run along, and on which scale."""
+        heat = [pair for p in self.plots if p.kind == "heat" for pair in ((p.x, p.scale), (p.y, "linear"))]
+        return [*heat, *((k.along, k.scale) for k in self.knees)]
 
     @property
     def moving(self) -> list[Input | Required]:

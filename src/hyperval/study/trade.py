@@ -149,11 +149,8 @@ class Prepared(NamedTuple):
     detectors: tuple[str, ...] = LINEAR_DETECTORS
 
 
-Kept = tuple[tuple[Path, int], ...]  # sensor files, and when each was written
-
-
 @lru_cache(maxsize=16)
-def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: Kept) -> Prepared:
+def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: tuple[Any, ...]) -> Prepared:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
     files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
     origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
