@@ -133,7 +133,8 @@ class Input(Moving, OneOf):
         >>> [Input(name="x", path="y", values=v).is_axis(scale) for v in some for scale in ("linear", "log")]
         [True, True, True, False, False, False]
         """
-        values = np.array(self.random.ends) if self.random is not None else self.listed
+        # What is drawn lies above the lower end.
+        values = self.listed if self.random is None else np.nextafter(self.random.ends, np.inf)
         return values is not None and values.dtype != object and (scale == "linear" or bool(values.min() > 0))
 
 
@@ -293,8 +294,8 @@ class StudyFile(FileModel):
     def _check_names(self) -> StudyFile:
         named: list[Input | Output | Required] = [*self.inputs, *self.outputs, *self.required]
         names = [x.name for x in named] + [f"{q.name}.{r}" for q in self.required for r in q.report]
-        if wrong := twice(names):
-            raise ValueError(f"names occur twice: {', '.join(wrong)}")
+        if wrong := twice([*names, "point", "reason"]):
+            raise ValueError(f"names occur twice: {', '.join(wrong)}; every table has point and reason besides")
         inputs, outputs = {i.name for i in self.inputs}, {o.name for o in self.outputs}
         results = outputs | {q.name for q in self.required}
 
