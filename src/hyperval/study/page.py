@@ -101,10 +101,8 @@ def knees_of(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
     """The knees that a study asks for, one for each combination of its other inputs."""
     found = []
     for wanted in study.knees:
-        others = [i.name for i in study.inputs if i.name != wanted.along]
-        frame = table
-        if study.design.kind == "one-at-a-time":
-            frame, others = frame[frame[wanted.along].notna()], []
+        others = [i.name for i in study.inputs if i.name != wanted.along and study.design.kind == "grid"]
+        frame = table if study.design.kind == "grid" else table[table[wanted.along].notna()]
         for fixed, part in frame.groupby(others, sort=False, dropna=False) if others else [((), frame)]:
             rising = part.sort_values(wanted.along, kind="stable").drop_duplicates(wanted.along)
             x, y = rising[[wanted.along, wanted.output]].to_numpy(float).T

@@ -282,9 +282,6 @@ class StudyFile(FileModel):
         "output {!r}: give pfa, or an input that moves pfa, and not both": lambda s: [
             o.name for o in s.outputs if o.kind == "pd" and (o.pfa is None) != ("pfa" in s.paths)
         ],
-        "knees and heat maps run along numbers, above 0 on a logarithmic scale; {!r} has others": lambda s: [
-            i.name for i in s.inputs for name, scale in s.axes if name == i.name and not i.is_axis(scale)
-        ],
         "knees: {!r} is random; a knee needs values or a grid": lambda s: [
             k.along for k in s.knees if any(i.random and i.name == k.along for i in s.inputs)
         ],
@@ -300,11 +297,15 @@ class StudyFile(FileModel):
         results = outputs | {q.name for q in self.required}
 
         said = [(f"required {q.name!r}", name, outputs) for q in self.required for name in (q.output, *q.report)]
-        said += [pair for k in self.knees for pair in (("knees", k.output, results), ("knees", k.along, inputs))]
+        said += [("knees", k.output, results) for k in self.knees]
         said += [("plots", p.output, results) for p in self.plots]
         said += [("plots", name, inputs) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
+        numbers = {scale: {i.name for i in self.inputs if i.is_axis(scale)} for scale in ("linear", "log")}
+        along = [("knees", k.along, k.scale) for k in self.knees]
+        along += [("heat maps", *own) for p in self.plots if p.x and p.y for own in ((p.x, p.scale), (p.y, "linear"))]
+        said += [(f"{of} along numbers on a {scale} scale", name, numbers[scale]) for of, name, scale in along]
         for where, name, among in said:
-            if wrong := unknown([name], sorted(among)):
+            if wrong := unknown([name], sorted(among) or ["none"]):
                 raise ValueError("{}: {!r} is not one of {}".format(where, *wrong))
         return self
 
@@ -322,12 +323,6 @@ class StudyFile(FileModel):
     def paths(self) -> list[str]:
         """What its inputs move."""
         return [m.path for i in self.inputs for m in i.targets]
-
-    @property
-    def axes(self) -> list[tuple[str | None, str]]:
-        """Inputs that knees and heat maps run along, and on which scale."""
-        heat = [pair for p in self.plots if p.kind == "heat" for pair in ((p.x, p.scale), (p.y, "linear"))]
-        return [*heat, *((k.along, k.scale) for k in self.knees)]
 
     @property
     def moving(self) -> list[Input | Required]:
