@@ -337,10 +337,20 @@ class Results(_Shown, ResultTable):
         return self.frame().rename_axis("row")
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Value, interval and limits of each row that has limits, forty at most, one above the other."""
+        """Value, interval and limits of each row that has limits, forty at most, one above the other.
+
+        >>> Results([]).plot()
+        Traceback (most recent call last):
+        hyperval.errors.UsageError: nothing to draw: no row has a value and limits
+
+        Raises
+        ------
+        UsageError : no row has limits.
+        """
         frame = self.frame()
         limits = frame[["limit_low", "limit_high"]].notna().any(axis=1)
         rows = frame[limits & frame["value"].notna()].head(_MOST)
+        refuse(rows.empty, "api.no_limits")
         y = np.arange(float(len(rows)))
         values = {"x": rows["value"].to_numpy(), "low": rows["lower"].to_numpy(), "high": rows["upper"].to_numpy()}
         marks = [Mark("dots", {"y": y, **values}, "value", SOURCES[0], marker="circle", along="x")]
@@ -466,8 +476,8 @@ class Study(_Shown):
         facts = {}
         for name, column in self.table.items():
             if column.dtype.kind == "f":
-                unit = column.attrs.get("units", "")
-                facts[str(name)] = [f"{np.nanmin(column):.4g} to {np.nanmax(column):.4g} {unit}"]
+                unit = "" if column.attrs.get("units", "1") == "1" else f" {column.attrs['units']}"
+                facts[str(name)] = [f"{np.nanmin(column):.4g} to {np.nanmax(column):.4g}{unit}"]
             else:
                 facts[str(name)] = sorted(set(map(str, column.to_numpy())))
         return _card(f"Study of {self.table.sizes['point']} points", facts)

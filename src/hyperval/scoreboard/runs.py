@@ -815,8 +815,7 @@ def detector_figure(one: Benchmarked) -> Figure | None:
 
 def rank_figure(one: Benchmarked) -> Figure | None:
     """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
-    ranked = {metric for _, _, metric in one.here}
-    metric = next((m for m in _RANK_METRICS if f"rank_{m}" in ranked), "")
+    metric = next((m for m in _RANK_METRICS if any(name == f"rank_{m}" for *_, name in one.here)), "")
     every = list(dict.fromkeys(subject for subject, _, name in one.here if name == f"rank_{metric}"))
     subjects = every[:_MOST_SUBJECTS]
     # Where all objects are one subject, the map would say it twice.

@@ -101,20 +101,24 @@ def knees_of(study: StudyFile, table: pd.DataFrame) -> list[CurveKnee]:
     """The knees that a study asks for, one for each combination of its other inputs."""
     found = []
     for wanted in study.knees:
-        others = [i.name for i in study.inputs if i.name != wanted.along]
-        frame = table
-        if study.design.kind == "one-at-a-time":
-            frame, others = frame[frame[wanted.along].notna()], []
-        for fixed, part in frame.groupby(others, sort=False) if others else [((), frame)]:
-            x, y = part.sort_values(wanted.along, kind="stable")[[wanted.along, wanted.output]].to_numpy(float).T
+        others = [i.name for i in study.inputs if i.name != wanted.along and study.design.kind == "grid"]
+        frame = table if study.design.kind == "grid" else table[table[wanted.along].notna()]
+        for fixed, part in frame.groupby(others, sort=False, dropna=False) if others else [((), frame)]:
+            rising = part.sort_values(wanted.along, kind="stable").drop_duplicates(wanted.along)
+            x, y = rising[[wanted.along, wanted.output]].to_numpy(float).T
             point = knee(x, y, logarithmic=wanted.scale == "log", bend=wanted.bend)
-            found.append((wanted, dict(zip(others, fixed, strict=True)), point))
+            found.append((wanted, {n: v if v == v else None for n, v in zip(others, fixed, strict=True)}, point))
     return found
 
 
 def words_of(values: Mapping[str, Any], digits: int = 4) -> str:
-    """Inputs and their values in a line."""
-    return ", ".join(f"{k} = {v:.{digits}g}" if isinstance(v, float) else f"{k} = {v}" for k, v in values.items())
+    """Inputs and their values in a line; None: as the scenario states it.
+
+    >>> words_of({"sun": 30.0, "sensor": "emit", "water": None})
+    'sun = 30, sensor = emit, water = as stated'
+    """
+    told = ("as stated" if v is None else f"{v:.{digits}g}" if isinstance(v, float) else v for v in values.values())
+    return ", ".join(f"{k} = {v}" for k, v in zip(values, told, strict=True))
 
 
 def extremes(values: pd.Series) -> tuple[int, dict[str, float]]:
@@ -205,7 +209,7 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     finite = frame[np.isfinite(frame[plot.output])]
     marks, said, circles = [], [], []
     for k, member in enumerate(shown):
-        part = finite[finite[family] == member] if family else finite
+        part = finite[finite[family].isin([member])] if family else finite
         line = _summarised(part[item.name], part[plot.output], log)
         columns = {"y" if name == "middle" else name: line[name].to_numpy() for name in line}
         columns["x"] = [places.index(v) for v in line.index] if words else line.index.to_numpy(float)
@@ -306,10 +310,14 @@ def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
 
 
 def cell_edges(at: Array, is_log: bool) -> Array:
-    """(n + 1,) edges of the cells about some places (n,) of an axis: midway, the first and last cell as wide beyond."""
+    """(n + 1,) edges of the cells about some places (n,) of an axis: midway, the first and last cell as wide beyond.
+
+    >>> cell_edges(np.array([1.0, 2.0, 4.0]), False), cell_edges(np.array([3.0]), False)
+    (array([0.5, 1.5, 3. , 5. ]), array([2.5, 3.5]))
+    """
     scaled = np.log(at) if is_log else at
-    middle = 0.5 * (scaled[1:] + scaled[:-1])
-    edges = np.concatenate([2.0 * scaled[:1] - middle[:1], middle, 2.0 * scaled[-1:] - middle[-1:]])
+    middle = 0.5 * (scaled[1:] + scaled[:-1]) if at.size > 1 else scaled + 0.5
+    edges = np.concatenate([2.0 * scaled[:1] - middle[:1], middle, 2.0 * scaled[-1:] - middle[-1:]])[: at.size + 1]
     return np.asarray(np.exp(edges) if is_log else edges)
 
 
@@ -328,7 +336,7 @@ def _different(column: pd.Series) -> list[Any]:
 
 
 def _text(value: Any) -> str:
-    return number_text(float(value)) if isinstance(value, int | float) else str(value)
+    return "as stated" if value is None else number_text(float(value)) if isinstance(value, int | float) else str(value)
 
 
 def study_page(

@@ -153,8 +153,7 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
         values = e.snr(output.subject, output.calibration_error) if snr else e.radiance(output.subject)
         return np.asarray(values[:, bands].mean(axis=1))
     detector = output.detector or e.scenario.processing.detectors[0]
-    objects = output.kind == "pd" and output.by == "object"
-    scores = e.scores(output.subject, detector, objects)
+    scores = e.scores(output.subject, detector, output.kind == "pd" and output.by == "object")
     if output.kind == "pd":
         at = np.array([[output.pfa]]) if pfa is None else np.asarray(pfa, float)[:, None]
         return np.asarray(scores.detection(at)[:, 0])

@@ -151,15 +151,13 @@ def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[st
     texts = [name for name in table if table[name].dtype == object]
     said = {name: pd.Series(["" if v is None else str(v) for v in table[name]], dtype=object) for name in texts}
     table = table.assign(**said)
-    cells = {name: list(map(harmless, own)) for name, own in said.items()}
-    table.assign(**cells).to_csv(folder / "table.csv", lineterminator="\n")
+    table.assign(**{n: own.map(harmless) for n, own in said.items()}).to_csv(folder / "table.csv", lineterminator="\n")
     about = {"Conventions": "CF-1.11", "title": study.title or study.name, "source": f"hyperval {hyperval.__version__}"}
     data = xr.Dataset(attrs=about)
     for name, column in study.columns.items():
         data[name] = ("point", table[name].to_numpy(), {"long_name": column.label or name, "units": column.unit})
     packed = {name: {"zlib": True, "shuffle": True, "_FillValue": None} for name in data if name not in said}
     data.to_netcdf(folder / "table.nc", engine="h5netcdf", encoding=packed)
-    names = ["table.csv", "table.nc"]
     if find_spec("pyarrow") is not None:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -167,5 +165,4 @@ def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[st
         # Of arrays, and not of a frame: a number that is not there is NaN, as in the other files.
         columns = {name: own.to_numpy() for name, own in table.reset_index().items()}
         pq.write_table(pa.table(columns), folder / "table.parquet")
-        names.append("table.parquet")
-    return names
+    return sorted(path.name for path in folder.glob("table.*"))

@@ -126,6 +126,17 @@ class Input(Moving, OneOf):
             return spaced(self.grid.start, self.grid.stop, self.grid.count)
         return column_of(self.values) if self.values is not None else None
 
+    def is_axis(self, scale: str) -> bool:
+        """Whether its values are numbers, which on a logarithmic scale lie above 0.
+
+        >>> some = [0.1, 0.2], [0, 1], ["emit", "sbg"]
+        >>> [Input(name="x", path="y", values=v).is_axis(scale) for v in some for scale in ("linear", "log")]
+        [True, True, True, False, False, False]
+        """
+        # What is drawn lies above the lower end.
+        values = self.listed if self.random is None else np.nextafter(self.random.ends, np.inf)
+        return values is not None and values.dtype != object and (scale == "linear" or bool(values.min() > 0))
+
 
 class Design(Model):
     """Which combinations of the inputs are evaluated.
@@ -184,8 +195,7 @@ class Output(Model):
     @property
     def words(self) -> str:
         """Label with unit, for axes."""
-        unit = " [µW cm⁻² sr⁻¹ nm⁻¹]" if self.kind == "radiance" else ""
-        return (self.label or self.name) + unit
+        return (self.label or self.name) + " [µW cm⁻² sr⁻¹ nm⁻¹]" * (self.kind == "radiance")
 
 
 class Required(Moving):
@@ -281,17 +291,21 @@ class StudyFile(FileModel):
     def _check_names(self) -> StudyFile:
         named: list[Input | Output | Required] = [*self.inputs, *self.outputs, *self.required]
         names = [x.name for x in named] + [f"{q.name}.{r}" for q in self.required for r in q.report]
-        if wrong := twice(names):
-            raise ValueError(f"names occur twice: {', '.join(wrong)}")
+        if wrong := twice([*names, "point", "reason"]):
+            raise ValueError(f"names occur twice: {', '.join(wrong)}; every table has point and reason besides")
         inputs, outputs = {i.name for i in self.inputs}, {o.name for o in self.outputs}
         results = outputs | {q.name for q in self.required}
 
         said = [(f"required {q.name!r}", name, outputs) for q in self.required for name in (q.output, *q.report)]
-        said += [pair for k in self.knees for pair in (("knees", k.output, results), ("knees", k.along, inputs))]
+        said += [("knees", k.output, results) for k in self.knees]
         said += [("plots", p.output, results) for p in self.plots]
         said += [("plots", name, inputs) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
+        numbers = {scale: {i.name for i in self.inputs if i.is_axis(scale)} for scale in ("linear", "log")}
+        along = [("knees", k.along, k.scale) for k in self.knees]
+        along += [("heat maps", *own) for p in self.plots if p.x and p.y for own in ((p.x, p.scale), (p.y, "linear"))]
+        said += [(f"{of} along numbers on a {scale} scale", name, numbers[scale]) for of, name, scale in along]
         for where, name, among in said:
-            if wrong := unknown([name], sorted(among)):
+            if wrong := unknown([name], sorted(among) or ["none"]):
                 raise ValueError("{}: {!r} is not one of {}".format(where, *wrong))
         return self
 

@@ -146,14 +146,10 @@ class Prepared(NamedTuple):
     sensors: tuple[str, ...]
     has_fixed_fill: bool
     why: str
-    detectors: tuple[str, ...] = LINEAR_DETECTORS
-
-
-Kept = tuple[tuple[Path, int], ...]  # sensor files, and when each was written
 
 
 @lru_cache(maxsize=16)
-def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: Kept) -> Prepared:
+def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: tuple[Any, ...]) -> Prepared:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
     files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
     origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
@@ -241,7 +237,7 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     for field, names, known in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
-        ("detector", [trade.detector], ("", *p.detectors)),
+        ("detector", [trade.detector], ("", *LINEAR_DETECTORS)),
         ("moved", trade.moved, [key for key in p.inputs if in_file(key)]),  # which the study can set
     ):  # fmt: skip
         wrong = [name for name in names if name not in known]
@@ -345,8 +341,7 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
     outputs, asked = outputs_of(trade), _questions(p, trade)
     more: dict[str, Any] = {"kind": "heat", "y": axes[0].name} if trade.y else {"kind": "lines"}
-    if not trade.y and overlays:
-        more["family"] = overlays[0].name
+    more |= {"family": overlays[0].name} if overlays and not trade.y else {}
     inputs, scale = [*overlays, *axes], p.inputs[trade.x].spacing
     data = {
         "schema": 1, "name": "trade", "title": f"{KINDS[trade.output]} against {' and '.join(i.label for i in axes)}",

@@ -22,6 +22,7 @@ from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
 from hyperval.config import Model
+from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -291,7 +292,7 @@ def desk(request: Request) -> Response:
         errors=marked(mistakes, [mistake.field for mistake in mistakes]),
         groups=[(name, list(some)) for name, some in groupby(ordered, lambda o: o.group)],
         scenarios={name: s.title or name for name, s in predefined().items() if not needs(s)}, runs=runs[:20],
-        kinds=KINDS, is_beside=source not in builtin_scenarios(),
+        kinds=KINDS, detectors=LINEAR_DETECTORS, is_beside=source not in builtin_scenarios(),
     )  # fmt: skip
 
 

@@ -382,12 +382,9 @@ class Runs:
         if task is None or run.state in ENDED:
             return {"stage": "", "done": 1.0 if run.state == "finished" else 0.0, "seconds_left": None}
         what, done, total = task.progress
-        left = task.seconds_left
-        return {
-            "stage": what or ("waiting" if not task.started else "working"),
-            "done": done / total if total else 0.0,
-            "seconds_left": None if left is None else math.ceil(left),
-        }
+        stage, left = what or ("working" if task.started else "waiting"), task.seconds_left
+        left = None if left is None else math.ceil(left)
+        return {"stage": stage, "done": done / total if total else 0.0, "seconds_left": left}
 
     def cancel(self, run: WebRun) -> None:
         """Call a run off."""

@@ -285,9 +285,7 @@ def uploads(request: Request, form: SentFiles) -> UploadAnswer:
     Field spectra and sensor files without a cube are kept for the scenarios of this session.
     """
     taken = take_files(request, form)
-    if isinstance(taken, WebRun):
-        return UploadAnswer(run=answer_of(request, taken))
-    return UploadAnswer(kept=taken)
+    return UploadAnswer(run=answer_of(request, taken)) if isinstance(taken, WebRun) else UploadAnswer(kept=taken)
 
 
 @api.get("/session", include_in_schema=False)
