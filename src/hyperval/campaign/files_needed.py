@@ -157,8 +157,9 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
     """Criteria that what is known beforehand, or of a cube what an earlier run found, does not decide."""
     campaign = job.campaign
     for gate in campaign.comparisons:
-        kind, interval = (metric := metric_of(gate.metric)).kind, metric.interval
-        if gate.gate and (kind is Kind.STATISTIC or (kind is Kind.QUANTITY and interval == "none")):
+        metric = metric_of(gate.metric)
+        is_bare = metric.kind is Kind.STATISTIC or (metric.kind is Kind.QUANTITY and metric.interval == "none")
+        if gate.gate and is_bare:
             words = "a value without an interval, which no range decides: gate: false, or another metric"
             yield Item("", COMPARISON, NEVER_MET, f"{gate.product} {gate.metric}", words)
     found: list[tuple[Result, str]] = []
