@@ -214,9 +214,7 @@ def pixel_detector(
             known = np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)
             return replace(ADDED_DETECTORS[name](t, *known), added=name)
     linear = from_filter(design_filter("smf" if name == "ace" else name, t, mean, covariance))
-    return (
-        PixelDetector(linear.weights, linear.constants, combine, "distance", by_pixel=True) if name == "ace" else linear
-    )
+    return replace(linear, combine=combine, quadratic="distance", by_pixel=True) if name == "ace" else linear
 
 
 def _combined(name: str, y: Array, value: Array | None) -> Array:
