@@ -335,7 +335,9 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     if len(values) >= _FEWEST_CHECKED and varies.any() and not np.all((varies | ~cube.axis.good) & some):
         axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & varies)
         numbers = ", ".join(str(n + 1) for n in cube.stored_band[~(varies & some)][:_MOST_LISTED])
-        what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(~some)} none"
+        none = ~known.any(axis=0)
+        what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(none)} none"
+        what += f", {np.sum(~some & ~none)} bad ones not in all" * bool(np.any(~some & ~none))
         notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
         cube = replace(cube, axis=axis.select(some), stored_band=cube.stored_band[some], notes=notes)
         values = values[:, some]

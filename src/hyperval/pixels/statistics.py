@@ -528,10 +528,9 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
     the factors already found and s^2 the rest of the trace over B.  Source: Marchenko & Pastur, Math. USSR Sb. 1,
     457-483, 1967, as a rule for the number of factors Johnstone, Ann. Stat. 29, 295-327, 2001.
 
-    Of the factors F, and between them and the rest, a Wishart matrix of n - 1 degrees of freedom is assumed, of the
-    bands D independent variances: in units of C = F + D, in which a test looks at it, the sum of the variances of all
-    elements is {tr(F^2) + tr(F)^2 + 2 tr(F) tr(D) + 2 sum (D_b C^-1_bb)^2}/(n - 1), and the degrees of freedom are
-    those of a Wishart matrix with the same.  They are n - 1 where that is below ten.
+    Of the factors F a Wishart matrix of n - 1 degrees of freedom is assumed, of the bands D independent variances:
+    the sum of the variances of all elements is {tr(F^2) + tr(F)^2 + 2 tr(D^2)}/(n - 1), and the degrees of freedom
+    are those of a Wishart matrix with the same.  They are n - 1 where that is below ten.
 
     Parameters
     ----------
@@ -549,10 +548,8 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
     # Each factor fitted takes its part of the bands' own variance along.
     own = np.clip(1.0 - np.diag(factors), 0.0, None) * (m / (m - count))
     out = factors + np.diag(own)
-    inverse = np.linalg.inv(out)
-    common, level = inverse @ factors, float(np.sum(inverse * factors))
-    scatter = np.sum(common * common.T) + level * (2.0 * bands - level) + 2.0 * np.sum((own * np.diag(inverse)) ** 2)
-    dof = m * bands * (bands + 1.0) / scatter if m >= FEWEST_DOF else m
+    scatter = np.sum(factors**2) + np.trace(factors) ** 2 + 2.0 * np.sum(own**2)
+    dof = m * (np.sum(out**2) + np.trace(out) ** 2) / scatter if m >= FEWEST_DOF else m
     return out * np.outer(sd, sd), float(dof)
 
 

@@ -329,10 +329,10 @@ def take_away(request: Request, name: str) -> Response:
     is_beside = source not in builtin_scenarios()
     study = study_of(offers, trade, "scenario.yaml" if is_beside else source)
     note = _NOTE if "atmosphere.engine" in study.settings else ""
-    texts = {"study.yaml": yaml_text("study", plain(study), note)}
+    texts = {path.name: path.read_text("utf-8") for path in trade.kept if path.name in trade.sensor}
+    texts["study.yaml"] = yaml_text("study", plain(study), note)
     if is_beside:
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
-    texts |= {path.name: path.read_text("utf-8") for path in trade.kept if path.name in trade.sensor}
     texts["trade.ipynb"] = notebook(texts)
     deny(name not in texts, 404, "there is no such file")
     headers = {"content-disposition": f'attachment; filename="{name}"'}
@@ -360,7 +360,7 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     deny([*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())], 422)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
-    files: Files = {"study.yaml": asked, "scenario.yaml": text, **own.copies(text + asked, scenario.folder)}
+    files: Files = {**own.copies(text + asked, scenario.folder), "study.yaml": asked, "scenario.yaml": text}
     return store_of(request).order(own.owner, "study", study.name, study.title, files)
 
 
