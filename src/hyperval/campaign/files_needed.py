@@ -160,8 +160,7 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
         metric = metric_of(gate.metric)
         is_bare = metric.kind is Kind.STATISTIC or (metric.kind is Kind.QUANTITY and metric.interval == "none")
         if gate.gate and is_bare and not {*"*?["} & {*gate.metric}:  # a pattern may mean others
-            words = "a value without an interval, which no range decides: gate: false, or another metric"
-            yield Item("", COMPARISON, NEVER_MET, f"{gate.product} {gate.metric}", words)
+            yield Item("", COMPARISON, NEVER_MET, f"{gate.product} {gate.metric}", "its values have no interval")
     found: list[tuple[Result, str]] = []
     if campaign.collection.cube is not None and finished is not None and is_run(finished):
         rows = (row for row in read_rows(finished, every=False) if row.campaign == campaign.name and row.gates)

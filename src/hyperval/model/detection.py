@@ -622,8 +622,7 @@ def detect(
             # What the background scores by one filter, all populations of its target share.
             thresholds = pixels[0].thresholds(pfa[None])
             behind = pixels[0].background(at, thresholds[at], densities=densities)
-            names = (p.name for p in target.populations)
-            for population, own, whole in zip(names, pixels, objects, strict=True):
+            for population, own, whole in zip([p.name for p in target.populations], pixels, objects, strict=True):
                 pd: dict[Literal["pixel", "object"], Array] = {"pixel": own.detection_above(thresholds)}
                 if object_curves:
                     pd["object"] = pd["pixel"] if whole is own else whole.detection_above(thresholds)

@@ -336,8 +336,8 @@ def flat(value: Any, at: str = "") -> dict[str, str]:
     return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
 
 
-def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
-    """Write what the products of a run and the reasons of its table allow to draw into a new folder.
+def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
+    """What the products of a run and the reasons of its table allow to draw.
 
     Raises
     ------
@@ -353,7 +353,12 @@ def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int
     figures += further_figures(stored.pair, known.table, equivalence_margin(known.provenance))
     drawn = [one for one in figures if one]
     refuse(not drawn, "results.figures", run)
+    return drawings_of(drawn, simulated=stored.simulated, kind=kind, journal=journal)
+
+
+def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
+    """Write the drawings of a run into a new folder; errors as of :func:`run_drawings`."""
     with whole_folder(output) as folder:
-        for drawing in drawings_of(drawn, simulated=stored.simulated, kind=kind, journal=journal):
+        for drawing in run_drawings(run, kind, journal):
             (folder / drawing.file_name).write_bytes(drawing.content)
     return 0
