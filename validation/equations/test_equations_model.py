@@ -88,7 +88,9 @@ def both(**more: np.ndarray) -> World:
     }
     for m, name in enumerate(("soil", "grass")):
         moved |= {f"scene.classes.{name}.fraction": FRACTIONS[:, m], f"scene.classes.{name}.gain": GAINS[:, m]}
-    return with_values(read(Scenario.model_validate(SCENARIO), origins), moved | more)
+    world = read(Scenario.model_validate(SCENARIO), origins)
+    world.stated.of_pixels[:] = False  # spreads of the ground itself, to which the noise comes
+    return with_values(world, moved | more)
 
 
 def scene(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -571,9 +571,9 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
         covariance, gain, others, behind, part = pixels[name]
-        noise = light.noise_variance(levels[name])
-        if e.stated.of_pixels[world.surface(behind)]:  # the covariance of its pixels holds the noise
-            noise = noise - part * light.noise_variance(levels[behind])
+        # The covariance of pixels of the image holds their noise.
+        held = part * light.noise_variance(levels[behind]) if e.stated.of_pixels[world.surface(behind)] else 0.0
+        noise = light.noise_variance(levels[name]) - held
         seen = light.pixel_covariance(noise, radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
