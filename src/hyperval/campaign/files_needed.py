@@ -154,7 +154,15 @@ def _items(job: Job, finished: Path | None) -> list[Item]:
 
 
 def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
-    """Criteria that what is known beforehand, or of a cube what an earlier run found, does not decide."""
+    """Criteria that what is known beforehand, or of a cube what an earlier run found, does not decide.
+
+    >>> from types import SimpleNamespace as Of
+    >>> names = "spectral_angle", "bias_ratio", "chi2_reduced_full", "chi2_*"
+    >>> gates = [Of(metric=name, product="radiance", gate=True) for name in names]
+    >>> job = Of(campaign=Of(comparisons=gates, collection=Of(cube="x.img")))
+    >>> [item.what for item in _undecided(job, None)]
+    ['radiance spectral_angle', 'radiance chi2_reduced_full']
+    """
     campaign = job.campaign
     for gate in campaign.comparisons:
         metric = metric_of(gate.metric)
