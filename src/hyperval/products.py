@@ -28,6 +28,7 @@ class EstimatedPart(NamedTuple):
     model : (B, B) as estimated, all directions of it; None: ``covariance``
     sample : (B, B) of the samples themselves, where ``model`` is a model of it; None: ``model``
     sample_dof : degrees of freedom behind it
+    factors : (B, B) part of ``model`` that few common factors make, where the rest is independent bands
     """
 
     covariance: Array
@@ -35,11 +36,12 @@ class EstimatedPart(NamedTuple):
     model: Array | None = None
     sample: Array | None = None
     sample_dof: float = math.nan
+    factors: Array | None = None
 
     def of_each(self, change: Callable[[Array], Array]) -> EstimatedPart:
         """With its covariances changed alike."""
-        model, sample = (None if c is None else change(c) for c in (self.model, self.sample))
-        return EstimatedPart(change(self.covariance), self.dof, model, sample, self.sample_dof)
+        model, sample, factors = (None if c is None else change(c) for c in (self.model, self.sample, self.factors))
+        return EstimatedPart(change(self.covariance), self.dof, model, sample, self.sample_dof, factors)
 
 
 @dataclass(frozen=True)

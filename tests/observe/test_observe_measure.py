@@ -42,7 +42,7 @@ def test_the_mean_of_fewer_pixels_than_bands_has_an_error_in_every_direction(wor
     world.regions(few=[40, 5, 2, 3])
     few = world.observe().observation.reflectance["few"]
     sample = moments(world.values[40:42, 5:8])[1]
-    expected, dof = factor_covariance(sample, 6)
+    expected, _, dof = factor_covariance(sample, 6)
     assert few.error_covariance == pytest.approx(expected / 6, rel=1e-9, abs=1e-18)
     assert np.linalg.matrix_rank(few.error_covariance) == BANDS
     (part,) = few.estimated

@@ -78,7 +78,7 @@ def drawn(rng, n, amplitude):
 
 def test_pure_noise_has_no_factors():
     rng = np.random.default_rng(1)
-    found, dof = pixels.factor_covariance(np.cov(drawn(rng, 30, 0.0).T), 30)
+    found, _, dof = pixels.factor_covariance(np.cov(drawn(rng, 30, 0.0).T), 30)
     assert np.count_nonzero(found - np.diag(np.diag(found))) == 0
     # 2 tr(D^2)/m against {tr(C^2) + tr(C)^2}/nu, all variances alike.
     assert dof == pytest.approx(29 * (1 + BANDS) / 2)
@@ -87,7 +87,7 @@ def test_pure_noise_has_no_factors():
 def test_factors_that_stand_out_are_found_and_the_rest_is_diagonal():
     rng = np.random.default_rng(2)
     x = drawn(rng, 40, 20.0)
-    found, dof = pixels.factor_covariance(np.cov(x.T), 40)
+    found, _, dof = pixels.factor_covariance(np.cov(x.T), 40)
     sd = np.sqrt(np.diag(np.cov(x.T)))
     off = found / np.outer(sd, sd)
     values = np.linalg.eigvalsh(off)
@@ -117,8 +117,8 @@ def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n):
     for _ in range(300):
         x = rng.standard_normal((n, 163)) @ root.T
         sample = np.cov(x.T)
-        covariance, dof = pixels.factor_covariance(sample, n) if n < 163 else (sample, n - 1.0)
-        part = EstimatedPart(covariance / n, dof, sample=sample / n, sample_dof=n - 1.0)
+        covariance, common, dof = pixels.factor_covariance(sample, n) if n < 163 else (sample, sample, n - 1.0)
+        part = EstimatedPart(covariance / n, dof, None, sample / n, n - 1.0, common / n)
         found.append(chi_square_full(x.mean(0), whitening(covariance / n, [part])).p_value)
     p = np.array(found)
     assert abs(p.mean() - 0.5) < 0.058

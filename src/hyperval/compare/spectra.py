@@ -352,21 +352,33 @@ def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
 def whitening(covariance: npt.ArrayLike, estimated: Sequence[EstimatedPart] = ()) -> Whitening:
     """Directions of :func:`chi_square_full` for a covariance (B, B) and the parts of it that were estimated."""
     stated = np.asarray(covariance, dtype=float)
-    models = [(p.covariance if p.model is None else p.model, p.dof) for p in estimated]
-    widened = sum((p.covariance for p in estimated), np.zeros_like(stated))
-    known = stated - widened
-    some, whiten = _unit_directions(known + sum((m for m, _ in models), np.zeros_like(stated)))
+    known = stated - sum((p.covariance for p in estimated), np.zeros_like(stated))
+    parts = [(p, p.covariance if p.model is None else p.model) for p in estimated]
+    some, whiten = _unit_directions(known + sum((m for _, m in parts), np.zeros_like(stated)))
     bands = np.ix_(some, some)
-    nu = covariance_dof([(whiten.T @ m[bands] @ whiten, v) for m, v in models])
+    nu = covariance_dof([(whiten.T @ m[bands] @ whiten, p.dof) for p, m in parts])
     if nu < DOF_PER_DIRECTION * whiten.shape[1]:
-        samples = [
-            (m, v) if p.sample is None else (p.sample, p.sample_dof)
-            for p, (m, v) in zip(estimated, models, strict=True)
-        ]
+        samples = [(m, p.dof) if p.sample is None else (p.sample, p.sample_dof) for p, m in parts]
         whiten, nu = _smooth(known[bands], [(s[bands], v) for s, v in samples])
+    else:
+        nu = covariance_dof([_with_factors(p.of_each(lambda c: c[bands]), m[bands], whiten) for p, m in parts])
     transform = np.zeros((whiten.shape[1], some.size))
     transform[:, some] = whiten.T
     return Whitening(transform, nu)
+
+
+def _with_factors(part: EstimatedPart, model: Array, whiten: Array) -> tuple[Array, float]:
+    """A part in units of C, and the degrees of freedom of a Wishart matrix that scatters as much as r^T C^-1 r.
+
+    Factors F scatter as tr(F^2) + tr(F)^2, they with bands D as 2 tr(F) tr(D), and each band's own variance, of
+    which r^T C^-1 r holds D_b C^-1_bb, as 2 sum (D_b C^-1_bb)^2, all over the samples' degrees of freedom.
+    """
+    c = whiten.T @ model @ whiten
+    if part.factors is None:
+        return c, part.dof
+    f, own = whiten.T @ part.factors @ whiten, np.diag(model - part.factors) * np.sum(whiten**2, axis=1)
+    scatter = np.sum(f * f.T) + np.trace(f) ** 2 + 2.0 * (np.trace(f) * np.trace(c - f) + np.sum(own**2))
+    return c, part.sample_dof * float((np.sum(c * c.T) + np.trace(c) ** 2) / scatter)
 
 
 def _smooth(known: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:

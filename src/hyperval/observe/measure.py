@@ -431,7 +431,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     if known.size == 0:
         return EstimatedPart(covariance / n, float(n - 1))
     sample = covariance[np.ix_(known, known)]
-    inner, known_by = px.factor_covariance(sample, n) if n <= known.size else (sample, float(n - 1))
+    inner, common, known_by = px.factor_covariance(sample, n) if n <= known.size else (sample, sample, float(n - 1))
 
     def full(part: Array) -> Array:
         out = covariance / n
@@ -439,20 +439,21 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
         return out
 
     if n < FEWEST_FOR_CORRELATION:
-        return EstimatedPart(full(inner / n), known_by, sample=covariance / n, sample_dof=float(n - 1))
+        return EstimatedPart(full(inner / n), known_by, None, covariance / n, float(n - 1), full(common / n))
     mean, rng = statistics.mean[known], np.random.default_rng(_MEAN_SEED)
     along = px.components(inner, rng)
     windows = _projected_windows(place, region, known, rng, lambda pixels: along.scores(pixels - mean))
     reach = min(REACH, max(*region.shape) - 1)
     independent, of_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
     counted = float(np.median(of_variance)) - 1.0
-    widened, model, own = (
+    widened, model, own, factors = (
         full(px.mean_error_covariance(c, along, by))
         for c, by in (
-            (inner, independent / px.small_sample_factor(independent)), (inner, independent), (sample, independent)
+            (inner, independent / px.small_sample_factor(independent)), (inner, independent), (sample, independent),
+            (common, independent),
         )
     )  # fmt: skip
-    return EstimatedPart(widened, counted * known_by / (n - 1), model, own, counted)
+    return EstimatedPart(widened, counted * known_by / (n - 1), model, own, counted, factors)
 
 
 Key = tuple[str, int | Literal["auto"], bool]

@@ -520,8 +520,8 @@ def mean_error_covariance(covariance: Array, components: PrincipalComponents, in
 FEWEST_DOF = 10
 
 
-def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
-    """Covariance (B, B) of few factors and independent bands, and the degrees of freedom that it is known by.
+def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, Array, float]:
+    """Covariance (B, B) of few factors and independent bands, the factors' part, and the degrees of freedom behind it.
 
     In units of the bands' standard deviations, eigenvectors of the sample covariance count as factors as long as
     their eigenvalue is above the edge of pure noise of the same total, s^2 (1 + sqrt(B/m))^2 with m = n - 1 less
@@ -530,7 +530,7 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
 
     Of the factors F a Wishart matrix of n - 1 degrees of freedom is assumed, of the bands D independent variances:
     the sum of the variances of all elements is {tr(F^2) + tr(F)^2 + 2 tr(D^2)}/(n - 1), and the degrees of freedom
-    are those of a Wishart matrix with the same.  They are n - 1 where that is below ten.
+    are those of a Wishart matrix with the same.  Where n - 1 is below ten they are that, and all counts as factors.
 
     Parameters
     ----------
@@ -549,8 +549,9 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, float]:
     own = np.clip(1.0 - np.diag(factors), 0.0, None) * (m / (m - count))
     out = factors + np.diag(own)
     scatter = np.sum(factors**2) + np.trace(factors) ** 2 + 2.0 * np.sum(own**2)
-    dof = m * (np.sum(out**2) + np.trace(out) ** 2) / scatter if m >= FEWEST_DOF else m
-    return out * np.outer(sd, sd), float(dof)
+    dof = m * (np.sum(out**2) + np.trace(out) ** 2) / scatter
+    factors, dof = (factors, dof) if m >= FEWEST_DOF else (out, m)
+    return out * np.outer(sd, sd), factors * np.outer(sd, sd), float(dof)
 
 
 # A texture of less than this part of the noise's variance has no factor of its own.
