@@ -265,7 +265,7 @@ class Evaluation(Keeps):
         return Material(
             at.mean[:, number, bands], covariance, stretch[:, bands] if stretch.shape[1] > 1 else stretch,
             at.column("fine_texture")[:, number], self.stated.classes.index(t.host), at.column("beam")[:, target],
-            at.column("sky_view")[:, target], error,
+            at.column("sky_view")[:, target], error, bool(self.stated.of_pixels[number]),
         )  # fmt: skip
 
     def fills(self, number: int, objects: bool = False) -> FillDistribution:

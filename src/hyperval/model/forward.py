@@ -549,9 +549,9 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
 
 
 Spread = tuple[Array, Mapping[str, Array]]
-# Covariance (B, B) of pixels with its gain, gain, errors (B, B) of the mean of one object at its place by source, the
-# surface behind, and the part of its covariance in that of the pixels.
-Spreading = tuple[Array, float, Mapping[str, Array], str, float]
+# Covariance (B, B) of pixels with its gain, gain, errors (B, B) of the mean of one object at its place by source, and
+# the surfaces whose covariances are in that of the pixels, with their parts.
+Spreading = tuple[Array, float, Mapping[str, Array], Mapping[str, float]]
 
 
 def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tuple[str, str], Spread]:
@@ -563,17 +563,19 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     world, v, bands = e.world.rows(np.array([u])), int(e.which[u]), np.arange(len(e.axis))
     populations = [p.name for _, _, p in e.stated.populations]
     light, one = e.light.row(v), e.light.rows(np.array([v]))
+    full = {o.name: radiance.target_light(world, one, i)[0][0, 0] for i, o in enumerate(e.stated.targets)}
     pixels = {
-        name: _mixed(world, one, populations.index(name)) if name in populations else _of_surface(world, name)
+        name: _mixed(world, one, full, populations.index(name)) if name in populations else _of_surface(world, name)
         for name in levels
     }
+    levels = {**levels, **{name: light.level(reflectance) for name, reflectance in full.items()}}
     around, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
     out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
-        covariance, gain, others, behind, part = pixels[name]
+        covariance, gain, others, parts = pixels[name]
         # The covariance of pixels of the image holds their noise.
-        held = part * light.noise_variance(levels[behind]) if e.stated.of_pixels[world.surface(behind)] else 0.0
-        noise = light.noise_variance(levels[name]) - held
+        held = [s for s in parts if e.stated.of_pixels[world.surface(s)]]
+        noise = light.noise_variance(levels[name]) - sum(parts[s] * light.noise_variance(levels[s]) for s in held)
         seen = light.pixel_covariance(noise, radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
@@ -588,31 +590,31 @@ def _of_surface(world: World, name: str) -> Spreading:
     gain = float(world.column("class_gain")[0, classes.index(name)]) if name in classes else 1.0
     factor = gain * (stretch[0] ** 2 if stretch.size == 1 else np.outer(stretch, stretch))  # g_m of (3.11)
     covariance = world.stated.surfaces[name].covariance
-    return covariance if np.all(factor == 1.0) else factor * covariance, gain, {}, name, 1.0
+    return covariance if np.all(factor == 1.0) else factor * covariance, gain, {}, {name: 1.0}
 
 
-def _mixed(world: World, light: radiance.Light, number: int) -> Spreading:
-    """Of target pixels of one population (3.10, 3.12) before their host, whose part is E[(1 - f)^2]."""
+def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], number: int) -> Spreading:
+    """Of target pixels of one population (3.10, 3.12) before their host, whose parts are E[f^2] and E[(1 - f)^2]."""
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
-    full = {o.name: radiance.target_light(world, light, i)[0][0, 0] for i, o in enumerate(stated.targets)}
     shade, own = radiance.target_light(world, light, t)[2], _of_surface(world, target.name)[0]
     if np.ndim(shade):
         factor = np.asarray(shade)[0, 0]
         own = own * np.outer(factor, factor)
     host, (behind, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
-    fill = float(weights @ fills)  # E[f] of (3.12)
-    part, variance = float(weights @ (1.0 - fills) ** 2), float(weights @ (fills - fill) ** 2)
+    fill, fine = float(weights @ fills), float(world.column("fine_texture")[0, world.surface(target.name)])  # E[f]
+    variance = float(weights @ (fills - fill) ** 2)  # of (3.12)
+    parts = {target.host: weights @ (1.0 - fills) ** 2, target.name: weights @ (fills**2 + fine * (fills - fills**2))}
     covariance = radiance.target_pixel_covariance(
         fill, variance, full[target.name], own, host, behind,
         target_gain=float(world.column("target_gain")[0, t]),
-        fine_texture=float(world.column("fine_texture")[0, world.surface(target.name)]),
+        fine_texture=fine,
         formulation=stated.scenario.formulation,
     )  # fmt: skip
     shares = shares_at(world, number)
     errors = {} if shares is None else shares[0][shares[1][0]].errors(full, host, behind)
-    return covariance, gain, errors, target.host, part
+    return covariance, gain, errors, parts
 
 
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:

@@ -752,19 +752,25 @@ def seen_classes(whole: Light, world: World, bands: Index) -> Seen:
     >>> from hyperval import model
     >>> from hyperval.api import load_scenario
     >>> from hyperval.statistics_library import ClassStatistics
-    >>> scenario = load_scenario("yellow-planks-asphalt")
-    >>> court, first = model.read(scenario).stated.surfaces["asphalt"], model.predict(scenario)
-    >>> pixels = np.nan_to_num(first.reflectance["asphalt"].pixel_covariance)
-    >>> image = {"court": ClassStatistics("court", court.axis, court.mean, pixels, 5000)}
-    >>> asphalt, *others = scenario.scene.classes
-    >>> asphalt = asphalt.model_validate({**asphalt.model_dump(), "covariance": {"measured": "court"}})
-    >>> scene = scenario.scene.model_copy(update={"classes": [asphalt, *others]})
-    >>> second = model.predict(scenario.model_copy(update={"scene": scene}), model.Origins(measured=image))
-    >>> curves = [x.roc["yellow plank 0.1", "cem", "pixel"] for x in (first, second)]
+    >>> scenario, subjects = load_scenario("yellow-planks-asphalt"), [("whole", 1.0), ("half", 0.5)]
+    >>> def with_covariances(of_class, of_target):
+    ...     asphalt, *others = scenario.scene.classes
+    ...     asphalt = asphalt.model_validate({**asphalt.model_dump(), "covariance": of_class})
+    ...     plank = {**scenario.scene.targets[0].model_dump(), "covariance": of_target}
+    ...     plank["subjects"] = [{"name": name, "fill": {"fixed": fill}} for name, fill in subjects]
+    ...     plank = scenario.scene.targets[0].model_validate(plank)
+    ...     update = {"classes": [asphalt, *others], "targets": [plank]}
+    ...     return scenario.model_copy(update={"scene": scenario.scene.model_copy(update=update)})
+    >>> first = model.predict(with_covariances(None, None))
+    >>> pixels = {n: np.nan_to_num(x.pixel_covariance) for n, x in first.reflectance.items()}
+    >>> image = {n: ClassStatistics(n, first.axis, np.nan_to_num(first.reflectance[n].mean), pixels[n], 5000)
+    ...     for n in ("asphalt", "whole")}
+    >>> second = with_covariances({"measured": "asphalt"}, {"measured": "whole"})
+    >>> second = model.predict(second, model.Origins(measured=image))
+    >>> curves = [x.roc["half", "cem", "pixel"] for x in (first, second)]
     >>> bool(np.allclose(curves[0].pd, curves[1].pd, atol=1e-4))
     True
-    >>> pixels = second.reflectance["yellow plank 0.1"].pixel_covariance
-    >>> bool(np.allclose(pixels, first.reflectance["yellow plank 0.1"].pixel_covariance, rtol=1e-3))
+    >>> bool(np.allclose(np.nan_to_num(second.reflectance["half"].pixel_covariance), pixels["half"], rtol=2e-3))
     True
     """
     light, of = whole.at(bands), Background.of(world, bands)
@@ -802,6 +808,7 @@ class Material:
     host : number of its host's class
     beam, sky : (U or 1,) parts of the light in the open that reach it
     error : (K, F) directions of the error of its spectrum; None where nothing is stated
+    of_pixels : its covariance is that of pixels of the image, which hold the sensor's noise
     """
 
     mean: Array
@@ -812,6 +819,7 @@ class Material:
     beam: Array
     sky: Array
     error: Array | None = None
+    of_pixels: bool = False
 
 
 def target_pixels(
@@ -821,7 +829,7 @@ def target_pixels(
 
     Returns
     -------
-    Retrieved reflectance and its noise variance (U or 1, K, F), less what the host's covariance holds of it; D_B / k
+    Retrieved reflectance and its noise variance (U or 1, K, F), less what the covariances hold of it; D_B / k
     times the root of g_m kappa (3.11) of a pixel of host, and of one full of target, (U or 1, 1, F) each; light on the
     target over that in the open (U, 1, F), 1 without shade.
     """
@@ -833,4 +841,7 @@ def target_pixels(
     weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / seen.gain
     around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
     held = (1.0 - fills[:, None]) ** 2 * seen.held[:, number : number + 1]
+    if material.of_pixels:
+        part = fills**2 + material.fine_texture[:, None] * (fills - fills**2)
+        held = held + part[:, :, None] * light.noise_variance(light.level(lit)) / seen.gain**2
     return means, light.noise_variance(level) / seen.gain**2 - held, around, factor
