@@ -227,10 +227,10 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> Iterator[str]:
     good, usable = int(axis.good.sum()), int((elm.usable & axis.good).sum())
     if usable < FEWEST_USABLE * good:
         yield f"warning: the empirical line can be used in {usable} of {good} good bands only"
-    if (chi2 := elm.contradiction) > 1.0:
+    if (factor := elm.contradiction) > 1.0:
         yield (
-            "warning: the panels of the empirical line do not lie on one line within their stated errors: reduced "
-            f"chi-square {chi2:.3g} (median over bands), by which the line's variance is widened"
+            "warning: the panels of the empirical line do not lie on one line within their stated errors: they are "
+            f"{np.sqrt(factor):.3g} times as great (median over bands), by which the line's errors are widened"
         )
     for name, known in _left_out(elm, axis).items():
         if known.size and (off := np.median(np.abs(known))) > MOST_LEFT_OUT:

@@ -232,10 +232,10 @@ def absorption_centre(wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, fea
 def centre_uncertainty(
     wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, covariance: npt.ArrayLike, feature: Feature, centre_nm: float
 ) -> float:
-    """Standard uncertainty [nm] of an absorption's centre by the errors of its bands; NaN without a centre.
+    """Standard uncertainty [nm] of an absorption's centre by the errors of its bands and shoulders; NaN without one.
 
-    First order, the line between the shoulders taken as known: a unit of radiance in a band inside moves
-    the centre c by -(w - c) dw / (A L_line), A = sum d dw being the area of the absorption.
+    First order: the part p = (w - c) dw / (A L_line) of the centre c per absorbed part d, A = sum d dw being the area
+    of the absorption, changes by -p for a unit of radiance in a band inside, and by p L / L_line for one of the line.
 
     Parameters
     ----------
@@ -247,8 +247,12 @@ def centre_uncertainty(
     before, inside, after = _around(w, centre_nm, feature)
     line, width = _line(w, y, before, inside, after), np.gradient(w)[inside]
     area = float(np.sum((1.0 - y[inside] / line) * width))
-    slope = (w[inside] - centre_nm) * width / (area * line)
-    return float(np.sqrt(max(slope @ cov[np.ix_(inside, inside)] @ slope, 0.0)))
+    part, slope = (w[inside] - centre_nm) * width / (area * line), np.zeros(w.size)
+    slope[inside] = -part
+    for shoulder, levels in ((before, (1.0, 0.0)), (after, (0.0, 1.0))):
+        along = np.interp(w[inside], [w[before].mean(), w[after].mean()], levels)
+        slope[shoulder] = (part * y[inside] / line) @ along / np.count_nonzero(shoulder)
+    return float(np.sqrt(max(slope @ cov @ slope, 0.0)))
 
 
 def _around(w: Array, centre: float, feature: Feature) -> tuple[Mask, Mask, Mask]:
