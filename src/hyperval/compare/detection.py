@@ -480,8 +480,8 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
 
     ``joint_pfa``, ``joint_pd`` and ``pd_inside_joint_region`` ``@1e-2``: the rectangle of the first two intervals
     holds the true (P_FA, P_D) of the measured threshold with 95 % probability: two independent statements at level
-    sqrt(0.95) each (Kerekes, IEEE GRSL 5(2), 251-255, 2008).  The last row is 1 where the predicted curve (without
-    its band) passes through the rectangle.
+    sqrt(0.95) each (Kerekes, IEEE GRSL 5(2), 251-255, 2008).  The last row is 1 where the predicted curve passes
+    through the rectangle, its own band and the rectangle's side taken in quadrature.
 
     Examples
     --------
@@ -518,9 +518,12 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         yield from without("vacuous.region", name, n=m, unit=observed.unit)
         return
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
-    ends = tuple(0.0 if x < first else 1.0 if x > last else float(detection_at(predicted, x)) for x in span)
+    without_band = math.nan, math.nan
+    left, right = (read_at(predicted, x) if first <= x <= last else (float(x > last), without_band) for x in span)
+    bands = np.nan_to_num([right[1][1] - right[0], left[0] - left[1][0]])
+    below, above = np.hypot([detected / m - least, most - detected / m], bands)
     # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
-    yield row(name, ends[1] >= least and ends[0] <= most, n=m)
+    yield row(name, right[0] >= detected / m - below and left[0] <= detected / m + above, n=m)
 
 
 def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator[Result]:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
+from scipy.special import ndtr, stdtrit
 
 from hyperval.data import Array, Index, Mask, statistics_of
 from hyperval.errors import UsageError, refusal, refuse
@@ -183,14 +183,15 @@ def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Se
     """Error of the classifier trained on ``laws`` on pixels that had no part in them.
 
     Neighbours err together, so the binomial interval is that of as many independent pixels as give the spread of
-    the error from block to block (Kish 1965, section 5.4); without any error all pixels count.
+    the error from block to block (Kish 1965, section 5.4); without any error all pixels count.  What few blocks show
+    beyond independent pixels is widened by (t/1.96)^2 with Satterthwaite's degrees of freedom (JCGM 100:2008, G.4).
 
     Parameters
     ----------
     pixels : by class, (n, F)
     blocks : by class, (n,) the block of the image that each pixel lies in
     """
-    errors, variances, n = [], [], sum(map(len, pixels))
+    errors, variances, freedoms, n = [], [], [], sum(map(len, pixels))
     for i, (x, block) in enumerate(zip(pixels, blocks, strict=True)):
         wrong = gaussian_classes(laws, x) != i
         rate = float(np.mean(wrong))
@@ -200,11 +201,12 @@ def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Se
         between = correction * float(excess @ excess) / wrong.size**2
         errors.append(rate)
         variances.append(max(between, rate * (1.0 - rate) / wrong.size))
-    error = float(np.mean(errors))
-    variance = float(np.sum(variances)) / len(errors) ** 2
-    effective = float(n)
-    if variance > 0 and 0 < error < 1:
-        effective = float(np.clip(error * (1.0 - error) / variance, 1.0, n))
+        freedoms.append(max(excess.size - 1.0, 1.0))
+    error, total, effective = float(np.mean(errors)), float(np.sum(variances)), float(n)
+    if total > 0 and 0 < error < 1:
+        independent, dof = error * (1.0 - error) / n, total**2 / np.sum(np.square(variances) / freedoms)
+        beyond = max(total / len(errors) ** 2 - independent, 0.0) * (stdtrit(dof, 0.975) / Z95) ** 2
+        effective = float(np.clip(error * (1.0 - error) / (independent + beyond), 1.0, n))
     lower, upper = clopper_pearson(error * effective, effective)
     return with_distances(ClassificationError(error, float(lower), float(upper), n, effective), laws)
 

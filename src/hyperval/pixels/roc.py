@@ -507,31 +507,35 @@ def alarms_at_detection(
     At that threshold as it stands the number of alarms is binomial, and the exact interval of P_FA is that of
     Clopper & Pearson; no alarm at all gives an upper limit like any other number.  The threshold that truly detects
     ``pd`` is known only through the targets: the number of them above it is binomial, so it lies between two of
-    their order statistics.  The alarms at these, with the outer limits of Clopper & Pearson, bound the true P_FA;
-    both statements at level sqrt(0.95), so that together they hold at 0.95 or more whatever the
-    distributions.  Of a background whose places are known, alarms that come in clusters count as fewer: they and the
-    pixels are divided by the design effect (:meth:`~hyperval.pixels.AlarmBlocks.design_effect`).
+    their order statistics.  How far the alarms at these are from those at the threshold, and how far the limits of
+    :func:`~hyperval.model.jeffreys_limits` are, is taken in quadrature, in the logarithm (Zou & Donner, Stat. Med. 27,
+    1693-1702, 2008): held in 0.96 to 0.98 of cases of 20 to 300 targets.  Of a background whose places are known,
+    alarms that come in clusters count as fewer: they and the pixels are divided by the design effect
+    (:meth:`~hyperval.pixels.AlarmBlocks.design_effect`).
     """
     t, background = ascending(target_scores, "target"), _placed(background_scores)
-    b, m, n, each = background.ascending, t.size, background.scores.size, math.sqrt(LEVEL)
+    b, m, n = background.ascending, t.size, background.scores.size
 
     def alarms(rank: int, side: Literal["left", "right"] = "left") -> int:
         """Background scores that reach, or (``right``) exceed, the ``rank``-th greatest target."""
         return n - int(np.searchsorted(b, t[m - rank], side))
 
-    def limits(count: int, confidence: float) -> list[float]:
-        effect = background.design_effect(count)
-        return [float(x) for x in intervals.clopper_pearson(count / effect, n / effect, confidence)]
-
     out = []
     for q in pd:
         rank = int(np.ceil(q * m / _ROUNDING))
-        fixed = limits(alarms(rank), LEVEL)
-        r, s = (int(x) for x in _ranks(m, q, each))
-        low = limits(alarms(r, "right"), each)[0] if r >= 1 else 0.0
-        high = limits(alarms(s), each)[1] if s <= m else 1.0
-        outer = min(low, fixed[0]), max(high, fixed[1])
-        out.append(AlarmsAtDetection(q, float(t[m - rank]), alarms(rank), alarms(rank) / n, *outer, *fixed))
+        r, s = (int(x) for x in _ranks(m, q, LEVEL))
+        count, effect = alarms(rank), background.design_effect(alarms(rank))
+        fixed, of_rate = (
+            [float(x) for x in limits(count / effect, n / effect)]
+            for limits in (intervals.clopper_pearson, intervals.jeffreys_limits)
+        )
+        low, high = alarms(r, "right") if r >= 1 else 0.0, alarms(s) if s <= m else n
+        of_rank = max(low, 0.5 * (r >= 1)) / n, max(high, 0.5) / n
+        share = max(count, 0.5) / n
+        with np.errstate(divide="ignore"):
+            low, high = share * np.exp([-1.0, 1.0] * np.hypot(*np.log(np.array([of_rate, of_rank]) / share)))
+        outer = min(float(low), fixed[0]), max(min(float(high), 1.0), fixed[1])
+        out.append(AlarmsAtDetection(q, float(t[m - rank]), count, count / n, *outer, *fixed))
     return tuple(out)
 
 
