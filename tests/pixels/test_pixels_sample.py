@@ -212,17 +212,19 @@ def test_independent_pixels_behind_a_variance_are_those_of_the_squared_correlati
 def test_a_ring_counts_where_its_mean_is_two_standard_errors_of_its_pairs_above_nought():
     # 101 pixels of +-1 in a line, of whose 100 pairs c differ: rho = 1 - c / 50, and 0.2 is two standard errors.
     shares = np.array([[0.0, 0, 0], [1, 1, 1], [0, 0, 0]])
-    for changes, independent in ((41, 101.0), (38, 101.0 / (1.0 + 2.0 * 0.24**2))):
+    q = 1.48 / (1.0 - 1.52 / 101.0) / 101.0  # of the variance, which the mean of the line takes away
+    put_back = (1.0 - q) ** 2 * (1.0 + 2.0 * 0.24**2) + 2.0 * q * (1.0 - q) * 1.48 + 3.0 * q**2
+    for changes, independent in ((41, 101.0), (38, 101.0 / put_back)):
         sign = np.ones((1, 1, 101))
         sign[..., np.linspace(1, 100, changes).astype(int)] = -1.0
         found = pixels.independent_pixels([(np.cumprod(sign, axis=-1), np.ones((1, 101), bool))], shares, 101, 1)[1]
         assert found == pytest.approx([independent])
 
 
-def test_noise_of_one_band_has_the_scatter_of_its_tails_and_of_its_columns():
-    # (2 + 3 kappa)/n of the square for the pixels (Waternaux 1976), 2/(columns - 1) for what the columns share.
+def test_noise_of_one_band_has_the_scatter_of_normal_pixels_and_of_its_columns():
+    # 2/n of the square for the pixels, whose texture alone has tails, 2/(columns - 1) for what the columns share.
     factor, uncertainty = pixels.noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
-    assert (factor, uncertainty**2) == pytest.approx((2.0, 4.0 * 8.0 / 100.0 + 0.2 / 16.0))
+    assert (factor, uncertainty**2) == pytest.approx((2.0, 4.0 * 2.0 / 100.0 + 0.2 / 16.0))
 
 
 def test_kurtosis_rank_and_directions():

@@ -154,7 +154,10 @@ def sampled(predicted: Products, observed: Products, subject: str, quantity: str
     first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return "a covariance is not finite"
-    kurtosis = pixels.kurtosis_parameter(predicted.distribution.get(subject, PixelDistribution()).tail_dof)
+    # Pixels that have tails scatter by them, whatever law is predicted.
+    there, law = (side.distribution.get(subject, PixelDistribution()) for side in (observed, predicted))
+    has_tails = math.isfinite(there.leading_upper)
+    kurtosis = pixels.kurtosis_parameter(min(law.tail_dof, there.leading_tail_dof if has_tails else math.inf))
     if math.isinf(kurtosis):
         return "tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band"
     directions = pixels.EigenDirections.of(first)
@@ -253,9 +256,8 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     calibration = calibration + beyond
     noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[at]
-    factor, uncertainty = pixels.noise_part(
-        second, first, noise, sample.fewest - 1.0, sample.kurtosis, calibration=calibration, samples=samples
-    )
+    columns = {"calibration": calibration, "samples": samples}
+    factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)
     low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:
         yield from without("few_pixels.noise", "noise_ratio")

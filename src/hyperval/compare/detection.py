@@ -15,7 +15,7 @@ from hyperval.compare.rows import Interval, named, of_sides, row, said, scientif
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
-from hyperval.model import Z95, clopper_pearson, difference_ratio, difference_ratio_uncertainty, zero_count_upper_limit
+from hyperval.model import Z95, clopper_pearson, zero_count_upper_limit
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at, log10_false_alarm_at
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution
@@ -378,12 +378,29 @@ def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
         yield row("object_score_inside_95", float(central(u)), n=1, reason=why, about=about)
 
 
+def ratio_limits(a: float, ua: float, b: float, ub: float) -> Interval:
+    """95 % limits of a / b of independent normal estimates with standard uncertainties: r with |a - r b| <= 1.96 u.
+
+    NaN where b may be 0: nothing bounds the ratio then.  Source: Fieller, J. R. Stat. Soc. B 16, 175-185, 1954.
+
+    Examples
+    --------
+    >>> [round(end, 3) for end in ratio_limits(1.0, 0.05, 1.0, 0.2)]
+    [0.706, 1.657]
+    """
+    rest = b**2 - (Z95 * ub) ** 2
+    if rest <= 0.0:
+        return math.nan, math.nan
+    root = math.sqrt(max((a * b) ** 2 - rest * (a**2 - (Z95 * ua) ** 2), 0.0))
+    return (a * b - root) / rest, (a * b + root) / rest
+
+
 def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Result]:
     """Rows ``area_predicted``, ``area_observed`` [m2], ``area_ratio`` (observed over predicted),
     ``area_difference_ratio``, ``area_z``, ``area_inside_95``.
 
-    The ratio is (predicted - observed)/observed with the first-order interval of both uncertainties; z is the
-    difference over sqrt(u_p^2 + u_o^2).  Where neither side has an uncertainty, z and the verdict are SKIPPED.
+    The ratio is (predicted - observed)/observed with :func:`ratio_limits` of both uncertainties; z is the difference
+    over sqrt(u_p^2 + u_o^2).  Where neither side has an uncertainty, z and the verdict are SKIPPED.
     Where both sides estimate a nominal area: ``area_error_predicted`` and ``area_error_observed`` [m2], estimate
     less nominal area, ``area_nominal_ratio`` measured over nominal, and ``area_in_predicted_95``, 1 where the
     measured area lies in the predicted interval.
@@ -403,12 +420,12 @@ def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Res
     yield row("area_predicted", p, half=Z95 * up, n=predicted.n, evidence=evidence)
     yield row("area_observed", o, half=Z95 * uo, n=n)
     if p > 0:
-        yield row("area_ratio", o / p, half=Z95 * np.hypot(uo / p, o * up / p**2), n=n, evidence=evidence)
+        yield row("area_ratio", o / p, ratio_limits(o, uo, p, up), n=n, evidence=evidence)
     else:
         yield from without("not_positive.area", "area_ratio", side="predicted")
     if o > 0:
-        half = Z95 * float(difference_ratio_uncertainty(p, o, up, uo))
-        yield row("area_difference_ratio", float(difference_ratio(p, o)), half=half, n=n, evidence=evidence)
+        low, high = ratio_limits(p, up, o, uo)
+        yield row("area_difference_ratio", p / o - 1.0, (low - 1.0, high - 1.0), n=n, evidence=evidence)
     else:
         yield from without("not_positive.area", "area_difference_ratio", side="observed")
     if (nominal := observed.nominal_m2) is not None:

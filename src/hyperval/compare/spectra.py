@@ -419,8 +419,8 @@ def detectable_tilts(reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, tes
 
     A tilt of t multiplies the reference by 1 - t at one end of the bands and by 1 + t at the other.  The statistic
     of the full test is then noncentral chi-square with t^2 d^T C^-1 d, d the reference times the tilt of 1 (F where
-    part of C was estimated); that of the shape has what of d is no multiple of the reference.  The level is 0.001
-    in both tails together.
+    part of C was estimated, whose inverse is nu / (nu - p - 1) times as great on average); that of the shape has what
+    of d is no multiple of the reference.  The level is 0.001 in both tails together.
 
     Examples
     --------
@@ -436,7 +436,8 @@ def detectable_tilts(reference: npt.ArrayLike, wavelength_nm: npt.ArrayLike, tes
     whole, level, nu = tested.of(tilt), tested.of(c), tested.covariance_dof
     rest = whole - level * float(level @ whole) / max(float(level @ level), 1e-300)
     kept = whole.size
-    return _detectable(float(whole @ whole), kept, nu), _detectable(float(rest @ rest), kept - 1, nu)
+    true = 1.0 if math.isinf(nu) else max(nu - kept - 1.0, 0.0) / nu
+    return _detectable(true * float(whole @ whole), kept, nu), _detectable(true * float(rest @ rest), kept - 1, nu)
 
 
 def _detectable(unit: float, dof: int, nu: float) -> float:

@@ -135,7 +135,7 @@ def observe(
     for name in track([n for n in place.regions if n not in known], "tails"):
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
-    snr = {name: px.snr_decorrelated(_some_pixels(place, name)) for name in collection.snr_regions}
+    snr = {n: px.snr_decorrelated(_some_pixels(place, n), sampling[n].covariance) for n in collection.snr_regions}
     seen = (
         f"classifiers choose among {place.clear_bands.sum()} of {cube.bands} bands: usable, in the atmospheric windows"
     )

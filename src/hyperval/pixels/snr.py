@@ -12,7 +12,7 @@ from hyperval.products import SpectralEstimate
 _TOGETHER = 2048  # pixels whose distances from their mean are in memory at once
 
 
-def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
+def snr_decorrelated(pixels: npt.ArrayLike, mean_error: npt.ArrayLike | None = None) -> SpectralEstimate:
     """Mean over the noise that neighbouring bands do not explain.
 
     Texture is common to neighbouring bands and noise is not.  Each band is regressed on the bands below and
@@ -35,6 +35,14 @@ def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
     Parameters
     ----------
     pixels : (n, B) of one region, n >= 5, B >= 3, finite
+    mean_error : (B, B) error covariance of their mean, of which texture on the ground is the greater part where it is
+        correlated; None: that of n pixels of noise alone
+
+    Examples
+    --------
+    >>> pixels = 100.0 + np.random.default_rng(1).standard_normal((400, 3))
+    >>> [round(float(snr_decorrelated(pixels, error).budget["mean"][1]), 2) for error in (None, np.full((3, 3), 0.09))]
+    [0.05, 0.31]
     """
     x = np.asarray(pixels, dtype=float)
     refuse(x.ndim != 2 or len(x) < 5, "snr.few", shape=x.shape)
@@ -47,12 +55,14 @@ def snr_decorrelated(pixels: npt.ArrayLike) -> SpectralEstimate:
     sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * (n - 3))) ** 1.5
     with np.errstate(divide="ignore", invalid="ignore"):
         snr = np.where(sd > 0, mean / sd, np.nan)
-    # First order: var(mean/s) = 1/n + snr^2 times a quarter of the relative variance of s^2; the two parts are
-    # independent for normal noise.
-    of_noise = np.abs(snr) * np.sqrt(relative_variance) / 2.0
-    budget = {"mean": np.full(snr.shape, n**-0.5), "noise estimate": of_noise}
+        # First order: var(mean/s) = var(mean)/s^2, 1/n of noise, + snr^2 times a quarter of the relative variance of
+        # s^2; the two parts are independent for normal noise.
+        of_noise = np.abs(snr) * np.sqrt(relative_variance) / 2.0
+        of_mean = np.eye(bands) / n if mean_error is None else np.asarray(mean_error, dtype=float) / np.outer(sd, sd)
+    of_mean = np.where(np.isfinite(of_mean), of_mean, 0.0)
     covariance = np.outer(np.nan_to_num(of_noise), np.nan_to_num(of_noise)) * correlation
-    return SpectralEstimate(snr, covariance + np.diag(budget["mean"] ** 2), None, n, budget)
+    budget = {"mean": np.sqrt(np.diag(of_mean)), "noise estimate": of_noise}
+    return SpectralEstimate(snr, covariance + of_mean, None, n, budget)
 
 
 def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:

@@ -461,8 +461,8 @@ def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: 
     uncorrelated pixels: beyond it there is noise (the initial positive sequence of Geyer, Stat. Sci. 7, 473-483,
     1992, is the same on a line).  The mean of a correlated region takes a part of its own variance away, 1 of so
     many independent pixels: the number for the mean is less by it.  It takes the same part from the correlation at
-    every lag, rho = (1 - q) rho_found + q with q = total/n, which is put back: with S the sum found and M the sum
-    of shares, total = S + (total/n) (M - S).
+    every lag, rho = (1 - q) rho_found + q with q = total/n, which is put back: with S the sum found, S2 that of its
+    squares and M the sum of shares, total = S + (total/n) (M - S), and (1 - q)^2 S2 + 2 q (1 - q) S + q^2 M for rho^2.
 
     Parameters
     ----------
@@ -483,8 +483,10 @@ def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: 
     noise[:, 0] = False
     share = np.where(np.logical_or.accumulate(noise, axis=1), 0.0, near)
     total, squares, summed = (np.sum(share * part, axis=1) for part in (mean, mean**2, 1.0))
-    total = np.maximum(total, 1.0)
-    total /= 1.0 - np.minimum(np.maximum(summed - total, 0.0) / n, MOST_TAKEN)
+    found = np.maximum(total, 1.0)
+    total = found / (1.0 - np.minimum(np.maximum(summed - found, 0.0) / n, MOST_TAKEN))
+    taken = total / n
+    squares = (1.0 - taken) ** 2 * squares + 2.0 * taken * (1.0 - taken) * found + taken**2 * summed
     total, squares = (np.clip(part, 1.0, 0.5 * n) for part in (total, squares))
     # E[s^2] = sigma^2 (1 - total/n) n/(n - 1) of s^2 with divisor n - 1, var(mean) = sigma^2 total/n.
     return np.maximum((n / total - 1.0) * n / (n - 1.0), 1.0), n / squares
@@ -562,7 +564,7 @@ def noise_part(
     measured: npt.ArrayLike,
     expected: npt.ArrayLike,
     noise: npt.ArrayLike,
-    dof: float,
+    dof: npt.ArrayLike,
     kurtosis: float = 0.0,
     *,
     calibration: npt.ArrayLike = 0.0,
@@ -582,8 +584,9 @@ def noise_part(
     measured : (B, B) S, sample covariance
     expected : (B, B) Sigma, of the model, noise included
     noise : (B,) variances that N has on its diagonal
-    dof : degrees of freedom behind S
-    kurtosis : kappa of the pixels' law (:func:`hyperval.pixels.kurtosis_parameter`)
+    dof : degrees of freedom behind S, or (P,) along the eigenvectors of Sigma, the greatest first: noise is independent
+        from pixel to pixel where the texture is not, and of S_jk they are the geometric mean of both, or more
+    kurtosis : kappa of the texture's law (:func:`hyperval.pixels.kurtosis_parameter`); noise is normal
     calibration : (B,) part of the noise that the detector elements' own errors of calibration make: all pixels of a
         column share them, so that it is known by as many as there are columns
     samples : columns of the image
@@ -603,12 +606,14 @@ def noise_part(
     expectation = np.array([[np.sum(m * part) for part in parts] for m in seen])
     inverse = np.linalg.pinv(expectation)
     factors = inverse @ [np.sum(m * s) for m in seen]
-    shown = sum(max(float(f), 0.0) * part for f, part in zip(factors, parts, strict=True))
-    through = [m @ shown for m in seen]
-    # Muirhead 1982, 1.6: cov(S_ij, S_kl) of an elliptical law.
-    traces = np.array([np.trace(x) for x in through])
-    covariance = 2.0 * (1.0 + kurtosis) * np.array([[np.sum(x * y.T) for y in through] for x in through])
-    covariance = (covariance + kurtosis * np.outer(traces, traces)) / dof
+    along = EigenDirections.of(sigma).vectors
+    known = (along * np.atleast_1d(dof)[: along.shape[1]] ** -0.25) @ along.T
+    shown = [known @ (max(float(f), 0.0) * part) @ known for f, part in zip(factors, parts, strict=True)]
+    # Muirhead 1982, 1.6: cov(S_ij, S_kl) of normal pixels, and what an elliptical law of the texture adds.
+    whole, heavy = ([m @ part for m in seen] for part in (sum(shown), sum(shown[1:], np.zeros_like(sigma))))
+    traces = np.array([np.trace(x) for x in heavy])
+    normal, tails = (2.0 * np.array([[np.sum(x * y.T) for y in each] for x in each]) for each in (whole, heavy))
+    covariance = normal + kurtosis * (tails + np.outer(traces, traces))
     variance = (inverse @ covariance @ inverse.T)[0, 0]
     by_band = np.einsum("i,ibb->b", inverse[0], np.array(seen))
     columns = 2.0 / (samples - 1.0) * np.sum((by_band * calibration) ** 2)
