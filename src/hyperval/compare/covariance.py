@@ -38,11 +38,13 @@ def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis
 def independent_pixels(n: int, distribution: PixelDistribution | None, size: int) -> Array:
     """(P,) degrees of freedom behind the variance along each direction, the leading ones first.
 
-    Directions beyond those whose correlation was measured take the last one's value.
+    Directions beyond those whose correlation was measured take the last one's value.  A correlation that was found is
+    known the worse the fewer pixels it leaves (:func:`~hyperval.pixels.small_sample_factor`).
     """
     if distribution is None or distribution.effective_n is None or not distribution.n:
         return np.full(size, n - 1.0)
     leading = np.asarray(distribution.effective_n, dtype=float)[:size]
+    leading = np.where(leading < distribution.n, leading / pixels.small_sample_factor(leading), leading)
     return np.maximum(np.concatenate([leading, np.full(size - leading.size, leading[-1])]) - 1.0, 1.0)
 
 
