@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -22,7 +22,18 @@ from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
-from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
+from hyperval.config import (
+    FILL_IN,
+    Location,
+    Model,
+    Placeholder,
+    file_of,
+    load_yaml,
+    placeholders,
+    texts_of,
+    unfilled,
+    validate,
+)
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
 from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
@@ -261,7 +272,6 @@ class Job:
     path, words : its file, and the words of the run that stand in braces there
     content, lines : of the file, and where its entries stand
     files, to_fill_in : that it and its scenarios name, and the values that are still to be given
-    of_others : files that other runs of the file name alone
     """
 
     path: Path
@@ -270,7 +280,6 @@ class Job:
     lines: dict[Location, int]
     files: tuple[Reference, ...] = ()
     to_fill_in: tuple[Placeholder, ...] = ()
-    of_others: tuple[Reference, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -322,11 +331,14 @@ def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int]
     """One run of a file with the files and values to fill in of its own text, then of its scenario files."""
     base, scenarios = Path(path).resolve().parent, content.get("scenarios")
     files, marks = [*_files(content, base)], placeholders(content, lines, str(path))
-    for entry in scenarios if isinstance(scenarios, list) else []:
+    for number, entry in enumerate(scenarios if isinstance(scenarios, list) else []):
         day = isinstance(entry, dict) and "radcalnet" in entry
         item = entry.get("scenario") if day else entry
         if not isinstance(item, str) or item in builtin_scenarios() or item.startswith(FILL_IN):
             continue
+        if not (item.startswith(PREFIX) or (base / item).exists()):
+            with told_of(f"{path}:{lines.get(('scenarios', number), 1)}"):
+                file_of(item, builtin_scenarios(), "scenario")  # refuses what is neither a file nor goes by name
         files.append(Reference("scenarios", item, base))
         if (scenario_path := files[-1].path) is None:
             continue
@@ -359,9 +371,7 @@ def read_jobs(path: Path) -> list[Job]:
     UsageError : no YAML, or runs that are none.
     """
     data, lines = load_yaml(path)
-    runs = [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
-    every = dict.fromkeys(file for job in runs for file in job.files)
-    return [replace(job, of_others=tuple(file for file in every if file not in set(job.files))) for job in runs]
+    return [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
 
 
 def job_of(path: Path, *, predicts: bool = True) -> Job:
