@@ -151,6 +151,8 @@ def _items(job: Job, finished: Path | None) -> list[Item]:
     scenarios = [*_scenarios(job, lookup)] if are_whole else []
     if not any(item.lacking for item in items):
         items += _mistakes(job.campaign, lookup, scenarios)
+    if not any(item.lacking for item in items):
+        items += [Item("", VALUE, TO_FILL_IN, key, "or observe alone: hyperval observe") for key in job.lacking]
     return items if any(item.lacking for item in items) else [*items, *_undecided(job, finished)]
 
 
@@ -218,9 +220,6 @@ NAMES = {
     "detection.undesired": ("region",),
     "detection.targets.material": ("target of material",),
     "detection.pools.subjects": ("subject",),
-    "detection.areas.target": ("detection target",),
-    "detection.areas.detector": ("detector of this campaign",),
-    "detection.unmixing.targets.target": ("detection target",),
     "detection.unmixing.background": ("region",),
 }
 # What a collection offers: its bands, None where they are not known, and its names by what they are of.
@@ -339,8 +338,6 @@ def _offered(campaign: Campaign, lookup: Lookup) -> Offered:
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
         lookup.spectra(("collection", "empirical_line", "panels", i), panel, panel.region, axis)
     if detection is not None and cube is not None:
-        known["detection target"] = [target.name for target in detection.targets]
-        known["detector of this campaign"] = detection.detectors
         for i, target in enumerate(detection.targets if not cube.by_number else ()):  # which are read by bands
             lookup.spectra(("detection", "targets", i), target, target.name, axis)
     return axis, known

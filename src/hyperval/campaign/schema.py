@@ -36,6 +36,7 @@ from hyperval.config import (
 )
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
 from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
+from hyperval.results import grouped
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.spectra.networks import SURFACE, read_radcalnet
 
@@ -316,13 +317,17 @@ class Job:
         more = f"{len(self.to_fill_in)} values are to be filled in then (hyperval validate --dry-run lists them)"
         return f"{owner.name} is not on this machine: {first.found[1]}; {more}", first.found[1]
 
+    @property
+    def lacking(self) -> list[str]:
+        """What it has not, without which a collection can only be observed."""
+        return [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
+
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
         for one in (file for file in self.files if file.text.startswith(PREFIX)):
             with suppress(InputError), told_of(f"{self.path}: {one.key}", one.text):
                 resolve(one.text)
-        lacking = [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
-        refuse(compares and lacking, "campaign.lacking", self.path, keys=" and no ".join(lacking))
+        refuse(compares and self.lacking, "campaign.lacking", self.path, keys=" and no ".join(self.lacking))
         if self.to_fill_in and self.waits is None:
             raise unfilled(list(self.to_fill_in))
 
@@ -408,7 +413,6 @@ def jobs_of(*paths: Path, compares: bool = True) -> list[Job]:
     jobs = [job if compares else job.observing for path in paths for job in read_jobs(path)]
     for job in jobs:
         job.check(compares=compares)
-    names = [job.outline.name for job in jobs]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    refuse(twice, "campaign.twice", name=twice)
+    for name, own in grouped(jobs, lambda job: job.outline.name).items():
+        refuse(len(own) > 1, "campaign.twice", " and ".join(dict.fromkeys(str(job.path) for job in own)), name=name)
     return jobs
