@@ -14,7 +14,7 @@ from hyperval import cli
 from hyperval.campaign import run_campaign
 from hyperval.datasets import InputLog
 from hyperval.report import write_outputs
-from hyperval.results import Outcome, Result, ResultTable
+from hyperval.results import Cause, Result, ResultTable
 from hyperval.run import Run, write_table
 from hyperval.storage import PARTIAL, RECORD
 from small_campaign import files_of, with_stand_in_atmosphere, without_figures
@@ -104,8 +104,8 @@ def quick(monkeypatch) -> list[str]:
         for path in (job.path, *job.folder.rglob("small_rad.*")):
             log.add(path)
         ran.append(own.name)
-        outcome = Outcome.SKIPPED if "nowhere" in own.title else Outcome.NONE
-        table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)])
+        cause = Cause.NO_DATA if "nowhere" in own.title else Cause.NONE
+        table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, cause=cause)])
         return Run(table, {"inputs": log.entries()}, title=own.title, campaign=own.name, simulated=own.simulated)
 
     def write(run, folder):

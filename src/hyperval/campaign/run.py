@@ -233,10 +233,10 @@ class CampaignRun(NamedTuple):
         return self.written(unfinished(self.job, Outcome.ERROR, words), code)
 
     def written(self, run: Run, code: int | None) -> Done:
-        """Write its folder, and what it was made of where nothing was skipped or went wrong."""
+        """Write its folder, and what it was made of, unless it was skipped or an error ended it."""
         with step_of(run.campaign, "report"), working("figures and report"):
             write_outputs(run, self.folder)
-        if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
+        if not any(row.cause in (Cause.NO_DATA, Cause.BROKEN) for row in run.table):
             read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
             files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
             with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
@@ -341,7 +341,7 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
 
         def cube(observed: Observed) -> None:
             if observed.place is not None and write_reflectance:
-                of = folder / "reflectance", "reflectance", observed.place.cube, observed.elm
+                of = folder / "reflectance", "reflectance", observed.place.cube, observed.place.line
                 notes.append(reflectance_cube(*of, write_reflectance)[1])
 
         run = run_campaign(job, predicts=False, with_observed=cube)

@@ -402,13 +402,9 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
 
 
 def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
-    """At most a few hundred points of a curve, evenly spread over the logarithm of P_FA."""
-    keep = np.flatnonzero(curve.pfa >= low)
-    if keep.size > _MOST_POINTS:
-        wanted = np.geomspace(curve.pfa[keep[0]], curve.pfa[keep[-1]], _MOST_POINTS)
-        keep = np.unique(np.clip(np.searchsorted(curve.pfa, wanted), keep[0], keep[-1]))
+    """At most a few hundred points of a curve, whose P_FA are evenly spread over the logarithm."""
     columns = {"x": curve.pfa, "y": curve.pd, "low": curve.pd_lower, "high": curve.pd_upper}
-    return {name: values[keep] for name, values in columns.items()}
+    return _thinned({name: values[curve.pfa >= low] for name, values in columns.items()})
 
 
 def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
