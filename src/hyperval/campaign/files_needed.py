@@ -130,8 +130,8 @@ def summary(items: Sequence[Item]) -> list[str]:
     for name in dict.fromkeys(i.campaign for i in items):
         own = [i for i in items if i.campaign == name]
         files, values, wrong, never = (sum(i.state == s for i in own) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
-        words = [f"{files} files missing, {values} values to fill in"] * bool(files or values)
-        words += [f"{wrong} unknown names"] * bool(wrong)
+        told = (files, "file{} missing"), (values, "value{} to fill in"), (wrong, "unknown name{}")
+        words = [f"{count} {what.format('s' * (count > 1))}" for count, what in told if count]
         ready = "ready" + f"; {never} acceptance criteria can never be met" * bool(never)
         states.setdefault((own[0].general(name), ", ".join(words) or ready), []).append(name)
     who = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
