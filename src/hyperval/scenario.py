@@ -544,6 +544,12 @@ def builtin_scenarios() -> dict[str, Path]:
     return shipped("hyperval", "scenarios")
 
 
+def refuse_unknown(name: str, folder: Path) -> None:
+    """Raise UsageError for what is neither a file of the folder nor a scenario that goes by name."""
+    if not (folder / name).exists():
+        file_of(name, builtin_scenarios(), "scenario")
+
+
 @reader
 def load_scenario(name_or_path: str | Path) -> Scenario:
     """A built-in scenario by name, or a scenario file by path.

@@ -471,15 +471,10 @@ class Study(_Shown):
     results: Results
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def _columns(self) -> xr.Dataset:
-        """Inputs and outputs, without what is said of a point."""
-        return self.table.drop_vars("reason", errors="ignore")
-
     def __repr__(self) -> str:
         """Number of points and the range of each column."""
         facts = {}
-        for name, column in self._columns.items():
+        for name, column in self.table.items():
             if column.dtype.kind == "f":
                 unit = "" if column.attrs.get("units", "1") == "1" else f" {column.attrs['units']}"
                 facts[str(name)] = [f"{np.nanmin(column):.4g} to {np.nanmax(column):.4g}{unit}"]
@@ -502,7 +497,7 @@ class Study(_Shown):
         ------
         UsageError : no such column.
         """
-        names = [str(n) for n in self._columns.data_vars]
+        names = [str(n) for n in self.table.data_vars]
         x, y = x or names[0], y or names[-1]
         if x not in names or y not in names:
             raise UsageError(f"no column {x if x not in names else y!r}", expected="one of " + ", ".join(names))

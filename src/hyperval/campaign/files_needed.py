@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from hyperval.compare.spectra import TOGETHER
 from hyperval.config import Location, texts_of, twice
 from hyperval.datasets import SIMULATED, check_copy, how_to_get, owner_of, resolve
 from hyperval.envi_header import header_beside
-from hyperval.errors import HypervalError, InputError
+from hyperval.errors import HypervalError, InputError, T
 from hyperval.imagery import needs_header
 from hyperval.metrics import foreign, metric_of
 from hyperval.model import Sources
@@ -36,7 +36,6 @@ from hyperval.simulate import load_scene
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import ClassStatistics
 
-T = TypeVar("T")
 FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
 PRESENT, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
 NEVER_MET, INCONCLUSIVE = "can never be met", "inconclusive"
@@ -176,9 +175,7 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
         found = [(row, f"in {finished}: {row.reason}") for row in rows if row.outcome is Outcome.UNDECIDED]
     elif campaign.collection.cube is None and campaign.scenarios and any(g.gate for g in campaign.comparisons):
         found = [(row, f"to decide it: {words}") for row, words in undecided_by(job)]
-    for row, words in found:
-        if any(gate.covers(row) for gate in bare):  # which stands there already
-            continue
+    for row, words in ((row, words) for row, words in found if not any(gate.covers(row) for gate in bare)):
         state = NEVER_MET if row.never_met else INCONCLUSIVE
         yield Item("", COMPARISON, state, f"{row.product} {row_name(row)}", words)
 

@@ -175,8 +175,7 @@ def _named(job: Job) -> list[str]:
     Others come and go: but a pattern may match one more, and a grid or a header that comes later is read.
     """
     paths = [path for one in job.files if one.path is not None for path in matching(one.path)]
-    collection = job.campaign.collection
-    if collection.cube is not None and not collection.simulate:
+    if (collection := job.campaign.collection).cube is not None and not collection.simulate:
         cube_alone = collection.model_copy(update={"regions": [], "targets": None, "leave_out": []})
         paths += open_place(cube_alone, partial(resolve, base=job.folder)).source_files
     return sorted({path.name for path in paths})

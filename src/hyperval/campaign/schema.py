@@ -22,22 +22,11 @@ from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
-from hyperval.config import (
-    FILL_IN,
-    Location,
-    Model,
-    Placeholder,
-    file_of,
-    load_yaml,
-    placeholders,
-    texts_of,
-    unfilled,
-    validate,
-)
+from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
 from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
 from hyperval.results import grouped
-from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario, refuse_unknown
 from hyperval.spectra.networks import SURFACE, read_radcalnet
 
 MAX_RUNS = 100
@@ -341,9 +330,8 @@ def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int]
         item = entry.get("scenario") if day else entry
         if not isinstance(item, str) or item in builtin_scenarios() or item.startswith(FILL_IN):
             continue
-        if not (item.startswith(PREFIX) or (base / item).exists()):
-            with told_of(f"{path}:{lines.get(('scenarios', number), 1)}"):
-                file_of(item, builtin_scenarios(), "scenario")  # refuses what is neither a file nor goes by name
+        with told_of(f"{path}:{lines.get(('scenarios', number), 1)}"):
+            refuse_unknown(item, base)
         files.append(Reference("scenarios", item, base))
         if (scenario_path := files[-1].path) is None:
             continue

@@ -386,8 +386,7 @@ def init(
     asked = hyperval.config.placeholders(*hyperval.config.parse_yaml(text), str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
-    compares = asked or "\ncomparisons:" in text
-    drafted = ("validate", "--dry-run", path) if compares else ("observe", path, "-o", path.with_name("observed"))
+    drafted = ("validate", "--dry-run", path) if asked or "\ncomparisons:" in text else ("observe", path, "-o", "seen")
     again = bool(asked) and "\nscenarios:" not in text
     then = "hyperval init again, with these options, into another folder" if again else as_typed(*drafted)
     count = f"{len(asked)} value{'s' if len(asked) > 1 else ''} to fill in, then"

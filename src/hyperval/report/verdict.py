@@ -22,9 +22,7 @@ _KINDS = {
     None: ("informational comparison", "informational comparisons"),
 }
 # What the criterion that stands first is.
-_AHEAD = {
-    Outcome.DISAGREES: "Worst", Outcome.UNDECIDED: "Least certain", Outcome.AGREES: "Closest to its limit",
-}  # fmt: skip
+_AHEAD = {Outcome.DISAGREES: "Worst", Outcome.UNDECIDED: "Least certain", Outcome.AGREES: "Closest to its limit"}
 
 
 # What to do about criteria that were not evaluated.
@@ -68,8 +66,7 @@ def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
     if Outcome.DISAGREES in made:
         return Outcome.DISAGREES, "Not met", "Not met."
     if overall is Outcome.ERROR:  # of what broke nothing is known
-        apart = ": no acceptance criterion was evaluated" if len(made) == 1 else ""
-        return overall, "Error", f"Ended in an error{apart}."
+        return overall, "Error", f"Ended in an error{': no acceptance criterion was evaluated' * (len(made) == 1)}."
     if not gates:
         return Outcome.NONE, "No acceptance criteria", "This campaign has no acceptance criteria."
     if made == {Outcome.SKIPPED}:
@@ -167,9 +164,7 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
             f"Narrow the intervals of what is inconclusive: {product_words(row.product)} of {row_label(row)} "
             f"is {effect_text(row)}, and {accepted} is accepted ({row.effect_unit})."
         )
-    for outcome, step in _UNMADE.items():
-        if any(row.gates and row.outcome is outcome for row in rows):
-            steps.append(step)
+    steps += [step for outcome, step in _UNMADE.items() if any(row.gates and row.outcome is outcome for row in rows)]
     if any(map(disagrees_without_gating, rows)):
         steps.append("Look at the informational comparisons that are not met: they do not change the status.")
     if not criteria and any(row.planned for row in rows):
