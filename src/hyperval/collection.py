@@ -535,6 +535,12 @@ class Detection(Model):
             ("osp" in d.detectors) != bool(d.undesired)
         ),
         "two detection targets are named {!r}": lambda d: twice(t.name for t in d.targets),
+        "areas and unmixing: no detection target {!r}; one of {}": lambda d: unknown(
+            (one.target for one in (*d.areas, *(d.unmixing.targets if d.unmixing else ()))), (t.name for t in d.targets)
+        ),
+        "areas: the detector {!r} is none of this campaign; one of {}": lambda d: unknown(
+            (area.detector for area in d.areas), d.detectors
+        ),
     }
 
     @field_validator("detectors")

@@ -13,6 +13,7 @@ import gzip
 import io
 import os
 import re
+import shlex
 import stat
 import zlib
 from collections.abc import Callable, Collection, Iterable
@@ -101,7 +102,7 @@ def refuse_own(path: Path) -> None:
     known = package_table("own_files.yaml")["yaml" if path.suffix.lower() in (".yaml", ".yml") else "others"]
     for mark, (kind, by) in known.items():
         found = re.search(mark.encode(), head, re.MULTILINE)
-        refuse(found, "file.own", path, kind=kind, by=by.format(file=path))
+        refuse(found, "file.own", path, kind=kind, by=by.format(file=shlex.quote(str(path))))
 
 
 def checked_folder(path: Path | str) -> Path:

@@ -539,9 +539,15 @@ class Scenario(FileModel):
         return self.atmosphere is not None and self.atmosphere.in_space
 
 
-def builtin_scenarios() -> tuple[str, ...]:
-    """Names of the scenarios that ship with the project."""
-    return tuple(shipped("hyperval", "scenarios"))
+def builtin_scenarios() -> dict[str, Path]:
+    """Name -> file of the scenarios that ship with the project."""
+    return shipped("hyperval", "scenarios")
+
+
+def refuse_unknown(name: str, folder: Path) -> None:
+    """Raise UsageError for what is neither a file of the folder nor a scenario that goes by name."""
+    if not (folder / name).exists():
+        file_of(name, builtin_scenarios(), "scenario")
 
 
 @reader
@@ -556,7 +562,7 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     UsageError : no such name, or every mistake of the file with its line.
     InputError : no such file.
     """
-    known = shipped("hyperval", "scenarios")
+    known = builtin_scenarios()
     path = file_of(name_or_path, known, "scenario")
     data, _ = load_yaml(path)
     is_campaign = "collection" in data and "scene" not in data

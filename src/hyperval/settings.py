@@ -90,9 +90,15 @@ def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """A value as a file has it: paths are texts."""
+    """A value as a file has it: paths are texts.
+
+    >>> _plain({"files": [PurePath("a", "b.txt"), 1.5], "none": None})
+    {'files': ['a/b.txt', 1.5], 'none': None}
+    """
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
     return str(value) if isinstance(value, PurePath) else value
 
 

@@ -62,10 +62,10 @@ def test_everything_that_is_lacking_is_listed_and_once_where_runs_share_it(place
         ("file", "found", "scenario.yaml"),
         ("value", "to fill in", "collection.cube.scale"),
         ("value", "to fill in", "scene.classes.0.fraction"),
-        ("comparison", "planned", "radiance median_abs_difference_ratio_windows of a, b"),
+        ("comparison", "planned", "radiance median_abs_difference_ratio_windows of a"),
+        ("comparison", "planned", "radiance median_abs_difference_ratio_windows of b"),
     ]
-    assert items[3].detail == f"scale of the radiance ({places}:12)"
-    assert items[5].detail == "at most 0.1, acceptance criterion"
+    assert {i.detail for i in items} >= {f"scale of the radiance ({places}:12)", "at most 0.1, acceptance criterion"}
     said = summary(items)
     assert said[0] == "line-0920-1638: 2 files missing, 2 values to fill in"
     assert summary(dry_run([places]))[0] == "line-{line} (2 campaigns): 2 files missing, 2 values to fill in"
@@ -78,7 +78,7 @@ def test_everything_that_is_lacking_is_listed_and_once_where_runs_share_it(place
         ("found", "scenario.yaml"),
         ("to fill in", "collection.cube.scale"),
         ("to fill in", "scene.classes.0.fraction"),
-        ("planned", "entries of comparisons: 1, of which acceptance criteria: 1"),
+        ("planned", "comparisons: 2, of which acceptance criteria: 2"),
     ]
     assert cli.run(["validate", "--dry-run", str(places)]) == 3
     assert capsys.readouterr().out.splitlines()[0].split("\t") == ["campaign", "kind", "state", "what", "detail"]

@@ -14,7 +14,7 @@ from hyperval import cli
 from hyperval.campaign import run_campaign
 from hyperval.datasets import InputLog
 from hyperval.report import write_outputs
-from hyperval.results import Outcome, Result, ResultTable
+from hyperval.results import Cause, Result, ResultTable
 from hyperval.run import Run, write_table
 from hyperval.storage import PARTIAL, RECORD
 from small_campaign import files_of, with_stand_in_atmosphere, without_figures
@@ -104,10 +104,9 @@ def quick(monkeypatch) -> list[str]:
         for path in (job.path, *job.folder.rglob("small_rad.*")):
             log.add(path)
         ran.append(own.name)
-        outcome = Outcome.SKIPPED if "nowhere" in own.title else Outcome.NONE
-        table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, outcome=outcome)])
-        names = {"title": own.title, "campaign": own.name, "simulated": own.simulated}
-        return Run(table, {"inputs": log.entries()}, **names)
+        cause = Cause.NO_DATA if "nowhere" in own.title else Cause.NONE
+        table = ResultTable([Result(own.name, "radiance", "grass", "predicted", "mean", 1.0, cause=cause)])
+        return Run(table, {"inputs": log.entries()}, title=own.title, campaign=own.name, simulated=own.simulated)
 
     def write(run, folder):
         write_table(run.table, folder)
@@ -153,8 +152,9 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, quick, tmp_path, m
         if out not in file.parents:
             file.write_bytes(before)
             assert ran() == ["small"], file
-    cube.with_name("small_rad.glt").touch()  # read from now on, if it were a grid
-    assert ran() == ["small"]
+    for name, again in (("small_rad.img~", []), ("junit.xml", []), ("small_rad.img.hdr", ["small"])):
+        cube.with_name(name).touch()  # of which only another header is looked for
+        assert ran() == again
     monkeypatch.setattr(f"{RUN}._program", lambda: "another")
     assert ran() == ["other", "small"]
     path.write_bytes(path.read_bytes().replace(b"title: ", b"title: nowhere ", 1))

@@ -23,8 +23,8 @@ from small_campaign import stand_in_atmosphere
 def test_the_line_recovers_gain_offset_and_reflectance(make_radiance):
     made = make_radiance()
     seen = made.world.observe()
-    assert seen.elm.gain == pytest.approx(made.gain, rel=1e-9)
-    assert seen.elm.offset == pytest.approx(made.offset, rel=1e-8)
+    assert seen.place.line.gain == pytest.approx(made.gain, rel=1e-9)
+    assert seen.place.line.offset == pytest.approx(made.offset, rel=1e-8)
     pixels = made.reflectance[35:45, 5:25].reshape(-1, BANDS)
     corner, radiance = seen.observation.reflectance["corner"], seen.observation.radiance["corner"]
     assert corner.mean == pytest.approx(pixels.mean(axis=0), rel=1e-9)
@@ -41,7 +41,7 @@ def test_the_line_s_error_is_part_of_the_reflectance(make_radiance):
     total = np.hypot(corner.budget["sampling"], corner.budget["empirical line"])
     assert corner.standard_uncertainty == pytest.approx(total, rel=1e-12)
     # 16 pixels at 2 %: the gain's relative error is about 0.5 % of the white panel's level.
-    gain_error = np.sqrt(seen.elm.covariance[:, 0, 0])
+    gain_error = np.sqrt(seen.place.line.covariance[:, 0, 0])
     assert gain_error == pytest.approx(0.02 * (made.offset + 0.6 * made.gain) / 4 / 0.55, rel=0.6)
     # Eight bands, errors independent between them: |z| above 4 has probability 5e-4 for all together.
     truth = made.reflectance[35:45, 5:25].reshape(-1, BANDS).mean(axis=0)
@@ -58,7 +58,7 @@ def test_errors_of_a_panel_and_of_the_darkest_pixel_by_hand(make_radiance):
     white = {**made.panels[0], "relative_uncertainty": 0.02, "correlation_nm": 300}
     dark = {"reflectance": 0.03, "uncertainty": 0.01, "radiance_noise": 0.02}
     made.world.collection["empirical_line"] = {"panels": [white], "darkest_pixel": dark}
-    found = made.world.observe().elm
+    found = made.world.observe().place.line
     assert found.names == ("white", "darkest pixel")
     least = made.offset + made.gain * made.reflectance.reshape(-1, BANDS).min(axis=0)
     assert found.reflectance(least) == pytest.approx(np.full(BANDS, 0.03), abs=1e-9)
@@ -80,7 +80,7 @@ def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_
     made.world.text("panels.csv", heading + rows)
     for panel in made.panels:
         panel |= {"correlation_nm": length} | ({"divisor": divisor} if divisor else {})
-    for panel in made.world.observe().elm.panels:
+    for panel in made.world.observe().place.line.panels:
         assert np.diag(panel.reflectance_error) == pytest.approx(np.full(BANDS, 0.03**2 / n), rel=1e-9)
 
 
@@ -110,7 +110,7 @@ def test_a_panel_with_a_full_pixel_is_refused_save_in_bad_bands(panels):
         panels.observe()
     bad = ~np.isin(np.arange(BANDS), [2, 6])
     panels.write(numbers, data_type=12, axis=type(AXIS)(AXIS.centre_nm, AXIS.fwhm_nm, bad))
-    assert panels.observe().elm is not None
+    assert panels.observe().place.line is not None
 
 
 def test_panels_of_a_line_are_no_evidence_for_it(make_radiance):
@@ -142,10 +142,10 @@ def test_panels_that_contradict_each_other_widen_the_line_and_are_warned_of(make
     world.library("more.csv", grey=0.30, light=0.62)
     apart = world.observe()
     notes = apart.observation.notes
-    assert np.abs(apart.elm.leave_one_out[3] + 0.17) == pytest.approx(np.zeros(BANDS), abs=0.01)
+    assert np.abs(apart.place.line.leave_one_out[3] + 0.17) == pytest.approx(np.zeros(BANDS), abs=0.01)
     (told,) = (n for n in notes if "leave-one-panel-out" in n)
     assert "light -0.17 (median over bands, at most -0.17)" in told
-    chi2 = np.median(apart.elm.reduced_chi2)
+    chi2 = np.median(apart.place.line.reduced_chi2)
     assert chi2 > 20
     assert f"empirical line: reduced chi-square of its panels {chi2:.3g} (median over bands)" in notes
     warned = [n for n in notes if n.startswith("warning:")]
@@ -184,7 +184,7 @@ def test_a_flat_panel_in_whole_numbers_has_the_error_of_its_rounding(make_radian
     radiance, reflectance = found.observation.radiance["white"], found.observation.reflectance["corner"]
     assert radiance.standard_uncertainty == pytest.approx(0.1 / np.sqrt(12.0), rel=0.01)
     assert radiance.rounding == pytest.approx(np.full(BANDS, 0.01 / 12.0))
-    assert reflectance.rounding == pytest.approx(0.01 / 12.0 / found.elm.gain**2)
+    assert reflectance.rounding == pytest.approx(0.01 / 12.0 / found.place.line.gain**2)
 
 
 def test_calibration_with_a_correlation_length_from_a_table_and_band_by_band(tmp_path, make_radiance):
@@ -286,8 +286,8 @@ def measured(make_radiance):
     world.write(values, axis=type(AXIS)(AXIS.centre_nm, AXIS.fwhm_nm, np.arange(BANDS) != 5))
     world.detection = None
     seen = world.observe()
-    assert seen.elm.usable.tolist() == [True, True, True, False, True, True, True, True]
-    return made, seen.place.cube, seen.elm
+    assert seen.place.line.usable.tolist() == [True, True, True, False, True, True, True, True]
+    return made, seen.place.cube, seen.place.line
 
 
 @pytest.mark.parametrize("form", ["envi", "cog"])

@@ -36,7 +36,7 @@ def words(rows):
     ("outcomes", "tone", "head"),
     [
         ([A, A], A, "Met"), ([A, S], U, "Met in part"), ([A, U], U, "Met in part"), ([A, D], D, "Not met"),
-        ([D], D, "Not met"), ([A, E], E, "Not met"), ([S], S, "Not run"), ([U], U, "Inconclusive"),
+        ([D], D, "Not met"), ([A, E], E, "Error"), ([S], S, "Not run"), ([U], U, "Inconclusive"),
         ([], N, "No acceptance criteria"),
     ],
 )  # fmt: skip
@@ -44,7 +44,7 @@ def test_status_and_words_follow_the_outcomes(outcomes, tone, head):
     told = "disagrees; would not pass at most 1; inconsistent; outside"  # no reason turns a verdict
     screen = first_screen([*(row(o, reason=told) for o in outcomes), informing()])
     assert (screen.outcome, screen.head) == (tone, head)
-    begin = {"Not run": "Not run:", "No acceptance criteria": "This campaign has no acceptance criteria"}
+    begin = {"Not run": "Not run:", "No acceptance criteria": "This campaign has no", "Error": "Ended in an error."}
     assert screen.words.startswith(begin.get(head, f"{head}."))
     assert screen.steps
     assert f"1 informational comparison is not met ({WHAT}: grass)" in screen.words

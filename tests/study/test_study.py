@@ -74,8 +74,8 @@ def test_a_study_writes_everything(make_study, tmp_path, quick, scenario_file, m
     assert list(table) == ["point", "c", "haze", "fill", "pd", "snr", "signal", "signal.snr", "reason"]
     assert (len(table), table["pd"].between(0, 1).all()) == (150, True)
     with xr.open_dataset(out / "table.nc", engine="h5netcdf") as data:
-        for name in ("c", "fill", "pd", "signal"):
-            np.testing.assert_array_equal(data[name].values, table[name].to_numpy())
+        for name in ("c", "fill", "pd", "signal", "reason"):
+            np.testing.assert_array_equal(data[name].values, table[name].fillna("" if name == "reason" else np.nan))
         assert (data["c"].attrs["units"], data["c"].attrs["long_name"]) == ("%", "calibration error")
     assert {str(r.outcome) for r in read_rows(out)} <= {"none", "skipped"}
     unsolved = table["signal"].isna()

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +21,12 @@ from hyperval.compare.spectra import TOGETHER
 from hyperval.config import Location, texts_of, twice
 from hyperval.datasets import SIMULATED, check_copy, how_to_get, owner_of, resolve
 from hyperval.envi_header import header_beside
-from hyperval.errors import HypervalError, InputError
+from hyperval.errors import HypervalError, InputError, T
 from hyperval.imagery import needs_header
-from hyperval.metrics import Kind, foreign, metric_of
+from hyperval.metrics import foreign, metric_of
 from hyperval.model import Sources
 from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe, open_place, target_groups
-from hyperval.paths import Resolve
+from hyperval.paths import Resolve, is_pattern
 from hyperval.products import SPECTRA
 from hyperval.results import Outcome, Result, row_name
 from hyperval.run import is_run, read_rows
@@ -36,7 +36,6 @@ from hyperval.simulate import load_scene
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import ClassStatistics
 
-T = TypeVar("T")
 FILE, VALUE, COMPARISON, NAME = "file", "value", "comparison", "name"
 PRESENT, MISSING, TO_FILL_IN, PLANNED, WRONG = "found", "missing", "to fill in", "planned", "wrong"
 NEVER_MET, INCONCLUSIVE = "can never be met", "inconclusive"
@@ -113,7 +112,7 @@ def overview(items: Sequence[Item]) -> list[Item]:
         one_file = f", {general.pop()}" if len(general) == 1 else ""
         if state == PLANNED:
             count, deciding = (n // len(names) for n in (len(members), sum(i.decides for i in members)))
-            what = f"entries of comparisons: {count}, of which acceptance criteria: {deciding}"
+            what = f"comparisons: {count}, of which acceptance criteria: {deciding}"
             detail = ", ".join(dict.fromkeys(i.what.split()[0] for i in members))
         elif state == PRESENT and len(paths := {i.what for i in members}) > 1:
             what = f"{len(paths)} files"
@@ -130,8 +129,8 @@ def summary(items: Sequence[Item]) -> list[str]:
     for name in dict.fromkeys(i.campaign for i in items):
         own = [i for i in items if i.campaign == name]
         files, values, wrong, never = (sum(i.state == s for i in own) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
-        words = [f"{files} files missing, {values} values to fill in"] * bool(files or values)
-        words += [f"{wrong} unknown names"] * bool(wrong)
+        told = (files, "file{} missing"), (values, "value{} to fill in"), (wrong, "unknown name{}")
+        words = [f"{count} {what.format('s' * (count > 1))}" for count, what in told if count]
         ready = "ready" + f"; {never} acceptance criteria can never be met" * bool(never)
         states.setdefault((own[0].general(name), ", ".join(words) or ready), []).append(name)
     who = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
@@ -145,11 +144,14 @@ def _items(job: Job, finished: Path | None) -> list[Item]:
     """Without the name and the words of the campaign."""
     items = [row for one in job.files for row in _file(one, job)]
     items += [Item("", VALUE, TO_FILL_IN, p.key, f"{p.what} ({p.where})") for p in job.to_fill_in]
-    items += [_comparison(gate) for gate in job.outline.comparisons]
+    items += [item for gate in job.outline.comparisons for item in _comparisons(gate)]
     lookup = Lookup(job.path, job.lines, (), partial(resolve, base=job.folder))
-    scenarios = [] if job.to_fill_in else [*_scenarios(job, lookup)]
+    are_whole = not job.to_fill_in and all(one.path for one in job.files if one.key == "scenarios")
+    scenarios = [*_scenarios(job, lookup)] if are_whole else []
     if not any(item.lacking for item in items):
         items += _mistakes(job.campaign, lookup, scenarios)
+    if not any(item.lacking for item in items):
+        items += [Item("", VALUE, TO_FILL_IN, key, "or observe alone: hyperval observe") for key in job.lacking]
     return items if any(item.lacking for item in items) else [*items, *_undecided(job, finished)]
 
 
@@ -164,18 +166,16 @@ def _undecided(job: Job, finished: Path | None) -> Iterator[Item]:
     ['radiance spectral_angle', 'radiance chi2_reduced_full']
     """
     campaign = job.campaign
-    for gate in campaign.comparisons:
-        metric = metric_of(gate.metric)
-        is_bare = metric.kind is Kind.STATISTIC or (metric.kind is Kind.QUANTITY and metric.interval == "none")
-        if gate.gate and is_bare and not {*"*?["} & {*gate.metric}:  # a pattern may mean others
-            yield Item("", COMPARISON, NEVER_MET, f"{gate.product} {gate.metric}", "its values have no interval")
+    bare = [g for g in campaign.comparisons if g.gate and metric_of(g.metric).is_bare and not is_pattern(g.metric)]
+    for gate in bare:
+        yield Item("", COMPARISON, NEVER_MET, f"{gate.product} {gate.metric}", "its values have no interval")
     found: list[tuple[Result, str]] = []
     if campaign.collection.cube is not None and finished is not None and is_run(finished):
         rows = (row for row in read_rows(finished, every=False) if row.campaign == campaign.name and row.gates)
         found = [(row, f"in {finished}: {row.reason}") for row in rows if row.outcome is Outcome.UNDECIDED]
     elif campaign.collection.cube is None and campaign.scenarios and any(g.gate for g in campaign.comparisons):
         found = [(row, f"to decide it: {words}") for row, words in undecided_by(job)]
-    for row, words in found:
+    for row, words in ((row, words) for row, words in found if not any(gate.covers(row) for gate in bare)):
         state = NEVER_MET if row.never_met else INCONCLUSIVE
         yield Item("", COMPARISON, state, f"{row.product} {row_name(row)}", words)
 
@@ -197,11 +197,13 @@ def _file(reference: Reference, job: Job) -> list[Item]:
     return rows
 
 
-def _comparison(gate: Gate) -> Item:
+def _comparisons(gate: Gate) -> Iterator[Item]:
+    """One of each subject that an entry names, or of all of them together."""
     decides = "acceptance criterion" if gate.gate else "informational"
     pooled = f" for {gate.fraction_at_least:g} of them" if gate.fraction_at_least else ""
-    what = f"{gate.product} {gate.metric} of {', '.join(gate.subjects)}"
-    return Item("", COMPARISON, PLANNED, what, f"{gate.limit_text}{pooled}, {decides}", decides=gate.gate)
+    for subject in [", ".join(gate.subjects)] if pooled else gate.subjects:
+        what = f"{gate.product} {gate.metric} of {subject}"
+        yield Item("", COMPARISON, PLANNED, what, f"{gate.limit_text}{pooled}, {decides}", decides=gate.gate)
 
 
 # Entries that name something, by their keys, and what they name; then the names that stand for more than one of these.
@@ -215,9 +217,6 @@ NAMES = {
     "detection.undesired": ("region",),
     "detection.targets.material": ("target of material",),
     "detection.pools.subjects": ("subject",),
-    "detection.areas.target": ("detection target",),
-    "detection.areas.detector": ("detector of this campaign",),
-    "detection.unmixing.targets.target": ("detection target",),
     "detection.unmixing.background": ("region",),
 }
 # What a collection offers: its bands, None where they are not known, and its names by what they are of.
@@ -336,8 +335,6 @@ def _offered(campaign: Campaign, lookup: Lookup) -> Offered:
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
         lookup.spectra(("collection", "empirical_line", "panels", i), panel, panel.region, axis)
     if detection is not None and cube is not None:
-        known["detection target"] = [target.name for target in detection.targets]
-        known["detector of this campaign"] = detection.detectors
         for i, target in enumerate(detection.targets if not cube.by_number else ()):  # which are read by bands
             lookup.spectra(("detection", "targets", i), target, target.name, axis)
     return axis, known

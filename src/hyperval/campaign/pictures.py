@@ -127,13 +127,14 @@ def quicklook(observed: Observed) -> Quicklook | None:
     # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
     together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
     with cube.raster.kept_open():
-        for out, line in zip(picture, lines, strict=True):
-            if line % together == 0:
-                part = cube.read_some_bands(line, min(together, cube.lines - line), bands)
-            out[:] = part[line % together, ::step]
+        for out, at in zip(picture, lines, strict=True):
+            if at % together == 0:
+                part = cube.read_some_bands(at, min(together, cube.lines - at), bands)
+            out[:] = part[at % together, ::step]
     offset, gain = np.zeros(3), np.ones(3)
-    if observed.elm is not None and np.all(observed.elm.usable[bands]):
-        offset, gain = observed.elm.offset[bands], observed.elm.gain[bands]
+    line = observed.place.line
+    if line is not None and np.all(line.usable[bands]):
+        offset, gain = line.offset[bands], line.gain[bands]
     elif cube.quantity == "radiance":
         gain = np.array([irradiance for _, irradiance in COLOURS])
     thinned = (picture[:: max(1, picture[..., 0].size // STRETCH_PIXELS)] - offset) / gain

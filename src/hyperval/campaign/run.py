@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -25,12 +25,13 @@ from hyperval.campaign.products import Collected, asked_again, collected, doubts
 from hyperval.campaign.provenance import record_of
 from hyperval.campaign.schema import Campaign, Job, Outline, job_of, jobs_of
 from hyperval.compare import product_rows
-from hyperval.datasets import SIMULATED, InputLog, owner_of
+from hyperval.datasets import SIMULATED, InputLog, owner_of, resolve
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
 from hyperval.model import predict
-from hyperval.observe import Observed
+from hyperval.observe import Observed, open_place
 from hyperval.observe import write_reflectance as reflectance_cube
+from hyperval.paths import matching
 from hyperval.products import PredictedProducts
 from hyperval.progress import step, track, working
 from hyperval.report import write_index, write_outputs
@@ -151,8 +152,9 @@ def made_of(job: Job, files: Mapping[str, str]) -> str:
     configuration = {"campaign": job.campaign, "words": dict(job.words), "program": _program()}
     inner = record_of(log, [], None, configuration, []) | {
         "command": None,
+        "source_revision": None,  # a commit that leaves the program as it is
         "inputs": sorted(digests.values()),
-        "beside": _beside(job, list(digests)),
+        "named": _named(job),
         "power": repr(accepted_table(job.campaign.name, job.folder)),
     }
     return hashlib.sha256(json.dumps(inner, sort_keys=True, default=str).encode()).hexdigest()
@@ -167,16 +169,16 @@ def _program() -> str:
     return digest.hexdigest()
 
 
-def _beside(job: Job, read: Sequence[Path]) -> list[list[str]]:
-    """The names of the files in the folders that were read from: a header or a grid may come later.
+def _named(job: Job) -> list[str]:
+    """The names of the files that a campaign names, and that the reader of its cube finds beside it.
 
-    Left out are the files that other runs of the campaign's file name, and those named after them.
+    Others come and go: but a pattern may match one more, and a grid or a header that comes later is read.
     """
-    own = tuple(path.stem for path in read)
-    others = tuple(path.stem for one in job.of_others if (path := one.path) is not None)
-    folders = {path.parent for path in (*read, job.path.resolve())}
-    names = [[e.name for e in os.scandir(folder) if e.is_file()] for folder in folders]
-    return sorted(sorted(n for n in some if n.startswith(own) or not n.startswith(others)) for some in names)
+    paths = [path for one in job.files if one.path is not None for path in matching(one.path)]
+    if (collection := job.campaign.collection).cube is not None and not collection.simulate:
+        cube_alone = collection.model_copy(update={"regions": [], "targets": None, "leave_out": []})
+        paths += open_place(cube_alone, partial(resolve, base=job.folder)).source_files
+    return sorted({path.name for path in paths})
 
 
 class CampaignRun(NamedTuple):
@@ -230,10 +232,10 @@ class CampaignRun(NamedTuple):
         return self.written(unfinished(self.job, Outcome.ERROR, words), code)
 
     def written(self, run: Run, code: int | None) -> Done:
-        """Write its folder, and what it was made of where nothing was skipped or went wrong."""
+        """Write its folder, and what it was made of, unless it was skipped or an error ended it."""
         with step_of(run.campaign, "report"), working("figures and report"):
             write_outputs(run, self.folder)
-        if not any(row.outcome in (Outcome.SKIPPED, Outcome.ERROR) for row in run.table):
+        if not any(row.cause in (Cause.NO_DATA, Cause.BROKEN) for row in run.table):
             read = {i["reference"]: i["sha256"] for i in run.provenance["inputs"]}
             files = {name: digest for name, digest in read.items() if not name.startswith(SIMULATED)}
             with suppress(OSError, HypervalError):  # a file of elsewhere, which the provenance names without its folder
@@ -338,7 +340,7 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
 
         def cube(observed: Observed) -> None:
             if observed.place is not None and write_reflectance:
-                of = folder / "reflectance", "reflectance", observed.place.cube, observed.elm
+                of = folder / "reflectance", "reflectance", observed.place.cube, observed.place.line
                 notes.append(reflectance_cube(*of, write_reflectance)[1])
 
         run = run_campaign(job, predicts=False, with_observed=cube)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -25,7 +25,8 @@ from hyperval.compare.judge import Gate
 from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
 from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
-from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.results import grouped
+from hyperval.scenario import Scenario, builtin_scenarios, load_scenario, refuse_unknown
 from hyperval.spectra.networks import SURFACE, read_radcalnet
 
 MAX_RUNS = 100
@@ -261,7 +262,6 @@ class Job:
     path, words : its file, and the words of the run that stand in braces there
     content, lines : of the file, and where its entries stand
     files, to_fill_in : that it and its scenarios name, and the values that are still to be given
-    of_others : files that other runs of the file name alone
     """
 
     path: Path
@@ -270,7 +270,6 @@ class Job:
     lines: dict[Location, int]
     files: tuple[Reference, ...] = ()
     to_fill_in: tuple[Placeholder, ...] = ()
-    of_others: tuple[Reference, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -307,13 +306,17 @@ class Job:
         more = f"{len(self.to_fill_in)} values are to be filled in then (hyperval validate --dry-run lists them)"
         return f"{owner.name} is not on this machine: {first.found[1]}; {more}", first.found[1]
 
+    @property
+    def lacking(self) -> list[str]:
+        """What it has not, without which a collection can only be observed."""
+        return [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
+
     def check(self, *, compares: bool) -> None:
         """Raise UsageError for what cannot run: a file that nobody knows, values to fill in, a side that lacks."""
         for one in (file for file in self.files if file.text.startswith(PREFIX)):
             with suppress(InputError), told_of(f"{self.path}: {one.key}", one.text):
                 resolve(one.text)
-        lacking = [key for key in ("scenarios", "comparisons") if not self.content.get(key)]
-        refuse(compares and lacking, "campaign.lacking", self.path, keys=" and no ".join(lacking))
+        refuse(compares and self.lacking, "campaign.lacking", self.path, keys=" and no ".join(self.lacking))
         if self.to_fill_in and self.waits is None:
             raise unfilled(list(self.to_fill_in))
 
@@ -322,11 +325,13 @@ def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int]
     """One run of a file with the files and values to fill in of its own text, then of its scenario files."""
     base, scenarios = Path(path).resolve().parent, content.get("scenarios")
     files, marks = [*_files(content, base)], placeholders(content, lines, str(path))
-    for entry in scenarios if isinstance(scenarios, list) else []:
+    for number, entry in enumerate(scenarios if isinstance(scenarios, list) else []):
         day = isinstance(entry, dict) and "radcalnet" in entry
         item = entry.get("scenario") if day else entry
         if not isinstance(item, str) or item in builtin_scenarios() or item.startswith(FILL_IN):
             continue
+        with told_of(f"{path}:{lines.get(('scenarios', number), 1)}"):
+            refuse_unknown(item, base)
         files.append(Reference("scenarios", item, base))
         if (scenario_path := files[-1].path) is None:
             continue
@@ -359,9 +364,7 @@ def read_jobs(path: Path) -> list[Job]:
     UsageError : no YAML, or runs that are none.
     """
     data, lines = load_yaml(path)
-    runs = [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
-    every = dict.fromkeys(file for job in runs for file in job.files)
-    return [replace(job, of_others=tuple(file for file in every if file not in set(job.files))) for job in runs]
+    return [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
 
 
 def job_of(path: Path, *, predicts: bool = True) -> Job:
@@ -398,7 +401,6 @@ def jobs_of(*paths: Path, compares: bool = True) -> list[Job]:
     jobs = [job if compares else job.observing for path in paths for job in read_jobs(path)]
     for job in jobs:
         job.check(compares=compares)
-    names = [job.outline.name for job in jobs]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    refuse(twice, "campaign.twice", name=twice)
+    for name, own in grouped(jobs, lambda job: job.outline.name).items():
+        refuse(len(own) > 1, "campaign.twice", " and ".join(dict.fromkeys(str(job.path) for job in own)), name=name)
     return jobs

@@ -386,9 +386,9 @@ def init(
     asked = hyperval.config.placeholders(*hyperval.config.parse_yaml(text), str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
-    drafted = ("validate", "--dry-run") if asked or "\ncomparisons:" in text else ("observe",)
+    drafted = ("validate", "--dry-run", path) if asked or "\ncomparisons:" in text else ("observe", path, "-o", "seen")
     again = bool(asked) and "\nscenarios:" not in text
-    then = "hyperval init again, with these options, into another folder" if again else as_typed(*drafted, path)
+    then = "hyperval init again, with these options, into another folder" if again else as_typed(*drafted)
     count = f"{len(asked)} value{'s' if len(asked) > 1 else ''} to fill in, then"
     note(f"{path}: {count if asked else 'now'}: {then}")
     return 0

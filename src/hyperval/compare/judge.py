@@ -223,8 +223,8 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
         return Outcome.ERROR, Cause.BAD_INTERVAL
     if known.kind is Kind.TEST:
         return _of_test(row, low)
-    if known.kind is Kind.STATISTIC:
-        return Outcome.UNDECIDED, Cause.NOT_JUDGED
+    if known.is_bare:
+        return Outcome.UNDECIDED, Cause.NOT_JUDGED if known.kind is Kind.STATISTIC else Cause.NO_INTERVAL
     if known.kind is Kind.EQUIVALENCE:
         codes = {1.0: Outcome.AGREES, -1.0: Outcome.DISAGREES}
         return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE

@@ -126,6 +126,11 @@ class Metric:
     products: Sequence[str] = ()
     behind: Sequence[str] = ()
 
+    @property
+    def is_bare(self) -> bool:
+        """Whether no range decides it: a statistic, or a quantity without an interval."""
+        return self.kind is Kind.STATISTIC or (self.kind is Kind.QUANTITY and self.interval == "none")
+
 
 def base_name(metric: str) -> str:
     """A metric's name without the point it is taken at."""

@@ -243,7 +243,7 @@ class Evaluation(Keeps):
         seen, linear, shape = self.seen, self.stated.linear_detectors, (self.at.size, self.bands.size)
         wanted = {(t.name, d): seen.looked_for[t.name] for t in self.targets for d in linear}
         made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
-        for v in range(self.at.size):
+        for v in range(self.at.size) if wanted else ():
             try:
                 base = filter_base(self.stated, seen, v)
                 each = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]

@@ -439,11 +439,8 @@ def target_areas(
     nominal: dict[tuple[str, str], float] = {}
     targets = {t.name: t for t in detection.targets}
     for check in detection.areas:
-        target = targets.get(check.target)
-        if target is None or check.detector not in detection.detectors:
-            raise UsageError(f"areas: no score map of target {check.target!r} with detector {check.detector!r}")
         sums = _footprint_sums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
-        for subject, members in target_groups(place.targets, target, detection.group).items():
+        for subject, members in target_groups(place.targets, targets[check.target], detection.group).items():
             areas[subject, check.detector] = _mean_area(place, map(sums, members))
             stated = float(np.mean([o.area_m2 for o in members]))
             if np.isfinite(stated):  # a truth may say where the objects are and not how large
@@ -517,8 +514,6 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
     covariance = place.in_reflectance(place.statistics[task.background])[1][np.ix_(bands, bands)]
     noise = {METHODS[w]: None if w == "equal" else PositiveDefinite(covariance) for w in task.weights}
     targets = {t.name: t for t in detection.targets}
-    if lacking := [item.target for item in task.targets if item.target not in targets]:
-        raise UsageError(f"unmixing: no detection target {lacking[0]!r}", expected=one_of(targets))
     sources, rng = Sources(place.cube.axis, {}, resolve), np.random.default_rng(task.seed)
     footprints: dict[str, _Footprints] = {}
     areas: dict[tuple[str, str], Abundance] = {}

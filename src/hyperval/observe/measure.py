@@ -73,11 +73,6 @@ class Observed:
     detected: Detected | None = None
     unmixed: Unmixed | None = None
 
-    @property
-    def elm(self) -> EmpiricalLine | None:
-        """The empirical line, None without panels."""
-        return None if self.place is None else self.place.line
-
 
 def observe(
     collection: CollectionSection,

@@ -22,10 +22,14 @@ _KINDS = {
     None: ("informational comparison", "informational comparisons"),
 }
 # What the criterion that stands first is.
-_AHEAD = {
-    Outcome.DISAGREES: "Worst", Outcome.ERROR: "Worst", Outcome.UNDECIDED: "Least certain",
-    Outcome.AGREES: "Closest to its limit",
-}  # fmt: skip
+_AHEAD = {Outcome.DISAGREES: "Worst", Outcome.UNDECIDED: "Least certain", Outcome.AGREES: "Closest to its limit"}
+
+
+# What to do about criteria that were not evaluated.
+_UNMADE = {
+    Outcome.ERROR: "Mend what ended in an error: its message stands under Not compared.",
+    Outcome.SKIPPED: "Get what is missing for the criteria that were not run: it stands under Not compared.",
+}
 
 
 class FirstScreen(NamedTuple):
@@ -59,10 +63,10 @@ class FirstScreen(NamedTuple):
 def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
     """The outcome of criteria and errors together, its word, and the sentence that begins with it."""
     overall, made = worst(gates), {row.outcome for row in gates}
-    if made == {Outcome.ERROR}:
-        return overall, "Error", "Ended in an error: no acceptance criterion was evaluated."
-    if overall in (Outcome.ERROR, Outcome.DISAGREES):
-        return overall, "Not met", "Not met."
+    if Outcome.DISAGREES in made:
+        return Outcome.DISAGREES, "Not met", "Not met."
+    if overall is Outcome.ERROR:  # of what broke nothing is known
+        return overall, "Error", f"Ended in an error{': no acceptance criterion was evaluated' * (len(made) == 1)}."
     if not gates:
         return Outcome.NONE, "No acceptance criteria", "This campaign has no acceptance criteria."
     if made == {Outcome.SKIPPED}:
@@ -86,7 +90,7 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     informing = [row for row in rows if not row.gates and row.outcome in are_told]
     told = ranked(criteria_of(rows))
     told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
-    first = told[0] if told else None
+    first = next((row for row in told if row.outcome is not Outcome.ERROR), None)  # which has no size
     outcome, head, opening = status([row for row in rows if row.gates or row.outcome is Outcome.ERROR])
     asides = [power, _never_met(model), _which_to_believe(rows), _unseen(model)]
     products = []
@@ -134,6 +138,9 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     ['Check the time of overflight: correct it, or accept the new numbers, with its reason.']
     >>> _steps([failed], [failed], "")
     ['Look at what is not met by subject and band, below; attribution: {} in the campaign tries causes.']
+    >>> broken = Result("twin", "radiance", "lawn", "", "bias_ratio", role=Role.GATE, outcome=Outcome.ERROR)
+    >>> _steps([broken], [broken], "")
+    ['Mend what ended in an error: its message stands under Not compared.']
     """
     steps = []
     criteria = [row for row in told if row.gates]
@@ -143,7 +150,7 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
         steps.append(f"{reason.partition(' (')[0]}: {mend}, with its reason.")
     elif reason.startswith("None"):
         steps.append("Look beyond the causes that were tried.")
-    elif any(row.outcome in (Outcome.DISAGREES, Outcome.ERROR) for row in criteria):
+    elif any(row.outcome is Outcome.DISAGREES for row in criteria):
         looked = "" if reason else "; attribution: {} in the campaign tries causes"
         steps.append(f"Look at what is not met by subject and band, below{looked}.")
     unsure = [
@@ -157,13 +164,12 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
             f"Narrow the intervals of what is inconclusive: {product_words(row.product)} of {row_label(row)} "
             f"is {effect_text(row)}, and {accepted} is accepted ({row.effect_unit})."
         )
-    if any(row.gates and row.outcome is Outcome.SKIPPED for row in rows):
-        steps.append("Get what is missing for the criteria that were not run: it stands under Not compared.")
-    if any(map(disagrees_without_gating, rows)) and len(steps) < _MOST_STEPS:
+    steps += [step for outcome, step in _UNMADE.items() if any(row.gates and row.outcome is outcome for row in rows)]
+    if any(map(disagrees_without_gating, rows)):
         steps.append("Look at the informational comparisons that are not met: they do not change the status.")
     if not criteria and any(row.planned for row in rows):
         steps.append("State acceptance criteria, if this campaign is to pass or fail.")
-    return steps or ["Nothing: keep these numbers as accepted."]
+    return steps[:_MOST_STEPS] or ["Nothing: keep these numbers as accepted."]
 
 
 def _unseen(gates: Sequence[Result]) -> str:

@@ -552,8 +552,8 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
         why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
         return list(named(skipped(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
-    if observed.elm is not None:
-        image = (image - observed.elm.offset[bands]) / observed.elm.gain[bands]
+    if place.line is not None:
+        image = (image - place.line.offset[bands]) / place.line.gain[bands]
     valid = np.isfinite(image).all(axis=-1)
     background = spectral.calc_stats(image, mask=(place.pixels_of(*detection.background) & valid).astype(np.int8))
     image[~valid] = background.mean

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.config import Model, OneOf, load_model, twice, unknown
@@ -26,20 +26,17 @@ def generator(seed: int, stream: int, index: int) -> np.random.Generator:
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
 
 
-def _increasing(limits: tuple[int, int]) -> tuple[int, int]:
-    if not 0 <= limits[0] < limits[1]:
-        raise ValueError(f"expected [first, end) with 0 <= first < end, got {list(limits)}")
-    return limits
-
-
-Range = Annotated[tuple[int, int], AfterValidator(_increasing)]
-
-
 class Area(Model):
     """A rectangle of pixels, [first, end) along each axis."""
 
-    lines: Range
-    samples: Range
+    lines: tuple[int, int]
+    samples: tuple[int, int]
+
+    refused: ClassVar = {
+        "lines {}, samples {}: expected [first, end) with 0 <= first < end": lambda a: (
+            [list(a.lines), list(a.samples)] * any(not 0 <= first < end for first, end in (a.lines, a.samples))
+        )
+    }
 
 
 class PaintedArea(Area):

@@ -153,7 +153,7 @@ def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[st
     table = table.assign(**said)
     table.assign(**{n: own.map(harmless) for n, own in said.items()}).to_csv(folder / "table.csv", lineterminator="\n")
     about = {"Conventions": "CF-1.11", "title": study.title or study.name, "source": f"hyperval {hyperval.__version__}"}
-    data = xr.Dataset(attrs=about)
+    data = xr.Dataset(coords={"reason": ("point", table["reason"].to_numpy())}, attrs=about)
     for name, column in study.columns.items():
         data[name] = ("point", table[name].to_numpy(), {"long_name": column.label or name, "units": column.unit})
     packed = {name: {"zlib": True, "shuffle": True, "_FillValue": None} for name in data if name not in said}
