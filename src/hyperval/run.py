@@ -10,16 +10,17 @@
 ============================  =====================================================================================
 
 The folder of several campaigns has a folder for each.  Its tables are joined from theirs, text by text, and its
-``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign.
+``results.json`` names them, so that neither writing nor opening it needs more memory than its largest campaign and
+the text of ``MOST_JOINED`` rows.
 
 Numbers are written as their shortest exact representation, and the same run gives the same bytes.
 
-``products.nc`` has a group for each side (``predicted``, ``observed``).  Every entry of a product is named by
-coordinates (``roc_subject``, ``roc_detector``, ...); arrays of unequal length are filled up with NaN.  Numbers are
-float64; covariances are float32 (24 bits of mantissa) and compressed, since they are most of the file, and their
-diagonals come back from the standard uncertainties.  The covariance between bands of an SNR is left out.  A predicted
-score of objects is a law: the file has its quantiles, and read back it is a thousand values evenly spread between the
-outermost of these.
+``products.nc`` has a group for each side (``predicted``, ``observed``) and in its root the spectra of all of them, by
+side and subject.  Every entry of a product is named by coordinates (``roc_subject``, ``roc_detector``, ...); arrays of
+unequal length are filled up with NaN.  Numbers are float64; covariances are float32 (24 bits of mantissa) and
+compressed, since they are most of the file, and their diagonals come back from the standard uncertainties.  The
+covariance between bands of an SNR is left out.  A predicted score of objects is a law: the file has its quantiles,
+and read back it is a thousand values evenly spread between the outermost of these.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from hyperval.data import Mask
 from hyperval.errors import WARNING, UsageError, package_table, reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Evidence
-from hyperval.products import ObjectScores, ObservedProducts, PredictedProducts, Products
+from hyperval.products import SPECTRA, ObjectScores, ObservedProducts, PredictedProducts, Products
 from hyperval.results import COLUMNS, Cause, Outcome, Result, ResultTable, Role, grouped, row_name
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import content_of, write_text
@@ -64,6 +65,7 @@ SIDES = {"predicted": PredictedProducts, "observed": ObservedProducts}
 SCHEMA_VERSION = 4
 SECONDS_PER_YEAR = 365.2425 * 86400.0
 MAX_BYTES = 500_000_000  # of a table that is read
+MOST_JOINED = 200_000  # rows that the results.json of several campaigns repeats
 TABLE, PRODUCTS, PROVENANCE, PAGE, JUNIT, CSV = (
     "results.json", "products.nc", "provenance.json", "report.html", "junit.xml", "results.csv",
 )  # fmt: skip
@@ -334,6 +336,7 @@ _values = attrgetter(*COLUMNS)
 # What XML 1.0 cannot hold at all, not even escaped.
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
+_ROWS = ' "rows": [\n'  # the last line before the rows of a table
 _KNOWN = set(COLUMNS)
 _OLD = set(COLUMNS[: COLUMNS.index("effect")])  # in every version
 # What the values of a column are read by, by the type of the field; rows repeat their words, which are kept once.
@@ -368,10 +371,13 @@ def write_joined(
         with open(folder / name, "wb") as out:
             out.write(results_csv([]).encode())
             out.writelines((parts / part / name).read_bytes().partition(b"\n")[2] for part in names)
-    counts = Counter[str]()
+    counts, lines = Counter[str](), list[str]()
     for name in names:
-        counts.update(_json(parts / name / TABLE)["counts"])
-    write_text(folder / TABLE, _document([], counts, {"runs": list(names)}))
+        head, _, listed = (parts / name / TABLE).read_text("utf-8").partition(_ROWS)
+        counts.update(json.loads(head.removesuffix(",\n") + "}" if listed else head)["counts"])
+        lines += [listed.removesuffix("\n ]\n}\n")] if listed and counts.total() <= MOST_JOINED else []
+    is_small = counts.total() <= MOST_JOINED
+    write_text(folder / TABLE, _document(lines if is_small else [], counts, {"runs": list(names)}))
     write_text(folder / JUNIT, junit_xml(planned))
     write_text(folder / PAGE, page)
 
@@ -512,8 +518,9 @@ def _table(path: Path, every: bool) -> tuple[list[str], list[Result]]:
 
 def _json(path: Path) -> dict[str, Any]:
     raw = content_of(path, ("results.file", "results.large"), most=MAX_BYTES)
-    try:
-        content: dict[str, Any] = json.loads(raw)
+    head, rows, _ = raw.partition(b"\n" + _ROWS.encode())
+    try:  # the rows of a table that names its runs are read from the folders of these
+        content: dict[str, Any] = json.loads(head + b'"rows": []}' if rows and b'\n "runs": [' in head else raw)
     except (ValueError, RecursionError) as error:
         raise refusal("results.json", path, why=error) from error
     refuse(not isinstance(content, dict), "results.object", path)
@@ -591,12 +598,8 @@ def to_xarray(products: Products) -> Any:
 
 def to_arrays(products: Products) -> Arrays:
     """One side as arrays along ``band``, ``band_2``, ``PRODUCT_subject``, ``roc_curve``, ``roc_point``, ..."""
-    axis = products.axis
-    words = {"units": "nm", "standard_name": "radiation_wavelength"}
-    words = {"units": "1", "long_name": "number of the band"} if axis.numbered else words
-    data: Arrays = {"wavelength": (("band",), axis.centre_nm, words)}
-    data["fwhm"] = (("band",), axis.fwhm_nm, {"units": "nm", "long_name": "full width at half maximum"})
-    words = {"units": words["units"], "long_name": "wavelength, second index"}
+    axis, data = products.axis, _bands(products.axis)
+    words = {"units": data["wavelength"][2]["units"], "long_name": "wavelength, second index"}
     data["wavelength_2"] = (("band_2",), axis.centre_nm, words)
     flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "not_used used"}
     good = {"units": "1", "long_name": "whether the band is used", **flags}
@@ -612,6 +615,14 @@ def to_arrays(products: Products) -> Arrays:
     if held["object_score_law"]:
         words = {"units": "1", "long_name": "probability of a lower score"}
         data[_PROBABILITY] = ((_PROBABILITY,), np.array(OBJECT_QUANTILES), words)
+    return data
+
+
+def _bands(axis: SpectralAxis) -> Arrays:
+    words = {"units": "nm", "standard_name": "radiation_wavelength"}
+    words = {"units": "1", "long_name": "number of the band"} if axis.numbered else words
+    data: Arrays = {"wavelength": (("band",), axis.centre_nm, words)}
+    data["fwhm"] = (("band",), axis.fwhm_nm, {"units": "nm", "long_name": "full width at half maximum"})
     return data
 
 
@@ -675,6 +686,26 @@ def write_products(folder: Path, sides: Mapping[str, Products], *, title: str, s
         })  # fmt: skip
         for name, products in sides.items():
             _write_group(file.create_group(name), to_arrays(products))
+        _write_group(file, _all_spectra(sides))  # last: its axes are not those of the groups
+
+
+def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
+    """The spectra of all sides with their standard uncertainties, NaN where a side has no such subject."""
+    each = list(sides.values())
+    products = [name for name in SPECTRA if any(getattr(side, name) for side in each)]
+    if not products or not all(side.axis.matches(each[0].axis) for side in each):
+        return {}
+    data = _bands(each[0].axis)
+    subjects = list(dict.fromkeys(s for side in each for name in products for s in getattr(side, name)))
+    data["side"] = (("side",), np.array(list(sides), dtype=object), {"long_name": "predicted or observed"})
+    data["subject"] = (("subject",), np.array(subjects, dtype=object), {"long_name": _PARTS["subject"]})
+    none = np.full(len(each[0].axis), np.nan)
+    for name in products:
+        for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):
+            held = [[getattr(getattr(side, name).get(s), column.field, none) for s in subjects] for side in each]
+            words = {"units": column.units, "long_name": column.long_name}
+            data[column.name] = (("side", "subject", "band"), np.array(held), words)
+    return data
 
 
 def _write_group(group: Any, data: Arrays) -> None:

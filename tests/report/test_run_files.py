@@ -94,6 +94,11 @@ def test_products_are_variables_with_keys_units_and_names(groups, folder, tmp_pa
             assert variable.dtype.kind in "OTU" or "units" in variable.attrs, name
         assert data["good_band"].attrs["flag_meanings"].split() == ["not_used", "used"]
         np.testing.assert_array_equal(data["good_band"], [1, 0, 1])
+    root = xr.load_dataset(folder / "products.nc", engine="h5netcdf")  # the spectra of both sides
+    known, at = _sides()[0].radiance["plank"], {"side": "predicted", "subject": "plank"}
+    np.testing.assert_array_equal(root["radiance"].sel(at), known.mean)
+    np.testing.assert_allclose(root["radiance_standard_uncertainty"].sel(at), known.standard_uncertainty)
+    assert (root["radiance"].dims, list(root["wavelength"])) == (("side", "subject", "band"), list(AXIS.centre_nm))
     run.write_products(tmp_path, dict(zip(groups, _sides(), strict=True)), title="t", simulated=True)
     assert (tmp_path / "products.nc").read_bytes() == (folder / "products.nc").read_bytes()
 
