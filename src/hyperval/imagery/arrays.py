@@ -550,12 +550,12 @@ def _axes(array: xr.DataArray, band_axis: str) -> str:
 
 
 def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says.
+    """Radiance where the unit is one, reflectance where the name or another unit says so; None: nothing says.
 
     Deviations where the name or the title says so.
 
-    >>> quantity_of("sr^-1", "Rrs", ""), quantity_of("1/sr", "sea", ""), quantity_of("", "u", "Reflectance Uncertainty")
-    (('reflectance', 'sr-1', ()), (None, 'sr-1', ()), ('deviations', None, ()))
+    >>> quantity_of("sr^-1", "sea", ""), quantity_of("%", "", ""), quantity_of("", "u", "Reflectance Uncertainty")
+    (('reflectance', 'sr-1', ()), ('reflectance', 'percent', ()), ('deviations', None, ()))
     """
     if any(title_words(words)[1] for words in (name, title)):
         return "deviations", None, ()
@@ -564,8 +564,8 @@ def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, st
     known = _FRACTIONS.get((unit or "1").lower())
     if known is None:
         return None, None, (f"the array states its unit as {unit!r}, which is not known",)
-    named = re.search("reflectance|rfl|(?<![a-z])rrs", name, re.IGNORECASE)
-    return "reflectance" if named else None, known if named or known != "1" else None, ()
+    says = known != "1" or re.search("reflectance|rfl|(?<![a-z])rrs", name, re.IGNORECASE)
+    return ("reflectance", known, ()) if says else (None, None, ())
 
 
 def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:

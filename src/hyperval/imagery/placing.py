@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 import shapely
 from affine import Affine
@@ -30,7 +31,7 @@ from shapely.geometry.base import BaseGeometry
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import HypervalError, needed, reader, refusal, refuse
 from hyperval.imagery.cube import open_raster
-from hyperval.imagery.description import Raster, some_lines
+from hyperval.imagery.description import Raster, Scale, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, median_angle, table_in
 from hyperval.spectra.axis import wavelengths_in_nm
@@ -439,7 +440,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     >>> array = xr.DataArray(np.ones((1, 1, 2), "i2"), nm, ("y", "x", "b"), "reflectance", packed)
     >>> told = {what: (value, origin) for what, value, origin in record(labelled_array(array))}
     >>> told["scale of reflectance"], told["no data"][0]
-    (('x 0.1, + 0; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
+    (('x 0.1; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
     """
     about, where, files = raster.description, str(raster.path), ", ".join(p.name for p in raster.other_files)
     by, header = about.product or raster.kind, about.header
@@ -477,16 +478,13 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         row("unit of radiance", own or written, by_init, "state unit: (init: --unit)")
     for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
         try:
-            each = [
-                (f"x {np.min(g):g} to {np.max(g):g}, + {np.min(o):g} to {np.max(o):g}", source)
-                for g, o, source, _ in about.scales(quantity)
-            ]
-            if about.packing != (1.0, 0.0):
-                each.append(("x {:g}, + {:g}".format(*about.packing), f"{by}: as it is packed"))
-            if quantity == "reflectance" and (factor := reflectance_factor(about.unit or "fraction")) != 1.0:
-                each.append((f"x {factor:g}", f"{by}: unit {about.unit}"))
-            each = each or [("x 1", "nothing states another; state scale: where the numbers are scaled")]
-            row(f"scale of {quantity}", *("; ".join(told) for told in zip(*each, strict=True)))
+            stages = [*about.scales(quantity), Scale(*about.packing, f"{by}: as it is packed")]
+            if quantity == "reflectance":
+                stages.append(Scale(reflectance_factor(about.unit or "fraction"), 0.0, f"{by}: unit {about.unit}"))
+            stages = [stage for stage in stages if stage.changes]
+            value = "; ".join(f"x {_span(s.gain)}" + f", + {_span(s.offset)}" * bool(np.any(s.offset)) for s in stages)
+            none = "nothing states another; state scale: where the numbers are scaled"
+            row(f"scale of {quantity}", value or "x 1", "; ".join(stage.source for stage in stages) or none)
         except HypervalError as error:
             row(f"scale of {quantity}", f"not known: {error.what}", error.mend or "")
     ignore, a = about.no_data(), raster.transform
@@ -515,6 +513,11 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     if (sun := sun_zenith_deg(raster)) is not None:
         row("zenith angle of the sun", f"{sun[0]:.4g} deg", sun[1])
     return rows + [("assumed", note, "reader") for note in notes]
+
+
+def _span(values: npt.ArrayLike) -> str:
+    least, most = np.min(values), np.max(values)
+    return f"{least:g}" if least == most else f"{least:g} to {most:g}"
 
 
 def _steps(a: Affine) -> str:
