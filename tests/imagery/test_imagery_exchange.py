@@ -88,9 +88,9 @@ def masked(out):
     ("spoil", "change", "message"),
     [
         ({"wavelength_units": "inches"}, None, "in 'inches' cannot be used"),
-        ({"wavelength": "blue"}, None, "that are not positive numbers"),
-        ({"wavelength": "nan"}, None, "that are not positive numbers"),
-        ({"fwhm": "-1"}, None, "'fwhm' of the bands that are not positive numbers"),
+        ({"wavelength": "blue"}, None, "item 1 of 'wavelength' is not a number"),
+        ({"wavelength": "nan"}, None, "item 1 of 'wavelength' is not finite"),
+        ({"fwhm": "-1"}, None, r"width \(fwhm\) of -1, which is not positive"),
         ({}, two_wavelengths, "the bands have two wavelengths"),
         ({}, masked, "mask or alpha band"),
     ],

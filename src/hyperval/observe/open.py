@@ -47,7 +47,7 @@ from hyperval.collection import (
 from hyperval.config import twice
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import InputError, UsageError, needed, one_of, reader, refusal, refuse
-from hyperval.imagery import Cube, LookupTable, Raster, Region, TargetObject
+from hyperval.imagery import Cube, LocationTable, Raster, Region, TargetObject
 from hyperval.imagery.regions import outside_error, patches
 from hyperval.imagery.truth import cut_out
 from hyperval.model.fill import aperture_weights
@@ -97,7 +97,7 @@ class Place:
     target_pixels: str = "touched"
     by_rule: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
-    table: LookupTable | None = None
+    table: LocationTable | None = None
     leave_out: frozenset[str] = frozenset()
     statistics: Mapping[str, SampleStatistics] = field(default_factory=dict)
     line: EmpiricalLine | None = None
@@ -332,15 +332,12 @@ def band_table_notes(table: BandTableFile | None, axis: SpectralAxis) -> Iterato
         yield spacing_note("the band table's widths are not named (fwhm_column)", apart)
 
 
-def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
+def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LocationTable | None, tuple[str, ...]]:
     """What places the pixels of a cube in scanner geometry, stated or found, and notes on it."""
     if source.glt is None:
         return imagery.table_of(cube.raster)
     refuse(cube.transform is not None, "place.glt", source.path)
-    raster = imagery.open_raster(resolve(source.glt))
-    if raster.dtype.kind == "f" and raster.transform is None:
-        return imagery.location_table(raster, cube.shape), ()
-    return imagery.open_lookup_table(raster, cube.shape), ()
+    return imagery.open_lookup_table(resolve(source.glt), cube.shape), ()
 
 
 @dataclass(frozen=True)
@@ -348,7 +345,7 @@ class _Site:
     """Where regions and targets are drawn on: the cube, what places its pixels, and their ground area [m2]."""
 
     cube: Cube
-    table: LookupTable | None
+    table: LocationTable | None
     area_m2: float | None
     resolve: Resolve
 
