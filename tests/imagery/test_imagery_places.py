@@ -114,13 +114,13 @@ def test_places_off_the_line_and_units_that_are_none(tmp_path, line, table):
         table.to_pixel(np.array([(np.nan, 9.0)]), where="r")
     path = write_table(tmp_path / "c.dat", line.table()[0], DEGREES, crs=CRS.from_epsg(4326))
     in_degrees = imagery.open_lookup_table(path, SHAPE)
-    with pytest.raises(InputError, match="not in a known unit of length"):
-        _ = type(in_degrees)(**vars(in_degrees) | {"crs": None}).metres_per_unit
+    (tmp_path / "t.csv").write_text("material,easting,northing,side_m\nplank,-77,42,2\n")
+    unknown = type(in_degrees)(in_degrees.raster, None)
+    with pytest.raises(InputError, match="in no known unit of length"):
+        imagery.read_targets(tmp_path / "t.csv", SHAPE, transform=unknown, pixel_size_m=1.0)
     cell = abs(DEGREES.determinant) * np.prod(in_degrees.metres_per_unit)  # a cell of the table is as large as a pixel
-    assert (in_degrees.pixel_area_m2, in_degrees.metres_per_unit[1]) == (
-        pytest.approx(cell, rel=0.01),
-        pytest.approx(111e3, rel=0.01),
-    )
+    assert in_degrees.pixel_area_m2 == pytest.approx(cell, rel=0.01)
+    assert in_degrees.metres_per_unit[1] == pytest.approx(111e3, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,6 @@ def bent(tmp_path, axis) -> Path:
 
 def test_places_of_pixels_come_back_to_them(bent):
     table, notes = imagery.table_of(imagery.open_raster(bent))
-    assert isinstance(table, imagery.LocationTable)
     assert notes == ("f01_rdn_igm lies beside the cube and places its pixels",)
     rng = np.random.default_rng(4)
     want = np.column_stack([rng.uniform(0, BENT[1], 200), rng.uniform(0, BENT[0], 200)])

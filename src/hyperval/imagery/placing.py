@@ -126,8 +126,8 @@ class LocationTable:
     def pixel_area_m2(self) -> float | None:
         """Median ground area of a pixel [m2] over places along the image; None when the map unit is unknown."""
         fits = [self._fit(int(n), int(m)) for n, m in product(*(some_lines(size, _AREA_LINES) for size in self.shape))]
-        areas = [abs(float(np.linalg.det(fit[1]))) for fit in fits if fit is not None]
-        return self._unit_m2 * float(np.median(areas)) if areas and self._unit_m2 is not None else None
+        areas, unit = [abs(float(np.linalg.det(fit[1]))) for fit in fits if fit is not None], self.metres_per_unit
+        return math.prod(unit) * float(np.median(areas)) if areas and unit is not None else None
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -138,23 +138,12 @@ class LocationTable:
         return x - 360.0 * (self.meridian is not None and round(x / 360.0)), y
 
     @property
-    def metres_per_unit(self) -> tuple[float, float]:
-        """Lengths of the unit of the map along x and y [m], of a degree in the middle; InputError where unknown."""
-        if self._geographic:
+    def metres_per_unit(self) -> tuple[float, float] | None:
+        """Lengths of the unit of the map along x and y [m], of a degree in the middle; None where it is not known."""
+        if self.meridian is not None:
             return metres_per_degree(self.middle[1])
-        unit = needed(self._unit_m2, "place.unit", self.raster.path, what="the map is not in a known unit")
-        return (math.sqrt(unit),) * 2
-
-    @property
-    def _geographic(self) -> bool:
-        return self.crs is not None and self.crs.is_geographic
-
-    @property
-    def _unit_m2(self) -> float | None:
-        """Ground area of a square unit of the map, in the middle of the image [m2]; None where it is not known."""
-        if self._geographic:
-            return math.prod(metres_per_degree(self.middle[1]))
-        return pixel_area_m2(Affine.identity(), self.crs, self.raster.description.entries)
+        area = pixel_area_m2(Affine.identity(), self.crs, self.raster.description.entries)
+        return None if area is None else (math.sqrt(area),) * 2
 
     @cached_property
     def _coarse(self) -> tuple[Any, Index, Array]:
@@ -164,7 +153,7 @@ class LocationTable:
         good = self._valid(x, y)
         place, nodes = np.column_stack([x[good], y[good]]), np.argwhere(good) * step
         refuse(not len(place), "place.none", self.raster.path)
-        scale = np.array([math.cos(math.radians(float(place[:, 1].mean()))) if self._geographic else 1.0, 1.0])
+        scale = np.array([1.0 if self.meridian is None else math.cos(math.radians(float(place[:, 1].mean()))), 1.0])
         return scipy.spatial.cKDTree(place * scale), nodes, scale
 
     @cached_property
@@ -307,7 +296,6 @@ def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
     return arrays.array_raster(store, (piece,), about, (None, table.crs))
 
 
-_TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
 # Parts of names that tell the files of one line apart, such as ang20160217t083024_rdn_v1n2_img and ..._rdn_glt.
 _KINDS = re.compile(
     r"^(img|dat|rdn|rad|pol|ref|rfl|refl|radiance|reflectance|ort|raw|data|corr|glt|igm|loc|obs|l[0-4][a-d]?|v[0-9]\w*)$"
@@ -321,15 +309,9 @@ def companion(image: Path, kind: str) -> Path | None:
     image's own such words (``x_rad_glt`` for ``x_rad``), and none where that leaves two.
     """
     own, kinds = _name(image)
-    if image.suffix.lower() in _TREES:
-        others = list(image.parent.glob("*" + image.suffix))
-    else:
-        others = []
-        for header in image.parent.glob("*.[hH][dD][rR]"):
-            stem = header.with_suffix("")
-            others += [p for p in (stem, *map(stem.with_suffix, (".img", ".dat", f".{kind}"))) if p.is_file()][:1]
-    fits = [p for p in sorted(set(others)) if p != image and kind in _name(p)[1] and _name(p)[0] == own]
-    if len(fits) > 1 and image.suffix.lower() not in _TREES:
+    others = (p for p in image.parent.iterdir() if p != image and p.is_file())
+    fits = [p for p in others if kind in _name(p)[1] and _name(p)[0] == own]
+    if len(fits) > 1:
         fits = [p for p in fits if kinds <= _name(p)[1]]
     return fits[0] if len(fits) == 1 else None
 

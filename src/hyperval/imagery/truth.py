@@ -15,7 +15,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.data import Array, Mask
-from hyperval.errors import reader, refusal, refuse
+from hyperval.errors import needed, reader, refusal, refuse
 from hyperval.imagery import regions as roi
 from hyperval.imagery.placing import LocationTable
 from hyperval.imagery.regions import Position
@@ -226,6 +226,7 @@ def _position(
         return (x, y), _outline((x, y), sides, pixel_m, heading)
     one = pixel_m / math.sqrt(abs(transform.determinant)) if isinstance(transform, Affine) else 1.0
     unit_m = transform.metres_per_unit if isinstance(transform, LocationTable) else (one, one)
+    unit_m = needed(unit_m, "place.unit", where)
     around = _outline((0.0, 0.0), sides, 1.0, heading) / unit_m * (1.0, -1.0)  # lines run down, northings up
     on_map = np.array([first, second]) + np.vstack([(0.0, 0.0), around])
     (x, y), *corners = roi.map_to_pixel(on_map, transform, where=where)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -241,11 +241,9 @@ class _Row(NamedTuple):
     def time(self, year: float, day: float, clock: str) -> datetime:
         """Year, day of the year and time of the day as one."""
         try:
-            start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
+            return datetime.strptime(f"{int(year):04d} {int(day):03d} {clock}", "%Y %j %H:%M").replace(tzinfo=UTC)
         except ValueError as error:
-            raise refusal("radcalnet.time", self.where, clock=clock) from error
-        refuse(not 1 <= day <= 366, "radcalnet.day", self.where, day=day)
-        return start + timedelta(days=int(day) - 1)
+            raise refusal("radcalnet.time", self.where, day=day, clock=clock) from error
 
 
 def _spectra(part: Mapping[str, _Row], count: int, path: str) -> tuple[Array, Array]:
