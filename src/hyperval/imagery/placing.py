@@ -271,7 +271,7 @@ def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
     refuse(table.bands != 2, "place.table", where, bands=table.bands, dtype=table.dtype)
     transform, fill = needed(table.transform, "place.no_map", where), table.description.no_data()
     swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
-    total = np.zeros((3, *shape))  # weights, and the coordinates times these
+    total = np.zeros((3, math.prod(shape)))  # weights, and the coordinates times these
     greatest = np.zeros(2, np.int64)
     for first in range(0, table.lines, _BLOCK):
         stored = table.read_bands(first, min(_BLOCK, table.lines - first)).astype(np.int64)
@@ -280,16 +280,16 @@ def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
         if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
             raise refusal("place.signs", where, first=first, last=first + len(sample) - 1)
         rows, columns = np.nonzero(sample)
-        pixels = np.abs([line[rows, columns], sample[rows, columns]])
+        lines, samples = pixels = np.abs([line[rows, columns], sample[rows, columns]])
         greatest = np.maximum(greatest, pixels.max(axis=1, initial=0))
         refuse(np.any(greatest > shape), "place.beyond", where, greatest=greatest, shape=shape)
         weight = np.where(sample[rows, columns] > 0, 1.0, _FILLED)
         x, y = transform @ np.array([columns + 0.5, first + rows + 0.5])
         for part, values in zip(total, (weight, weight * x, weight * y), strict=True):
-            np.add.at(part, tuple(pixels - 1), values)
+            np.add.at(part, (lines - 1) * shape[1] + samples - 1, values)
     refuse(not greatest.any(), "place.empty", where)
     with np.errstate(invalid="ignore"):
-        places = total[1:] / total[0]
+        places = (total[1:] / total[0]).reshape(2, *shape)
     piece = arrays.Piece((arrays.Term("places"),), "bls", places.shape, places.dtype)
     store = arrays.Store(table.path, arrays.at_hand, "places", places)
     about = Description("lookup table", entries=table.description.entries)
