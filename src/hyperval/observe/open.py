@@ -117,8 +117,7 @@ class Place:
         Where lines were lost in the middle of an image, what lies above stays:
 
         >>> from dataclasses import make_dataclass
-        >>> from hyperval.imagery.description import Scale
-        >>> image, one = make_dataclass("Image", ["shape", "scaling"])((6, 1), Scale()), np.ones((1, 1), bool)
+        >>> image, one = make_dataclass("Image", ["shape", "gain", "offset"])((6, 1), 1.0, 0.0), np.ones((1, 1), bool)
         >>> around = Labels.of((6, 1), {_NEAR: np.array([[True], [False], [False], [True], [False], [False]])})
         >>> two = [TargetObject(f"plank {at}", "wood", 1.0, 1.0, (6, 1), (at, 0), one) for at in (0, 3)]
         >>> after = Place(image, around, two).mistaken({"lines": 2, "beyond": 0.5})
@@ -137,10 +136,10 @@ class Place:
                 targets = [target.displaced(*by) if target.corner[0] >= first else target for target in targets]
                 away = [*away, _NEAR]
             labels = labels.displaced(away, by, first)
-        gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
+        offset = factor * cube.offset
         if "offset" in of:
             offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))
-        cube = replace(cube, scaling=cube.scaling._replace(gain=gain, offset=offset))
+        cube = replace(cube, gain=factor * cube.gain, offset=offset)
         return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
 
     @cached_property
