@@ -119,15 +119,15 @@ class LocationTable:
     def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
         """A geometry on the map with vertices at most 4 pixels apart on every side."""
         near = shapely.transform(geometry, self._near)
-        refuse(not near.length / (_SIDE_PIXELS * self._pixel) <= MAX_VERTICES, "place.large", where)
-        return shapely.segmentize(near, _SIDE_PIXELS * self._pixel)
+        side = _SIDE_PIXELS * math.sqrt(needed(self._area, "place.same", self.raster.path))
+        refuse(not near.length / side <= MAX_VERTICES, "place.large", where)
+        return shapely.segmentize(near, side)
 
     @cached_property
     def pixel_area_m2(self) -> float | None:
         """Median ground area of a pixel [m2] over places along the image; None when the map unit is unknown."""
-        fits = [self._fit(int(n), int(m)) for n, m in product(*(some_lines(size, _AREA_LINES) for size in self.shape))]
-        areas, unit = [abs(float(np.linalg.det(fit[1]))) for fit in fits if fit is not None], self.metres_per_unit
-        return math.prod(unit) * float(np.median(areas)) if areas and unit is not None else None
+        unit, area = self.metres_per_unit, self._area
+        return None if unit is None or area is None else math.prod(unit) * area
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -157,12 +157,11 @@ class LocationTable:
         return scipy.spatial.cKDTree(place * scale), nodes, scale
 
     @cached_property
-    def _pixel(self) -> float:
-        """Ground step of a pixel in units of the map, in the middle of the image."""
-        nodes = self._coarse[1]
-        line, sample = nodes[len(nodes) // 2]
-        fit = needed(self._fit(int(line), int(sample)), "place.same", self.raster.path)
-        return math.sqrt(abs(float(np.linalg.det(fit[1]))))
+    def _area(self) -> float | None:
+        """Median area of a pixel over places along the image in square units of the map; None where none has any."""
+        fits = [self._fit(int(n), int(m)) for n, m in product(*(some_lines(size, _AREA_LINES) for size in self.shape))]
+        areas = [abs(float(np.linalg.det(fit[1]))) for fit in fits if fit is not None]
+        return float(np.median(areas)) if areas else None
 
     def _near(self, xy: Array) -> Array:
         """Places (..., 2) by longitudes that are counted on across the date line from those of the image."""

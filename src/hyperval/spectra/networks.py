@@ -30,7 +30,6 @@ from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile, SpectrumErrors
 
-HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _MOST = {"wavelength": 5000, "series": 2000}
 _AXES = {
     "wavelength": "wavelength", "err_corr_systematic_reflectance": "wavelength wavelength_2",
@@ -38,11 +37,6 @@ _AXES = {
     **dict.fromkeys(("u_rel_random_reflectance", "u_rel_systematic_reflectance"), "wavelength series"),
     **dict.fromkeys(("viewing_zenith_angle", "viewing_azimuth_angle", "quality_flag", "n_valid_scans"), "series"),
 }  # fmt: skip
-
-
-def is_hypernets(file: SpectraFile) -> bool:
-    """Whether the content is of the network: HDF5 that names its processor."""
-    return file.raw.startswith(HDF5_MARK) and b"hypernets_processor" in file.raw
 
 
 def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -161,11 +155,6 @@ def read_radcalnet(path: Path | str) -> RadCalNetDay:
     """
     path = checked_file(path, what="daily file of RadCalNet", most=MAX_BYTES)
     return day_of(path.read_text("utf-8", errors="replace"), path)
-
-
-def is_radcalnet(file: SpectraFile) -> bool:
-    """Whether a file begins as the network's do."""
-    return file.head.startswith(b"Site:") and b"\nLat:" in file.head.replace(b"\r", b"")
 
 
 def radcalnet_records(file: SpectraFile) -> list[FieldSpectrum]:

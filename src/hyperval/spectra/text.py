@@ -548,11 +548,6 @@ def _signature(
     return replace(record, wavelength_unit="nm", unit="percent"), table, entries
 
 
-def is_sed(file: SpectraFile) -> bool:
-    """Whether a file is one of Spectral Evolution."""
-    return b"Instrument:" in file.head and b"Columns [" in file.head
-
-
 def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %", "Reflect. [1.0]" or "Tgt./Ref. %".
 
