@@ -378,7 +378,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         _, unit, guessed = wavelengths_in_nm(known, listed.unit, None, where)
         row("wavelength unit", unit, "guess: by the values" if guessed else stated)
         by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
-        row("widths", f"{width.min():g} to {width.max():g} nm", by_width)
+        row("widths", f"{_span(width)} nm", by_width)
         notes += said
     except HypervalError as error:
         row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
