@@ -553,6 +553,11 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
 
     The quantity "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
     in the line ``Units:``.  It has as many rows and columns as it says, over the range that it says.
+
+    >>> file = SpectraFile(Path("a.sed"))
+    >>> vars(file)["text"] = "Columns [3]:\\nData:\\nChan.#\\tWvl\\tReflect. %\\n1\\t350.0\\t4.0\\n2\\t351.0\\t5.0\\n"
+    >>> [(r.wavelength_nm.tolist(), r.values.tolist(), r.unit) for r in sed_records(file)]
+    [([350.0, 351.0], [4.0, 5.0], 'percent')]
     """
     text, path, where = file.text, file.path, str(file.path)
     lines = text.splitlines()
