@@ -363,7 +363,7 @@ def _by_path() -> dict[str, tuple[DataSet, DataFile]]:
 def _resolve_data(path: str) -> Path:
     if (path_here := _find(path)) is not None:
         return path_here
-    looked = ", ".join(str(root) for root in _roots())
+    looked = ", ".join(f"{root}{'' if root.is_dir() else ' (no such folder)'}" for root in _roots())
     of_pattern = (owner for known, (owner, _) in _by_path().items() if is_pattern(path) and fnmatchcase(known, path))
     owner = next(of_pattern, None) or owner_of(PREFIX + path)
     if owner is None:  # neither the registry nor this machine knows it: the names nearest to it

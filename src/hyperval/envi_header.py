@@ -127,12 +127,19 @@ class EnviHeader:
 def header_beside(data: Path) -> Path | None:
     """The header of a data file: ``name.img.hdr`` or ``name.hdr``; None when there is none.
 
-    ``name.hdr`` beside a table ``name.csv`` or ``name.txt`` is that of an image of the same name.
+    ``name.hdr`` is that of an image: of no table ``name.csv``, nor of a ``name.glt`` beside its own ``name.glt.hdr``.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     image, table, *headers = (Path(folder) / name for name in ("x", "x.glt", "x.hdr", "x.glt.hdr"))
+    ...     _ = [header.touch() for header in headers]
+    ...     [header_beside(of).name for of in (image, table)]
+    ['x.hdr', 'x.glt.hdr']
     """
-    candidates = {data.with_name(data.name + end) for end in (".hdr", ".HDR")}
-    if data.suffix.lower() not in (".csv", ".txt"):
-        candidates |= {data.with_suffix(end) for end in (".hdr", ".HDR")}
-    headers = sorted(p for p in candidates - {data} if p.is_file())
+    ends = (".hdr", ".HDR")
+    headers = sorted(p for end in ends if (p := data.with_name(data.name + end)).is_file())
+    if data.suffix.lower() in DATA_SUFFIXES or not (headers or data.suffix.lower() in (".csv", ".txt")):
+        headers += sorted(p for p in {*map(data.with_suffix, ends)} - {data, *headers} if p.is_file())
     # One file under two names on a file system that ignores case is one header.
     unique = {p.resolve().stat().st_ino: p for p in reversed(headers)}
     refuse(len(unique) > 1, "header.two", data, names=", ".join(p.name for p in headers))

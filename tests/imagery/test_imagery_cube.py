@@ -485,7 +485,7 @@ def test_headers_as_other_programs_write_them(tmp_path, program):
     cube = open_cube(tmp_path / "a.img", quantity="other")
     assert cube.axis.centre_nm[0] == pytest.approx(first_nm)
     assert np.array_equal(cube.read(0, 2).values, stored.transpose(0, 2, 1))
-    in_names = any("names of its bands" in note for note in cube.notes)
+    in_names = any("names of the bands" in note for note in cube.notes)
     assert in_names == (program in ("ITRES", "GDAL", "AVIRIS"))
     if program == "HYDICE":  # as another reader has it, to which the byte order is a number
         assert cube.axis.good.tolist() == [False, True, True]

@@ -88,9 +88,9 @@ def masked(out):
     ("spoil", "change", "message"),
     [
         ({"wavelength_units": "inches"}, None, "in 'inches' cannot be used"),
-        ({"wavelength": "blue"}, None, "that are not positive numbers"),
-        ({"wavelength": "nan"}, None, "that are not positive numbers"),
-        ({"fwhm": "-1"}, None, "'fwhm' of the bands that are not positive numbers"),
+        ({"wavelength": "blue"}, None, "item 1 of 'wavelength' is not a number"),
+        ({"wavelength": "nan"}, None, "item 1 of 'wavelength' is not finite"),
+        ({"fwhm": "-1"}, None, r"width \(fwhm\) of -1, which is not positive"),
         ({}, two_wavelengths, "the bands have two wavelengths"),
         ({}, masked, "mask or alpha band"),
     ],
@@ -261,7 +261,7 @@ def test_numbers_of_a_header_come_with_file_and_line_and_what_lacks_with_what_me
     assert value == "4, 450 to 850 nm"
     assert header.read_text().splitlines()[int(origin.rsplit(":", 1)[1]) - 1].startswith("wavelength =")
     assert told["no data"][0] == "-9"
-    scale = "x 0.0001 to 0.0001, + 0 to 0", "stored values / 10000 (reflectance scale factor)"
+    scale = "x 0.0001", "stored values / 10000 (reflectance scale factor)"
     assert told["scale of reflectance"] == scale
     assert told["quantity"] == ("not known", "state quantity: (init: --quantity)")
     assert all(map(str.__contains__, told["scale of radiance"], ("exclude each other", "state scale:")))

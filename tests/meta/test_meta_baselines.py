@@ -86,7 +86,7 @@ def of_cube(**entries: Callable[[Any], Any]) -> Callable[[Patch], None]:
     return wrapped("hyperval.imagery.open_cube", change)
 
 
-CUBE_2_PERCENT = of_cube(scaling=lambda cube: cube.scaling._replace(gain=1.02 * cube.scaling.gain))
+CUBE_2_PERCENT = of_cube(gain=lambda cube: 1.02 * cube.gain)
 HAZIER = lambda right: lambda s, **k: right(s.model_copy(update={"aot550": 1.25 * s.aot550}), **k)  # noqa: E731
 GAIN = wrapped("hyperval.sensor.specification.electrons_per_radiance", result(lambda gain: 1.02 * gain))
 RATIO = "median_difference_ratio_windows"

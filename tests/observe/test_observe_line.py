@@ -299,7 +299,7 @@ def test_what_is_read_back_is_the_reflectance_to_half_a_step(measured, tmp_path,
     assert found.axis.fwhm_nm == pytest.approx(AXIS.fwhm_nm, rel=1e-12)
     assert np.flatnonzero(~found.axis.good).tolist() == [3, 5]
     assert (found.transform, found.crs) == (GRID, cube.crs)
-    assert found.scaling.gain == pytest.approx(1e-4)
+    assert found.gain == pytest.approx(1e-4)
     block = found.read(0, LINES)
     assert np.argwhere(~block.valid).tolist() == [OUTSIDE, FILL]
     assert np.isnan(block.values[..., 3]).all()

@@ -13,9 +13,7 @@ from .description import Description, Raster, acquisition_notes, time_notes
 from .envi import EnviRaster, crs_of, envi_writer, pixel_area_m2, pixel_sides_m, transform_of, write_cube
 from .placing import (
     LocationTable,
-    LookupTable,
     companion,
-    location_table,
     metres_per_degree,
     open_lookup_table,
     record,
@@ -49,7 +47,6 @@ __all__ = [
     "EnviRaster",
     "ImageGrid",
     "LocationTable",
-    "LookupTable",
     "Raster",
     "Region",
     "TargetMasks",
@@ -66,7 +63,6 @@ __all__ = [
     "holes",
     "intersected_objects",
     "layouts",
-    "location_table",
     "map_to_spy",
     "map_to_xarray",
     "metres_per_degree",

@@ -11,6 +11,7 @@ import tempfile
 import threading
 import warnings
 import weakref
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -27,9 +28,11 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.data import Array
+from hyperval.envi_header import EnviHeader
 from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import check_hdf5, trial
 from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform
+from hyperval.imagery.envi import crs_of
 from hyperval.spectra.text import title_words
 from hyperval.units import in_nm, is_radiance, plausible
 
@@ -166,12 +169,12 @@ def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Numbers]]:
-    """The numeric arrays of a variable of MATLAB by name: itself, or field b of struct a as "a/b"."""
+    """The arrays of numbers or text of a variable of MATLAB by name: itself, or field b of struct a as "a/b"."""
     value = value.toarray() if scipy.sparse.issparse(value) else value
     if value.dtype.names and value.size == 1:
         for field_name in value.dtype.names:
             yield from _fields(f"{name}/{field_name}", np.asarray(value[field_name].flat[0]))
-    elif value.dtype.kind in "iufb":
+    elif value.dtype.kind in "iufbU":
         yield name, value
 
 
@@ -550,12 +553,12 @@ def _axes(array: xr.DataArray, band_axis: str) -> str:
 
 
 def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, str | None, tuple[str, ...]]:
-    """Radiance where the unit is one, reflectance where the name says so, with its unit; None: nothing says.
+    """Radiance where the unit is one, reflectance where the name or another unit says so; None: nothing says.
 
     Deviations where the name or the title says so.
 
-    >>> quantity_of("sr^-1", "Rrs", ""), quantity_of("1/sr", "sea", ""), quantity_of("", "u", "Reflectance Uncertainty")
-    (('reflectance', 'sr-1', ()), (None, 'sr-1', ()), ('deviations', None, ()))
+    >>> quantity_of("sr^-1", "sea", ""), quantity_of("%", "", ""), quantity_of("", "u", "Reflectance Uncertainty")
+    (('reflectance', 'sr-1', ()), ('reflectance', 'percent', ()), ('deviations', None, ()))
     """
     if any(title_words(words)[1] for words in (name, title)):
         return "deviations", None, ()
@@ -564,8 +567,8 @@ def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, st
     known = _FRACTIONS.get((unit or "1").lower())
     if known is None:
         return None, None, (f"the array states its unit as {unit!r}, which is not known",)
-    named = re.search("reflectance|rfl|(?<![a-z])rrs", name, re.IGNORECASE)
-    return "reflectance" if named else None, known if named or known != "1" else None, ()
+    says = known != "1" or re.search("reflectance|rfl|(?<![a-z])rrs", name, re.IGNORECASE)
+    return ("reflectance", known, ()) if says else (None, None, ())
 
 
 def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
@@ -627,7 +630,8 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
                 elif what == "struct":  # whose size is known when it is read
                     if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
                         raise ValueError(why)
-                    shapes |= {field: value.shape for field, value in _matrix(path, kind, name).items()}
+                    fields = _matrix(path, kind, name).items()
+                    shapes |= {field: value.shape for field, value in fields if value.dtype.kind != "U"}
     else:
         check_own_values(path)
 
@@ -677,6 +681,17 @@ def _likely(names: list[str], shapes: Mapping[str, tuple[int, ...]], is_map: boo
     return named if len(named) == 1 else names
 
 
+def _entries_of(arrays: Mapping[str, Numbers]) -> dict[str, str]:
+    """The entries of an ENVI header as readers in MATLAB keep them, in a struct ``info`` beside the image."""
+    said = defaultdict[str, list[str]](list)
+    for name, value in arrays.items():
+        _, found, rest = name.partition("/info/")
+        if found:
+            texts = [str(v) if value.dtype.kind == "U" else f"{v:.15g}" for v in value.flat]
+            said[rest.split("/")[0].replace("_", " ")] += texts
+    return {key: ", ".join(words) for key, words in said.items()}
+
+
 @reader
 def open_matrix(
     path: Path, kind: str, variable: str | None = None, plane: tuple[int, int] | None = None
@@ -695,10 +710,11 @@ def open_matrix(
     >>> about.scale.gain, about.scale.offset, about.ignore_value
     (0.0002, 0.1, -9999.0)
     >>> held = {"Data": np.ones((2, 3, 4)), "Easting": [7.5, 8.5, 9.5], "Northing": [11.5, 10.5]}  # MUUFL Gulfport
+    >>> info = dict(p="UTM", image=[1, 1], x=7.0, y=12.0, dx=1.0, dy=1.0, zone=16.0, hemi="North", datum="WGS-84")
     >>> with TemporaryDirectory() as folder:
-    ...     scipy.io.savemat(path := Path(folder) / "hsi.mat", {"hsi": held})
-    ...     open_matrix(path, "MATLAB 5").transform.to_gdal()
-    (7.0, 1.0, 0.0, 12.0, 0.0, -1.0)
+    ...     scipy.io.savemat(path := Path(folder) / "hsi.mat", {"hsi": held | {"info": {"map_info": info}}})
+    ...     (opened := open_matrix(path, "MATLAB 5")).transform.to_gdal(), opened.crs.to_epsg()
+    ((7.0, 1.0, 0.0, 12.0, 0.0, -1.0), 32616)
 
     Raises
     ------
@@ -737,14 +753,15 @@ def open_matrix(
     wave, width, east, north = (
         store.read(names[0], (slice(None),)).astype(float).ravel() if len(names) == 1 else None for names in beside
     )
-    own = None if wave is None else ListedBands(wave, width)
     keys = (*_FILLS, "scale_factor", "add_offset", "units", "long_name") if tree else ()
     with store.kept_open() as file:
         held = {key: file[name].attrs.get(key) for key in keys}
+        entries = {} if tree else _entries_of(file)
+    header = EnviHeader(path, sizes["s"], sizes["l"], sizes.get("b", 1), 0, "", 0, 0, entries=entries)
+    own = None if wave is None else ListedBands(wave, width, header.text("wavelength units"))
     unit, title = (" ".join(texts_of(held.get(key))) for key in ("units", "long_name"))
     quantity, known, notes = quantity_of(unit, name.rpartition("/")[2], title)
     scale = Scale(*packing(held), f"scale of the array {name!r}")
     about = Description(f"array {name!r} of a {kind} file", own, scale, quantity, known, stated(held), notes=notes)
-    return array_raster(
-        store, (piece,), about, (None if east is None or north is None else _even_grid(east, north), None)
-    )
+    place = None if east is None or north is None else _even_grid(east, north), crs_of(header)
+    return array_raster(store, (piece,), about, place)

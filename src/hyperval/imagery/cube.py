@@ -22,7 +22,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import data_beside, header_beside
 from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
-from hyperval.imagery.description import Bands, Description, ListedBands, Raster, Scale, equals, fill_notes, filled
+from hyperval.imagery.description import Bands, Description, ListedBands, Raster, equals, fill_notes, filled
 from hyperval.imagery.envi import EnviRaster, described_by, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, open_tiff
@@ -75,7 +75,7 @@ class Cube:
     axis : bands in increasing wavelength; ``axis.good`` is the bad-band list
     quantity : "radiance" [uW cm-2 sr-1 nm-1], "reflectance" [1], "counts" or "other"
     unit : unit of the values handed out
-    scaling : gain and offset, applied once
+    gain, offset : (B,) value = gain * stored + offset, in the bands of the axis
     stored_band : (B,) number of the stored band behind each band of ``axis``
     ignore_value : stored value that means no data, None when there is none
     description : the header's description
@@ -86,7 +86,8 @@ class Cube:
     axis: SpectralAxis
     quantity: Quantity
     unit: str
-    scaling: Scale
+    gain: Array
+    offset: Array
     stored_band: Index
     ignore_value: float | None = None
     description: str = ""
@@ -121,16 +122,6 @@ class Cube:
     def bytes_per_line(self) -> int:
         """Bytes of one line in the file."""
         return self.samples * self.raster.bands * self.dtype.itemsize
-
-    @property
-    def gain(self) -> Array:
-        """(B,) value of a stored 1 less that of a stored 0, in the bands of the axis."""
-        return np.asarray(self.scaling.gain, float)[self.stored_band]
-
-    @property
-    def offset(self) -> Array:
-        """(B,) value of a stored 0, in the bands of the axis."""
-        return np.asarray(self.scaling.offset, float)[self.stored_band]
 
     @property
     def transform(self) -> Affine | None:
@@ -222,8 +213,8 @@ class Cube:
     ) -> tuple[npt.NDArray[Any], Mask]:
         """Stored numbers (B, count, samples) in the bands of the axis, as a view in the order of the file.
 
-        Also which pixels (count, samples) hold data in the ``needed`` bands (all by default); ``scaling`` is
-        not applied.  ``buffer``: as for :meth:`EnviRaster.read_bands`.
+        Also which pixels (count, samples) hold data in the ``needed`` bands (all by default); gain and
+        offset are not applied.  ``buffer``: as for :meth:`EnviRaster.read_bands`.
         """
         stored = self.raster.read_bands(first_line, count, buffer)
         if self._reordered:
@@ -274,7 +265,7 @@ class Cube:
         """Values (..., n) of stored numbers in some bands of the axis; NaN for ignored values."""
         values = np.empty(stored.shape, dtype)
         np.multiply(stored, self.gain[bands].astype(dtype), out=values, dtype=dtype, casting="unsafe")
-        if np.any(self.scaling.offset):
+        if np.any(self.offset):
             values += self.offset[bands].astype(dtype)
         if self.ignore_value is not None:
             values[equals(stored, self.ignore_value)] = np.nan
@@ -297,11 +288,11 @@ class Cube:
         return usable
 
 
-def _checked(cube: Cube, scale: float | None) -> Cube:
+def _checked(cube: Cube, scale: float | None, by: str) -> Cube:
     """The cube without the bands that hold no number in any pixel seen, and the bad ones that lack some where good ones
     do not; those that hold the same number everywhere are bad.
 
-    ``scale`` is what the caller states.
+    ``scale`` is what the caller states, ``by`` what the file scales by.
 
     >>> import xarray as xr
     >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
@@ -339,7 +330,8 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
         what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(none)} none"
         what += f", {np.sum(~some & ~none)} bad ones not in all" * bool(np.any(~some & ~none))
         notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
-        cube = replace(cube, axis=axis.select(some), stored_band=cube.stored_band[some], notes=notes)
+        left = {name: getattr(cube, name)[some] for name in ("stored_band", "gain", "offset")}
+        cube = replace(cube, axis=axis.select(some), notes=notes, **left)
         values = values[:, some]
     limit = PLAUSIBLE.get(cube.quantity, np.inf)
     judged = values[:, cube.axis.good]
@@ -349,8 +341,7 @@ def _checked(cube: Cube, scale: float | None) -> Cube:
     refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, **told)
     refuse(middle < (least := _LOWEST * limit), "scale.low", cube.raster.path, middle=middle, least=least, **told)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
-        by = cube.scaling.source or "its unit"
-        raise refusal("scale.twice", cube.raster.path, by=by, most=judged.max(), gain=gain[0])
+        raise refusal("scale.twice", cube.raster.path, by=by or "its unit", most=judged.max(), gain=gain[0])
     return cube
 
 
@@ -505,13 +496,14 @@ def open_cube(
         axis=axis,
         quantity=quantity,
         unit=str(scaling.unit),
-        scaling=scaling,
+        gain=np.asarray(scaling.gain)[stored_band],
+        offset=np.asarray(scaling.offset)[stored_band],
         stored_band=stored_band,
         ignore_value=about.no_data(),
         description=" ".join(about.entries.get("description", "").split()),
         notes=notes,
     )
-    return _checked(cube, scale) if check_values and quantity != "other" else cube
+    return _checked(cube, scale, scaling.source) if check_values and quantity != "other" else cube
 
 
 def _lazy_cube(cube: Any) -> Any:

@@ -146,7 +146,7 @@ class Description:
             if in_names is None:
                 return self.bands
             values, unit, key = in_names[0], in_names[1] or unit, "band names"
-            notes = ("the header lists no wavelengths: those in the names of its bands are taken",)
+            notes = ("no wavelengths are listed: those in the names of the bands are taken",)
         flags = header.numbers("bbl", header.bands)
         refuse(flags is not None and not np.all(np.isin(flags, (0.0, 1.0))), "bands.flags", header.where("bbl"))
         where = {"wavelength": header.where(key), "wavelength units": header.where("wavelength units")}

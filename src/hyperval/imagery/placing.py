@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 import shapely
 from affine import Affine
@@ -29,21 +29,24 @@ from shapely.geometry.base import BaseGeometry
 
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import HypervalError, needed, reader, refusal, refuse
+from hyperval.imagery import arrays
 from hyperval.imagery.cube import open_raster
-from hyperval.imagery.description import Raster, some_lines
+from hyperval.imagery.description import Description, Raster, Scale, some_lines
 from hyperval.imagery.envi import EnviRaster, pixel_area_m2
 from hyperval.imagery.products import SAMPLED_LINES, median_angle, table_in
 from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.units import is_radiance
 
-# Cells around a place whose raw pixels are fitted: 7 x 7 average out the rounding to whole pixels.
-RADIUS = 3
-_FEWEST = 6  # cells for the three unknowns of a coordinate
+# Pixels around a place that are fitted: 7 x 7 average out the rounding to whole cells of a lookup table, of which one
+# coarser than the image names few.
+_RADII = (3, 6, 12)
+_FEWEST = 6  # pixels for the three unknowns of a coordinate
 _BLOCK = 256  # lines of the table held at once
-_SIDE_CELLS = 4.0  # a polygon's sides are divided, as a straight one is bent in the raw image
+_FILLED = 1e-6  # weight of a cell that was filled from its neighbours
+_SIDE_PIXELS = 4.0  # a polygon's sides are divided, as a straight one is bent in the raw image
 MAX_VERTICES = 1_000_000
-_AREA_LINES = 20  # and as many places in each
+_AREA_LINES = 20  # and as many samples, at whose crossings the area of a pixel is looked at
 MOST_NODES = 160_000  # of the coarse grid that a place is first looked for in
 _STEPS = 8  # of the search from the nearest node to the nearest pixel
 _FARTHEST = 1.5  # [pixel] beyond the image that a place may lie
@@ -52,189 +55,21 @@ _EQUATOR_M, _FLATTENING_SQUARED = 6_378_137.0, 6.694379990141e-3  # WGS 84: radi
 
 
 @dataclass(frozen=True, eq=False)
-class LookupTable:
-    """A GLT for a raw image; it takes the place of an affine transform.
+class LocationTable:
+    """The place of every pixel of an image on a map; it takes the place of an affine transform.
 
     Attributes
     ----------
-    raster : the table
-    transform : continuous (sample, line) of the table to map coordinates
-    crs : its coordinate system, None when unknown
-    shape : (lines, samples) of the raw image
-    swapped : the first band holds the lines
-    """
-
-    raster: Raster
-    transform: Affine
-    crs: CRS | None
-    shape: tuple[int, int]
-    swapped: bool = False
-
-    def to_pixel(self, points: Array, *, where: str, beyond: bool = False) -> Array:
-        """(n, 2) continuous raw coordinates (sample, line) of map coordinates (x, y).
-
-        A plane is fitted to the raw pixels of the 7 x 7 cells around each point; cells filled from their neighbours
-        count only where the others are too few.  ``beyond``: one without pixels is placed by the plane of the nearest.
-
-        >>> from tempfile import TemporaryDirectory
-        >>> from hyperval.imagery import write_cube
-        >>> line, sample = np.indices((20, 20)) + 1
-        >>> with TemporaryDirectory() as folder:
-        ...     table = write_cube(
-        ...         f"{folder}/glt", np.stack([sample, line], -1), data_type=3, transform=Affine(2, 0, 500, 0, -2, 900)
-        ...     )
-        ...     open_lookup_table(table, (20, 20)).to_pixel([[480.0, 890.0]], where="", beyond=True).round(6).tolist()
-        [[-10.0, 5.0]]
-
-        Raises
-        ------
-        InputError : a point with no raw pixel near it.
-        """
-        xy = np.asarray(points, dtype=float).reshape(-1, 2)
-        refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
-        return np.array([self._place(place, where, beyond) for place in xy]).reshape(-1, 2)
-
-    @cached_property
-    def pixel_area_m2(self) -> float | None:
-        """Median ground area of a raw pixel [m2] over places along the image; None when the map unit is unknown."""
-        areas = [area for area in self._areas() if area is not None]
-        return float(np.median(areas)) if areas else None
-
-    def _areas(self) -> Iterator[float | None]:
-        """Ground areas of raw pixels [m2]: a cell's over the determinant of the fit."""
-        cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
-        if self.crs is not None and self.crs.is_geographic:
-            cell = abs(self.transform.determinant) * math.prod(self.metres_per_unit)
-        for line in some_lines(self.raster.lines, _AREA_LINES) if cell is not None else ():
-            cols = np.flatnonzero(self._read(int(line), 1)[0][0])
-            for col in cols[np.linspace(0, cols.size - 1, min(_AREA_LINES, cols.size)).astype(int)]:
-                fit = self._raw_at(np.array([col + 0.5, line + 0.5]))
-                part = 0.0 if fit is None else abs(float(np.linalg.det(fit[1])))
-                yield cell / part if part > 0.0 and cell is not None else None
-
-    def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
-        """A geometry on the map with vertices at most 4 cells of the table apart on every side."""
-        cells = shapely.transform(geometry, lambda xy: np.column_stack(~self.transform @ xy.T))
-        return shapely.transform(_divided(cells, 1.0, where), lambda xy: np.column_stack(self.transform @ xy.T))
-
-    def _place(self, xy: Array, where: str, beyond: bool) -> Array:
-        cell = near = np.array(~self.transform @ (float(xy[0]), float(xy[1])))
-        fit = self._raw_at(cell)
-        if fit is None and beyond:
-            near = self._cells.data[self._cells.query(cell)[1]]
-            fit = self._raw_at(near)
-        raw, change = needed(fit, "place.nowhere", where, xy=xy, what="the lookup table")
-        return np.asarray(raw + change @ (cell - near))
-
-    @cached_property
-    def _cells(self) -> Any:
-        """Tree of the centres of every n-th cell of the table that names a pixel."""
-        step = max(1, math.ceil(math.sqrt(self.raster.lines * self.raster.samples / MOST_NODES)))
-        rows = {row: np.flatnonzero(self._read(row, 1)[0][0])[::step] for row in range(0, self.raster.lines, step)}
-        return scipy.spatial.cKDTree([(column + 0.5, row + 0.5) for row, named in rows.items() for column in named])
-
-    def _raw_at(self, cell: Array) -> tuple[Array, Array] | None:
-        """Raw coordinates (sample, line) at a place of the table and their change (2, 2) by cell; None without any."""
-        column, row = (int(v) for v in np.floor(np.clip(cell, -1e9, 1e9)))
-        top, left = max(0, row - RADIUS), max(0, column - RADIUS)
-        count = min(self.raster.lines, row + RADIUS + 1) - top
-        if count < 1 or not -RADIUS <= column < self.raster.samples + RADIUS:
-            return None
-        s, ln = (v[:, left : column + RADIUS + 1] for v in self._read(top, count))
-        for used in (s > 0, s != 0):
-            # The centre of raw pixel 1 is at 0.5.
-            fit = _plane(np.abs(s) - 0.5, np.abs(ln) - 0.5, used, (left + 0.5 - cell[0], top + 0.5 - cell[1]))
-            if fit is not None:
-                return fit
-        return None
-
-    @property
-    def middle(self) -> tuple[float, float]:
-        """Map coordinates (x, y) of the middle of the map grid."""
-        x, y = self.transform @ (self.raster.samples / 2.0, self.raster.lines / 2.0)
-        return x, y
-
-    @property
-    def metres_per_unit(self) -> tuple[float, float]:
-        """Lengths of the unit of the map along x and y [m], of a degree in the middle; InputError where unknown."""
-        if self.crs is not None and self.crs.is_geographic:
-            return metres_per_degree(self.middle[1])
-        cell = pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
-        cell = needed(cell, "place.unit", self.raster.path, what="the map is not in a known unit")
-        return (math.sqrt(cell / abs(self.transform.determinant)),) * 2
-
-    def _read(self, first: int, count: int) -> tuple[Index, Index]:
-        """Stored sample and line (count, samples) of some lines of the table."""
-        stored = self.raster.read_bands(first, count).astype(np.int64)
-        if (fill := self.raster.description.no_data()) is not None:
-            stored[stored == fill] = 0
-        return (stored[1], stored[0]) if self.swapped else (stored[0], stored[1])
-
-
-@reader
-def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> LookupTable:
-    """Open the GLT (a file, or its raster) of a raw image of ``shape`` (lines, samples); all of it is checked.
-
-    Raises
-    ------
-    InputError : not two bands of whole numbers on a map grid, or pixels that the image does not have.
-    """
-    raster = open_raster(table) if isinstance(table, Path | str) else table
-    where = str(raster.path)
-    if raster.bands != 2 or raster.dtype.kind not in "iu":
-        raise refusal("place.table", where, bands=raster.bands, dtype=raster.dtype)
-    transform = needed(raster.transform, "place.no_map", where)
-    names = raster.description.band_names
-    swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
-    opened = LookupTable(raster, transform, raster.crs, shape, swapped)
-    greatest = np.zeros(2, np.int64)
-    for first in range(0, raster.lines, _BLOCK):
-        sample, line = opened._read(first, min(_BLOCK, raster.lines - first))
-        if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
-            raise refusal("place.signs", where, first=first, last=first + len(sample) - 1)
-        greatest = np.maximum(greatest, [np.abs(line).max(), np.abs(sample).max()])
-    refuse(not greatest.any(), "place.empty", where)
-    refuse(np.any(greatest > shape), "place.beyond", where, greatest=greatest, shape=shape)
-    return opened
-
-
-def _divided(geometry: BaseGeometry, cell: float, where: str) -> BaseGeometry:
-    """A geometry with vertices at most 4 cells of a size apart."""
-    refuse(not geometry.length / (_SIDE_CELLS * cell) <= MAX_VERTICES, "place.large", where)
-    return shapely.segmentize(geometry, _SIDE_CELLS * cell)
-
-
-def _plane(x: Array, y: Array, used: Mask, corner: tuple[float, float]) -> tuple[Array, Array] | None:
-    """(x, y) in the middle and their change (2, 2) along columns and rows, by the plane through the used cells.
-
-    ``corner`` : column and row of the first cell from the middle.  None where the cells are too few.
-    """
-    rows, columns = np.nonzero(used)
-    if rows.size < _FEWEST or not np.ptp(rows) or not np.ptp(columns):
-        return None
-    values: Array = np.column_stack([x[used], y[used]])
-    cells = np.column_stack([np.ones(rows.size), columns + corner[0], rows + corner[1]])
-    fit = np.linalg.lstsq(cells, values - values[0], rcond=None)[0]  # small numbers keep their digits
-    return np.asarray(fit[0] + values[0]), np.asarray(fit[1:].T)
-
-
-@dataclass(frozen=True, eq=False)
-class LocationTable(LookupTable):
-    """The place of every pixel of an image; used like a lookup table.
-
-    A place is found by a plane through the coordinates of the 7 x 7 pixels around the nearest one; an InputError is one
-    that no pixel lies near.
-
-    Attributes
-    ----------
+    raster : its bands are x and y of the centres of the pixels; neither is finite, or both are 0, where one has none
+    crs : their coordinate system, None when unknown
     meridian : longitude of one of the pixels, around which those of others are counted on; None on another map
 
     >>> from tempfile import TemporaryDirectory
-    >>> from hyperval.imagery import open_raster, write_cube
+    >>> from hyperval.imagery import open_lookup_table, write_cube
     >>> rng, (line, sample) = np.random.default_rng(1), np.indices((20, 20)) + 0.5
     >>> uneven = np.stack([sample, -line], -1) + 500.0 + rng.normal(0.0, 0.2, (20, 20, 2))
     >>> with TemporaryDirectory() as folder:
-    ...     table = location_table(open_raster(write_cube(f"{folder}/igm", uneven, data_type=5)), (20, 20))
+    ...     table = open_lookup_table(write_cube(f"{folder}/igm", uneven, data_type=5), (20, 20))
     ...     offsets = rng.uniform(3.0, 16.0, (400, 2))
     ...     found = table.to_pixel([500.0, 500.0] + offsets * [1, -1], where="")
     ...     away = table.to_pixel([[480.0, 490.0]], where="", beyond=True)
@@ -244,12 +79,12 @@ class LocationTable(LookupTable):
     >>> turning = (40.0 + sample + 6.0 * np.sin(line / 2.0)) * np.exp(1j * line / 40.0)
     >>> with TemporaryDirectory() as folder:
     ...     igm = write_cube(f"{folder}/igm", np.stack([500.0 - turning.real, 500.0 + turning.imag], -1), data_type=5)
-    ...     table = location_table(open_raster(igm), (60, 30))
+    ...     table = open_lookup_table(igm, (60, 30))
     ...     bool(np.abs(table.to_pixel([[-94.0, 585.0]], where="", beyond=True)).max() > 300.0)
     True
     >>> across = np.stack([(179.99 + 0.002 * sample + 180.0) % 360.0 - 180.0, -0.002 * line], -1)  # the date line
     >>> with TemporaryDirectory() as folder:
-    ...     table = location_table(open_raster(write_cube(f"{folder}/igm", across, data_type=5)), (60, 30))
+    ...     table = open_lookup_table(write_cube(f"{folder}/igm", across, data_type=5), (60, 30))
     ...     table.to_pixel([[179.994, -0.002], [-179.994, -0.1]], where="").round(6).tolist()
     ...     round(table.middle[0], 6), table.divided(shapely.box(-179.996, -0.1, 179.994, -0.01), "").bounds[::2]
     ...     bool(table.to_pixel([[1979.994, -0.002]], where="", beyond=True)[0, 0] > 1e5)  # metres are no longitude
@@ -258,20 +93,41 @@ class LocationTable(LookupTable):
     True
     """
 
+    raster: Raster
+    crs: CRS | None
     meridian: float | None = None
 
-    def _areas(self) -> Iterator[float | None]:
-        """Ground areas of pixels [m2] over places along the image."""
-        lines, samples = (some_lines(n, _AREA_LINES) for n in self.shape)
-        for line, sample in product(lines, samples) if self.crs is not None else ():
-            fit = self._fit(int(line), int(sample))
-            if fit is not None and self.crs is not None:
-                unit = self.crs.linear_units_factor[1] ** 2 if self.crs.is_projected else 0.0  # [m2]
-                yield abs(np.linalg.det(fit[1])) * float(unit or math.prod(metres_per_degree(fit[0][1])))
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(lines, samples) of the image."""
+        return self.raster.size[:2]
+
+    def to_pixel(self, points: Array, *, where: str, beyond: bool = False) -> Array:
+        """(n, 2) continuous pixel coordinates (sample, line) of map coordinates (x, y).
+
+        A place is found by the plane through the coordinates of the 7 x 7 pixels around the nearest one, of more where
+        few of these have any; ``beyond`` the image by the plane of its edge.
+
+        Raises
+        ------
+        InputError : a point with no pixel near it.
+        """
+        xy = np.asarray(points, dtype=float).reshape(-1, 2)
+        refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
+        return np.array([self._place(place, where, beyond) for place in xy]).reshape(-1, 2)
 
     def divided(self, geometry: BaseGeometry, where: str) -> BaseGeometry:
         """A geometry on the map with vertices at most 4 pixels apart on every side."""
-        return _divided(shapely.transform(geometry, self._near), self._pixel, where)
+        near = shapely.transform(geometry, self._near)
+        side = _SIDE_PIXELS * math.sqrt(needed(self._area, "place.same", self.raster.path))
+        refuse(not near.length / side <= MAX_VERTICES, "place.large", where)
+        return shapely.segmentize(near, side)
+
+    @cached_property
+    def pixel_area_m2(self) -> float | None:
+        """Median ground area of a pixel [m2] over places along the image; None when the map unit is unknown."""
+        unit, area = self.metres_per_unit, self._area
+        return None if unit is None or area is None else math.prod(unit) * area
 
     @property
     def middle(self) -> tuple[float, float]:
@@ -281,6 +137,14 @@ class LocationTable(LookupTable):
         x, y = (float(v[0, sample]) for v in self._xy(int(line), 1))
         return x - 360.0 * (self.meridian is not None and round(x / 360.0)), y
 
+    @property
+    def metres_per_unit(self) -> tuple[float, float] | None:
+        """Lengths of the unit of the map along x and y [m], of a degree in the middle; None where it is not known."""
+        if self.meridian is not None:
+            return metres_per_degree(self.middle[1])
+        area = pixel_area_m2(Affine.identity(), self.crs, self.raster.description.entries)
+        return None if area is None else (math.sqrt(area),) * 2
+
     @cached_property
     def _coarse(self) -> tuple[Any, Index, Array]:
         """Every n-th pixel with a place: their tree, their (line, sample), and the scale of x and y in it."""
@@ -289,17 +153,15 @@ class LocationTable(LookupTable):
         good = self._valid(x, y)
         place, nodes = np.column_stack([x[good], y[good]]), np.argwhere(good) * step
         refuse(not len(place), "place.none", self.raster.path)
-        geographic = self.crs is not None and self.crs.is_geographic
-        scale = np.array([math.cos(math.radians(float(place[:, 1].mean()))) if geographic else 1.0, 1.0])
+        scale = np.array([1.0 if self.meridian is None else math.cos(math.radians(float(place[:, 1].mean()))), 1.0])
         return scipy.spatial.cKDTree(place * scale), nodes, scale
 
     @cached_property
-    def _pixel(self) -> float:
-        """Ground step of a pixel in units of the map, in the middle of the image."""
-        nodes = self._coarse[1]
-        line, sample = nodes[len(nodes) // 2]
-        fit = needed(self._fit(int(line), int(sample)), "place.same", self.raster.path)
-        return math.sqrt(abs(float(np.linalg.det(fit[1]))))
+    def _area(self) -> float | None:
+        """Median area of a pixel over places along the image in square units of the map; None where none has any."""
+        fits = [self._fit(int(n), int(m)) for n, m in product(*(some_lines(size, _AREA_LINES) for size in self.shape))]
+        areas = [abs(float(np.linalg.det(fit[1]))) for fit in fits if fit is not None]
+        return float(np.median(areas)) if areas else None
 
     def _near(self, xy: Array) -> Array:
         """Places (..., 2) by longitudes that are counted on across the date line from those of the image."""
@@ -308,32 +170,44 @@ class LocationTable(LookupTable):
 
     def _place(self, xy: Array, where: str, beyond: bool) -> Array:
         (tree, nodes, scale), at = self._coarse, self._near(xy)
-        line, sample = nearest = tuple(int(v) for v in nodes[tree.query(at * scale)[1]])
-        before = nearest
+        pixel = nearest = nodes[tree.query(at * scale)[1]]
         for _ in range(_STEPS):
-            fit = self._fit(line, sample)
-            if fit is None:
+            place = self._by_plane(at, pixel)
+            if place is None:
                 break
-            place = np.array([sample + 0.5, line + 0.5]) + np.linalg.solve(fit[1], at - fit[0])
-            near = tuple(int(v) for v in np.clip(np.floor(place[::-1]), 0, np.array(self.shape) - 1))
-            if near in ((line, sample), before):  # or at the edge of two, each of which says that it lies in the other
+            before, pixel = pixel, np.clip(np.floor(place[::-1]).astype(int), 0, np.array(self.shape) - 1)
+            if np.abs(pixel - before).max() <= 1:  # at an edge each of two may say that it lies in the other
                 outside = max(place[0] - self.shape[1], place[1] - self.shape[0], -place[0], -place[1])
                 if beyond or outside <= _FARTHEST:
-                    return np.asarray(place)
+                    return place
                 break
-            before, (line, sample) = (line, sample), near
-        if beyond and (fit := self._fit(*nearest)) is not None:  # the planes of a line that turns lead nowhere
-            return np.asarray(nearest[::-1] + np.linalg.solve(fit[1], at - fit[0]) + 0.5)
+        place = self._by_plane(at, nearest) if beyond else None  # the planes of a line that turns lead nowhere
+        if place is not None:
+            return place
         what = f"the image, whose places are in {self.crs or 'an unknown system'}"
         raise refusal("place.nowhere", where, xy=xy, what=what)
 
+    def _by_plane(self, at: Array, pixel: Index) -> Array | None:
+        """(sample, line) of map coordinates by the plane around a pixel (line, sample); None where there is none."""
+        fit = self._fit(*pixel.tolist())
+        return None if fit is None else np.asarray(pixel[::-1] + 0.5 + np.linalg.solve(fit[1], at - fit[0]))
+
     def _fit(self, line: int, sample: int) -> tuple[Array, Array] | None:
         """Map coordinates of a pixel's centre, and (2, 2) their change with sample and line; None without any."""
-        top, left = max(0, line - RADIUS), max(0, sample - RADIUS)
-        x, y = self._xy(top, min(self.shape[0], line + RADIUS + 1) - top)
-        x, y = (v[:, left : sample + RADIUS + 1] for v in (x, y))
-        fit = _plane(x, y, self._valid(x, y), (left - sample, top - line))
-        return fit if fit is not None and np.linalg.det(fit[1]) else None
+        for radius in _RADII:
+            top, left = max(0, line - radius), max(0, sample - radius)
+            x, y = self._xy(top, min(self.shape[0], line + radius + 1) - top)
+            x, y = (v[:, left : sample + radius + 1] for v in (x, y))
+            used = self._valid(x, y)
+            rows, columns = np.nonzero(used)
+            if rows.size >= _FEWEST and np.ptp(rows) and np.ptp(columns):
+                break
+        else:
+            return None
+        values: Array = np.column_stack([x[used], y[used]])
+        around = np.column_stack([np.ones(rows.size), columns + (left - sample), rows + (top - line)])
+        fit = np.linalg.lstsq(around, values - values[0], rcond=None)[0]  # small numbers keep their digits
+        return (np.asarray(fit[0] + values[0]), np.asarray(fit[1:].T)) if np.linalg.det(fit[1:]) else None
 
     def _xy(self, first: int, count: int) -> tuple[Array, Array]:
         x, y = self.raster.read_bands(first, count)[:2].astype(float)
@@ -354,28 +228,73 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
     return math.radians(prime * math.cos(phi)), math.radians(meridian)
 
 
-def location_table(raster: Raster, shape: tuple[int, int]) -> LocationTable:
-    """The places of the pixels of an image of ``shape`` (lines, samples) from a raster whose bands are x, y, ...
+@reader
+def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> LocationTable:
+    """The places of the pixels of an image of ``shape`` (lines, samples) by a file, or its raster; all is checked.
 
-    Numbers that all lie within 180 and 90 are longitude and latitude on WGS 84; others are in the system that the
-    header names, which may be unknown.
+    Whole numbers are a GLT.  Others are x and y of every pixel: where they all lie within 180 and 90, longitude and
+    latitude on WGS 84, else in the system that the header names, which may be unknown.
 
     Raises
     ------
-    InputError : another size than the image, fewer than two bands, or no pixel with a place.
+    InputError : no two bands of whole numbers on a map grid, or pixels that the image does not have; another size than
+        the image, fewer than two bands, or no pixel with a place.
     """
+    raster = open_raster(table) if isinstance(table, Path | str) else table
+    raster = _places_of_cells(raster, shape) if raster.dtype.kind in "iu" else raster
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
-    table = LocationTable(raster, Affine.identity(), None, shape)
-    x, y = np.concatenate([table._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)], axis=1)
-    good = table._valid(x, y)
+    places = LocationTable(raster, None)
+    x, y = np.concatenate([places._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)], axis=1)
+    good = places._valid(x, y)
     refuse(not good.any(), "place.none", raster.path)
     degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
-    crs = CRS.from_epsg(4326) if degrees else raster.crs
-    meridian = float(x[good][0]) if crs is not None and crs.is_geographic else None
-    return LocationTable(raster, Affine.identity(), crs, shape, meridian=meridian)
+    crs = CRS.from_epsg(4326) if degrees and raster.crs is None else raster.crs
+    return LocationTable(raster, crs, float(x[good][0]) if crs is not None and crs.is_geographic else None)
 
 
-_TREES = (".nc", ".nc4", ".h5", ".hdf5", ".he5")
+def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
+    """The places of the pixels of an image: the mean of those cells of a GLT that name a pixel.
+
+    Cells that were filled from their neighbours count where no others name it.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import write_cube
+    >>> line, sample = np.indices((20, 20)) + 1
+    >>> at = Affine(2, 0, 500, 0, -2, 900)
+    >>> with TemporaryDirectory() as folder:
+    ...     glt = write_cube(f"{folder}/glt", np.stack([sample, line], -1), data_type=3, transform=at)
+    ...     open_lookup_table(glt, (20, 20)).to_pixel([[480.0, 890.0]], where="", beyond=True).round(6).tolist()
+    [[-10.0, 5.0]]
+    """
+    where, names = str(table.path), table.description.band_names
+    refuse(table.bands != 2, "place.table", where, bands=table.bands, dtype=table.dtype)
+    transform, fill = needed(table.transform, "place.no_map", where), table.description.no_data()
+    swapped = len(names) == 2 and "line" in names[0].lower() and "sample" in names[1].lower()
+    total = np.zeros((3, math.prod(shape)))  # weights, and the coordinates times these
+    greatest = np.zeros(2, np.int64)
+    for first in range(0, table.lines, _BLOCK):
+        stored = table.read_bands(first, min(_BLOCK, table.lines - first)).astype(np.int64)
+        stored[stored == fill] = 0
+        sample, line = stored[::-1] if swapped else stored
+        if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):
+            raise refusal("place.signs", where, first=first, last=first + len(sample) - 1)
+        rows, columns = np.nonzero(sample)
+        lines, samples = pixels = np.abs([line[rows, columns], sample[rows, columns]])
+        greatest = np.maximum(greatest, pixels.max(axis=1, initial=0))
+        refuse(np.any(greatest > shape), "place.beyond", where, greatest=greatest, shape=shape)
+        weight = np.where(sample[rows, columns] > 0, 1.0, _FILLED)
+        x, y = transform @ np.array([columns + 0.5, first + rows + 0.5])
+        for part, values in zip(total, (weight, weight * x, weight * y), strict=True):
+            np.add.at(part, (lines - 1) * shape[1] + samples - 1, values)
+    refuse(not greatest.any(), "place.empty", where)
+    with np.errstate(invalid="ignore"):
+        places = (total[1:] / total[0]).reshape(2, *shape)
+    piece = arrays.Piece((arrays.Term("places"),), "bls", places.shape, places.dtype)
+    store = arrays.Store(table.path, arrays.at_hand, "places", places)
+    about = Description("lookup table", entries=table.description.entries)
+    return arrays.array_raster(store, (piece,), about, (None, table.crs))
+
+
 # Parts of names that tell the files of one line apart, such as ang20160217t083024_rdn_v1n2_img and ..._rdn_glt.
 _KINDS = re.compile(
     r"^(img|dat|rdn|rad|pol|ref|rfl|refl|radiance|reflectance|ort|raw|data|corr|glt|igm|loc|obs|l[0-4][a-d]?|v[0-9]\w*)$"
@@ -389,15 +308,9 @@ def companion(image: Path, kind: str) -> Path | None:
     image's own such words (``x_rad_glt`` for ``x_rad``), and none where that leaves two.
     """
     own, kinds = _name(image)
-    if image.suffix.lower() in _TREES:
-        others = list(image.parent.glob("*" + image.suffix))
-    else:
-        others = []
-        for header in image.parent.glob("*.[hH][dD][rR]"):
-            stem = header.with_suffix("")
-            others += [p for p in (stem, *map(stem.with_suffix, (".img", ".dat", f".{kind}"))) if p.is_file()][:1]
-    fits = [p for p in sorted(set(others)) if p != image and kind in _name(p)[1] and _name(p)[0] == own]
-    if len(fits) > 1 and image.suffix.lower() not in _TREES:
+    others = (p for p in image.parent.iterdir() if p != image and p.is_file())
+    fits = [p for p in others if kind in _name(p)[1] and _name(p)[0] == own]
+    if len(fits) > 1:
         fits = [p for p in fits if kinds <= _name(p)[1]]
     return fits[0] if len(fits) == 1 else None
 
@@ -408,19 +321,19 @@ def _name(path: Path) -> tuple[tuple[str, ...], set[str]]:
     return tuple(w for w in words if w and not _KINDS.match(w)), {w for w in words if _KINDS.match(w)}
 
 
-def table_of(raster: Raster) -> tuple[LookupTable | None, tuple[str, ...]]:
+def table_of(raster: Raster) -> tuple[LocationTable | None, tuple[str, ...]]:
     """What places the pixels of an image without a map position, and notes: its own table, or one beside it."""
     shape = raster.size[:2]
     if raster.transform is not None:
         return None, ()
     if (own := table_in(raster)) is not None:
-        return open_lookup_table(own, shape) if own.dtype.kind == "i" else location_table(own, shape), ()
+        return open_lookup_table(own, shape), ()
     for kind in ("glt", "igm", "loc") if isinstance(raster, EnviRaster) else ():
         path = companion(raster.path, kind)
         if path is None:
             continue
         try:
-            table = open_lookup_table(path, shape) if kind == "glt" else location_table(open_raster(path), shape)
+            table = open_lookup_table(path, shape)
         except HypervalError as error:
             return None, (f"warning: {path.name} lies beside the cube and is ignored: {error.what}",)
         return table, (f"{path.name} lies beside the cube and places its pixels",)
@@ -439,7 +352,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     >>> array = xr.DataArray(np.ones((1, 1, 2), "i2"), nm, ("y", "x", "b"), "reflectance", packed)
     >>> told = {what: (value, origin) for what, value, origin in record(labelled_array(array))}
     >>> told["scale of reflectance"], told["no data"][0]
-    (('x 0.1, + 0; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
+    (('x 0.1; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
     """
     about, where, files = raster.description, str(raster.path), ", ".join(p.name for p in raster.other_files)
     by, header = about.product or raster.kind, about.header
@@ -465,7 +378,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         _, unit, guessed = wavelengths_in_nm(known, listed.unit, None, where)
         row("wavelength unit", unit, "guess: by the values" if guessed else stated)
         by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
-        row("widths", f"{width.min():g} to {width.max():g} nm", by_width)
+        row("widths", f"{_span(width)} nm", by_width)
         notes += said
     except HypervalError as error:
         row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
@@ -477,16 +390,13 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         row("unit of radiance", own or written, by_init, "state unit: (init: --unit)")
     for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
         try:
-            each = [
-                (f"x {np.min(g):g} to {np.max(g):g}, + {np.min(o):g} to {np.max(o):g}", source)
-                for g, o, source, _ in about.scales(quantity)
-            ]
-            if about.packing != (1.0, 0.0):
-                each.append(("x {:g}, + {:g}".format(*about.packing), f"{by}: as it is packed"))
-            if quantity == "reflectance" and (factor := reflectance_factor(about.unit or "fraction")) != 1.0:
-                each.append((f"x {factor:g}", f"{by}: unit {about.unit}"))
-            each = each or [("x 1", "nothing states another; state scale: where the numbers are scaled")]
-            row(f"scale of {quantity}", *("; ".join(told) for told in zip(*each, strict=True)))
+            stages = [*about.scales(quantity), Scale(*about.packing, f"{by}: as it is packed")]
+            if quantity == "reflectance":
+                stages.append(Scale(reflectance_factor(about.unit or "fraction"), 0.0, f"{by}: unit {about.unit}"))
+            stages = [stage for stage in stages if stage.changes]
+            value = "; ".join(f"x {_span(s.gain)}" + f", + {_span(s.offset)}" * bool(np.any(s.offset)) for s in stages)
+            none = "nothing states another; state scale: where the numbers are scaled"
+            row(f"scale of {quantity}", value or "x 1", "; ".join(stage.source for stage in stages) or none)
         except HypervalError as error:
             row(f"scale of {quantity}", f"not known: {error.what}", error.mend or "")
     ignore, a = about.no_data(), raster.transform
@@ -499,7 +409,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
         places, said = None, (f"warning: what should place its pixels cannot be used: {error.what}",)
     notes += said
     if places is not None:
-        what, at = "coordinates" if isinstance(places, LocationTable) else "lookup table", places.raster.path
+        what, at = places.raster.description.product or "coordinates", places.raster.path
         row("position", f"of every pixel, by its {what}", by if at == raster.path else at.name)
         row("coordinate system", str(places.crs or "not known"), by if at == raster.path else at.name)
     elif a is None:
@@ -515,6 +425,11 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     if (sun := sun_zenith_deg(raster)) is not None:
         row("zenith angle of the sun", f"{sun[0]:.4g} deg", sun[1])
     return rows + [("assumed", note, "reader") for note in notes]
+
+
+def _span(values: npt.ArrayLike) -> str:
+    least, most = np.min(values), np.max(values)
+    return f"{least:g}" if least == most else f"{least:g} to {most:g}"
 
 
 def _steps(a: Affine) -> str:

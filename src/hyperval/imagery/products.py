@@ -23,7 +23,7 @@ from rasterio.crs import CRS
 from rasterio.errors import CRSError
 
 from hyperval.data import Array
-from hyperval.envi_header import parse_header
+from hyperval.envi_header import EnviHeader
 from hyperval.errors import WARNING, needed, package_table, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.description import Description, ListedBands, Raster, Scale, crs_of_wkt, gdal_transform, some_lines
@@ -260,8 +260,7 @@ def _position(tree: ProductTree, piece: arrays.Piece) -> Position:
     layout, crs = tree.layout, _crs(tree)
     lines, samples = piece.size("l"), piece.size("s")
     if (info := tree.text(layout.map_info)) is not None:
-        sizes = f"samples = {samples}\nlines = {lines}\nbands = 1\ndata type = 1"
-        header = parse_header(f"ENVI\n{sizes}\nmap info = {{{info}}}", tree.path)
+        header = EnviHeader(tree.path, samples, lines, 1, 0, "", 0, 0, entries={"map info": info})
         return transform_of(header), crs or crs_of(header), ()
     if layout.geotransform is not None:
         return gdal_transform(tree.text(layout.geotransform)), crs, ()

@@ -40,7 +40,7 @@ from hyperval.errors import WARNING, HypervalError, InputError, needed, reader, 
 from hyperval.imagery import arrays
 from hyperval.imagery.cube import HDF5, MATRICES, Cube, kind_of, open_raster
 from hyperval.imagery.description import Raster, crs_of_wkt, equals
-from hyperval.imagery.placing import MAX_VERTICES, LookupTable, table_of
+from hyperval.imagery.placing import MAX_VERTICES, LocationTable, table_of
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
@@ -114,7 +114,7 @@ def point_mask(points: npt.ArrayLike, shape: tuple[int, int]) -> Mask:
     return mask
 
 
-Position = Affine | LookupTable | None
+Position = Affine | LocationTable | None
 
 
 def map_to_pixel(points: npt.ArrayLike, transform: Position, *, where: str, beyond: bool = False) -> Array:
@@ -193,10 +193,10 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
     ``variable`` : which map of a MATLAB or NumPy file, where it holds several
 
     >>> from tempfile import TemporaryDirectory
-    >>> from hyperval.imagery import location_table, write_cube
+    >>> from hyperval.imagery import open_lookup_table, write_cube
     >>> at, xy = Affine(1, 0, 500, 0, -1, 900), np.meshgrid(np.arange(500.5, 508), np.arange(899.5, 891, -1))
     >>> with TemporaryDirectory() as folder:
-    ...     table = location_table(open_raster(write_cube(f"{folder}/igm", np.stack(xy, -1), data_type=5)), (9, 8))
+    ...     table = open_lookup_table(write_cube(f"{folder}/igm", np.stack(xy, -1), data_type=5), (9, 8))
     ...     of, maps = np.ones((9, 8, 1)), [Path(f"{folder}/{moved}") for moved in (0, 7)]
     ...     for path in maps:
     ...         write_cube(path, of, data_type=1, transform=at @ Affine.translation(int(path.name), 0)).name

@@ -19,15 +19,13 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
-from hyperval.data import Array
-from hyperval.envi_header import header_beside
+from hyperval.envi_header import EnviHeader, header_beside
 from hyperval.errors import reader, refusal, refuse
 from hyperval.imagery.arrays import quantity_of
-from hyperval.imagery.description import MAX_READ_BYTES, Description, ListedBands, Raster, Scale, wavelengths_in_names
+from hyperval.imagery.description import MAX_READ_BYTES, Description, ListedBands, Raster, Scale
 from hyperval.imagery.envi import described_by
 from hyperval.imagery.products import NO_MAP, described_beside
-from hyperval.storage import number_of
-from hyperval.units import in_nm, only_wavelength_unit
+from hyperval.units import in_nm
 
 MAX_BANDS = 20_000
 MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
@@ -113,11 +111,11 @@ def _checked_type(dataset: Any, path: Path) -> np.dtype:
 
 
 def _bands_in_tags(dataset: Any, path: Path) -> ListedBands | None:
-    """What the tags say of the bands, those of each band or lists of the data set; None where a band has none.
+    """What the tags say of the bands, as the entries of an ENVI header; those of each band, or lists of the data set.
 
     ``wavelength`` and ``wavelength_units``, at times with ``fwhm``, as GDAL's ENVI driver hands them on, among the
-    plain tags or in the domain ENVI; the domain that GDAL has for them (CENTRAL_WAVELENGTH_UM, FWHM_UM), which the
-    same driver fills with whole nanometres; or the names of the bands.
+    plain tags or in the domain ENVI; else the domain that GDAL has for them (CENTRAL_WAVELENGTH_UM, FWHM_UM), which the
+    same driver fills with whole nanometres; else the names of the bands.
     """
     texts: dict[str, Sequence[str]] = {}
     for domain in ("IMAGERY", "ENVI", None):  # the last has the last word
@@ -129,42 +127,33 @@ def _bands_in_tags(dataset: Any, path: Path) -> ListedBands | None:
                 values = [part.strip() for part in whole.get(key, "").strip("{} ").split(",")]
             if (len(values) == dataset.count and all(values)) or key == "wavelength units":
                 texts[key] = values
-    centre, rounded = _numbers(texts, "wavelength", path), _numbers(texts, "central_wavelength_um", path)
-    width, rounded_width = _numbers(texts, "fwhm", path), _numbers(texts, "fwhm_um", path)
     units = set(texts.get("wavelength units", ())) - {""}
     if sum(in_nm(unit) is not None for unit in units) > 1:  # others are no units at all
-        centre = width = None
-    unit, notes = units.pop() if len(units) == 1 else None, []
-    to_nm = in_nm(unit)
-    if centre is None and rounded is None:
-        named = wavelengths_in_names([name or "" for name in dataset.descriptions])
-        if named is None or (named[1] is None and only_wavelength_unit(named[0]) is None):
-            return None
-        (centre, unit), width = named, None
-        notes.append("no tag lists wavelengths: those in the names of the bands are taken")
-    elif centre is None:
-        centre, unit, to_nm = rounded, "um", 1e3
-    elif rounded is not None and to_nm is not None and np.max(np.abs(centre * to_nm - rounded * 1e3)) > _ROUNDED_NM:
-        raise refusal("tiff.two_wavelengths", path)
-    if width is None and rounded_width is not None and to_nm is not None:
-        width = rounded_width * (1e3 / to_nm)
-        if np.all(np.abs(1e3 * rounded_width - np.round(1e3 * rounded_width)) < 1e-6):
-            notes.append("the widths are whole nanometres, to which GDAL rounds them when it converts a file")
-    flags = texts.get("good_band") or texts.get("bbl")
-    assert centre is not None  # noqa: S101 - one of the three ways gave it
-    return ListedBands(centre, width, unit, np.array([f != "0" for f in flags]) if flags else None, {}, tuple(notes))
+        texts.pop("wavelength", None)
+    if "wavelength" not in texts:
+        texts.pop("fwhm", None)
+        if "central_wavelength_um" in texts:
+            texts["wavelength"], units = texts["central_wavelength_um"], {"um"}
+    texts["wavelength units"] = [*units] if len(units) == 1 else []
+    texts["band names"] = [name or "" for name in dataset.descriptions]
+    texts["bbl"] = texts.get("good_band") or texts.get("bbl", ())
+    entries = {key: ", ".join(values) for key, values in texts.items()}
+    header = EnviHeader(path, dataset.width, dataset.height, dataset.count, 0, "tif", 0, 0, entries=entries)
+    listed, to_nm = Description(header=header).listed(), in_nm(header.text("wavelength units"))
+    rounded, width = (header.numbers(key) for key in ("central_wavelength_um", "fwhm_um"))
+    if listed is None or to_nm is None:
+        return listed
+    apart = 0.0 if rounded is None else np.max(np.abs(listed.wavelength * to_nm - rounded * 1e3))
+    refuse(apart > _ROUNDED_NM, "tiff.two_wavelengths", path)
+    if listed.fwhm is not None or width is None:
+        return listed
+    is_whole = np.all(np.abs(1e3 * width - np.round(1e3 * width)) < 1e-6)
+    note = "the widths are whole nanometres, to which GDAL rounds them when it converts a file"
+    return listed._replace(fwhm=width * (1e3 / to_nm), notes=(*listed.notes, *([note] if is_whole else [])))
 
 
 def _lower(tags: Mapping[str, str]) -> dict[str, str]:
     return {key.lower().replace("wavelength_units", "wavelength units"): value for key, value in tags.items()}
-
-
-def _numbers(texts: Mapping[str, Sequence[str]], key: str, path: Path) -> Array | None:
-    if key not in texts:
-        return None
-    values = np.array([number_of(text) for text in texts[key]])
-    refuse(not np.all((values > 0.0) & (values < np.inf)), "tiff.tags", path, key=key)
-    return values
 
 
 @contextmanager

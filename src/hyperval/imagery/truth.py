@@ -15,9 +15,9 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.data import Array, Mask
-from hyperval.errors import reader, refusal, refuse
+from hyperval.errors import needed, reader, refusal, refuse
 from hyperval.imagery import regions as roi
-from hyperval.imagery.placing import LookupTable
+from hyperval.imagery.placing import LocationTable
 from hyperval.imagery.regions import Position
 from hyperval.paths import checked_file, read_table
 from hyperval.storage import number_of
@@ -225,7 +225,8 @@ def _position(
         x, y = second + shift, first + shift
         return (x, y), _outline((x, y), sides, pixel_m, heading)
     one = pixel_m / math.sqrt(abs(transform.determinant)) if isinstance(transform, Affine) else 1.0
-    unit_m = transform.metres_per_unit if isinstance(transform, LookupTable) else (one, one)
+    unit_m = transform.metres_per_unit if isinstance(transform, LocationTable) else (one, one)
+    unit_m = needed(unit_m, "place.unit", where)
     around = _outline((0.0, 0.0), sides, 1.0, heading) / unit_m * (1.0, -1.0)  # lines run down, northings up
     on_map = np.array([first, second]) + np.vstack([(0.0, 0.0), around])
     (x, y), *corners = roi.map_to_pixel(on_map, transform, where=where)

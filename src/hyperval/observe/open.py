@@ -47,7 +47,7 @@ from hyperval.collection import (
 from hyperval.config import twice
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import InputError, UsageError, needed, one_of, reader, refusal, refuse
-from hyperval.imagery import Cube, LookupTable, Raster, Region, TargetObject
+from hyperval.imagery import Cube, LocationTable, Raster, Region, TargetObject
 from hyperval.imagery.regions import outside_error, patches
 from hyperval.imagery.truth import cut_out
 from hyperval.model.fill import aperture_weights
@@ -97,7 +97,7 @@ class Place:
     target_pixels: str = "touched"
     by_rule: frozenset[str] = frozenset()
     notes: tuple[str, ...] = ()
-    table: LookupTable | None = None
+    table: LocationTable | None = None
     leave_out: frozenset[str] = frozenset()
     statistics: Mapping[str, SampleStatistics] = field(default_factory=dict)
     line: EmpiricalLine | None = None
@@ -117,8 +117,7 @@ class Place:
         Where lines were lost in the middle of an image, what lies above stays:
 
         >>> from dataclasses import make_dataclass
-        >>> from hyperval.imagery.description import Scale
-        >>> image, one = make_dataclass("Image", ["shape", "scaling"])((6, 1), Scale()), np.ones((1, 1), bool)
+        >>> image, one = make_dataclass("Image", ["shape", "gain", "offset"])((6, 1), 1.0, 0.0), np.ones((1, 1), bool)
         >>> around = Labels.of((6, 1), {_NEAR: np.array([[True], [False], [False], [True], [False], [False]])})
         >>> two = [TargetObject(f"plank {at}", "wood", 1.0, 1.0, (6, 1), (at, 0), one) for at in (0, 3)]
         >>> after = Place(image, around, two).mistaken({"lines": 2, "beyond": 0.5})
@@ -137,10 +136,10 @@ class Place:
                 targets = [target.displaced(*by) if target.corner[0] >= first else target for target in targets]
                 away = [*away, _NEAR]
             labels = labels.displaced(away, by, first)
-        gain, offset = (factor * np.asarray(x, dtype=float) for x in (cube.scaling.gain, cube.scaling.offset))
+        offset = factor * cube.offset
         if "offset" in of:
             offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))
-        cube = replace(cube, scaling=cube.scaling._replace(gain=gain, offset=offset))
+        cube = replace(cube, gain=factor * cube.gain, offset=offset)
         return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
 
     @cached_property
@@ -332,15 +331,12 @@ def band_table_notes(table: BandTableFile | None, axis: SpectralAxis) -> Iterato
         yield spacing_note("the band table's widths are not named (fwhm_column)", apart)
 
 
-def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LookupTable | None, tuple[str, ...]]:
+def _lookup_table(cube: Cube, source: CubeSource, resolve: Resolve) -> tuple[LocationTable | None, tuple[str, ...]]:
     """What places the pixels of a cube in scanner geometry, stated or found, and notes on it."""
     if source.glt is None:
         return imagery.table_of(cube.raster)
     refuse(cube.transform is not None, "place.glt", source.path)
-    raster = imagery.open_raster(resolve(source.glt))
-    if raster.dtype.kind == "f" and raster.transform is None:
-        return imagery.location_table(raster, cube.shape), ()
-    return imagery.open_lookup_table(raster, cube.shape), ()
+    return imagery.open_lookup_table(resolve(source.glt), cube.shape), ()
 
 
 @dataclass(frozen=True)
@@ -348,7 +344,7 @@ class _Site:
     """Where regions and targets are drawn on: the cube, what places its pixels, and their ground area [m2]."""
 
     cube: Cube
-    table: LookupTable | None
+    table: LocationTable | None
     area_m2: float | None
     resolve: Resolve
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -30,7 +30,6 @@ from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile, SpectrumErrors
 
-HDF5_MARK = b"\x89HDF\r\n\x1a\n"
 _MOST = {"wavelength": 5000, "series": 2000}
 _AXES = {
     "wavelength": "wavelength", "err_corr_systematic_reflectance": "wavelength wavelength_2",
@@ -38,11 +37,6 @@ _AXES = {
     **dict.fromkeys(("u_rel_random_reflectance", "u_rel_systematic_reflectance"), "wavelength series"),
     **dict.fromkeys(("viewing_zenith_angle", "viewing_azimuth_angle", "quality_flag", "n_valid_scans"), "series"),
 }  # fmt: skip
-
-
-def is_hypernets(file: SpectraFile) -> bool:
-    """Whether the content is of the network: HDF5 that names its processor."""
-    return file.raw.startswith(HDF5_MARK) and b"hypernets_processor" in file.raw
 
 
 def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -163,11 +157,6 @@ def read_radcalnet(path: Path | str) -> RadCalNetDay:
     return day_of(path.read_text("utf-8", errors="replace"), path)
 
 
-def is_radcalnet(file: SpectraFile) -> bool:
-    """Whether a file begins as the network's do."""
-    return file.head.startswith(b"Site:") and b"\nLat:" in file.head.replace(b"\r", b"")
-
-
 def radcalnet_records(file: SpectraFile) -> list[FieldSpectrum]:
     """The valid half hours of a file as spectra, named by their time; the spread is the standard uncertainty."""
     day = day_of(file.text, file.path)
@@ -241,11 +230,9 @@ class _Row(NamedTuple):
     def time(self, year: float, day: float, clock: str) -> datetime:
         """Year, day of the year and time of the day as one."""
         try:
-            start = datetime.strptime(f"{int(year):04d} {clock}", "%Y %H:%M").replace(tzinfo=UTC)
+            return datetime.strptime(f"{int(year):04d} {int(day):03d} {clock}", "%Y %j %H:%M").replace(tzinfo=UTC)
         except ValueError as error:
-            raise refusal("radcalnet.time", self.where, clock=clock) from error
-        refuse(not 1 <= day <= 366, "radcalnet.day", self.where, day=day)
-        return start + timedelta(days=int(day) - 1)
+            raise refusal("radcalnet.time", self.where, day=day, clock=clock) from error
 
 
 def _spectra(part: Mapping[str, _Row], count: int, path: str) -> tuple[Array, Array]:

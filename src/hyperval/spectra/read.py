@@ -6,6 +6,7 @@ and never guessed; where detectors overlap, each join is cut in its middle.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -139,6 +140,7 @@ def _begins(*marks: bytes) -> Callable[[SpectraFile], bool]:
     return lambda file: file.head.startswith(marks)
 
 
+_HDF5 = _begins(b"\x89HDF\r\n\x1a\n")
 # Formats of spectra: name, how a file of it is known, and what reads its records.  The first that knows a file reads
 # it: marks before tables, and text that anything can be at the end.
 FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile], list[FieldSpectrum]]], ...] = (
@@ -149,9 +151,9 @@ FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile
     ("SVC .sig", _begins(b"/*** Spectra Vista"), text.svc_records),
     ("GER .sig", _begins(b"///GER"), text.ger_records),
     ("", _begins(*_NOT_READ), _refused),
-    ("HYPERNETS", networks.is_hypernets, networks.hypernets_records),
-    ("RadCalNet", networks.is_radcalnet, networks.radcalnet_records),
-    ("Spectral Evolution .sed", text.is_sed, text.sed_records),
+    ("HYPERNETS", lambda f: _HDF5(f) and b"hypernets_processor" in f.raw, networks.hypernets_records),
+    ("RadCalNet", lambda f: re.match(rb"Site:(?s:.*)\nLat:", f.head), networks.radcalnet_records),
+    ("Spectral Evolution .sed", lambda f: b"Instrument:" in f.head and b"Columns [" in f.head, text.sed_records),
     ("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
     ("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
     ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f.text), text.row_records),

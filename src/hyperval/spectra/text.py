@@ -108,7 +108,7 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
             continue
         beside = table[:, spread[i]] if i in spread else None
         unmeasured = beside is not None and not beside.any()
-        record = _of_column(y_units or titles[i], titles[i] or of_header, nm, table[:, i], unit)
+        record = _of_column(y_units or titles[i], titles[i], nm, table[:, i], unit)
         own = percent_in(titles[spread[i]]) if i in spread else None
         refuse(own not in (None, record.unit or "fraction"), "text.spread", where, title=titles[spread.get(i, 0)])
         named, is_spread = title_words(titles[i])
@@ -117,7 +117,7 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
         notes = ("a standard deviation of 0 everywhere is none",) if unmeasured else ()
         records.append(replace(record, standard_deviation=None if unmeasured else beside, n=n, notes=notes))
     if len(records) == 1:
-        return [replace(r, name=path.stem if r.name in ("", *titles) else r.name) for r in records]
+        return [replace(records[0], name=of_header or path.stem)]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
 
 
@@ -548,16 +548,16 @@ def _signature(
     return replace(record, wavelength_unit="nm", unit="percent"), table, entries
 
 
-def is_sed(file: SpectraFile) -> bool:
-    """Whether a file is one of Spectral Evolution."""
-    return b"Instrument:" in file.head and b"Columns [" in file.head
-
-
 def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     """A spectrum of a Spectral Evolution .sed file: the column "Reflect. %", "Reflect. [1.0]" or "Tgt./Ref. %".
 
     The quantity "radiance" or "irradiance" takes the column "Rad. (Target)" or "Irr. (Target)", whose unit stands
     in the line ``Units:``.  It has as many rows and columns as it says, over the range that it says.
+
+    >>> file = SpectraFile(Path("a.sed"))
+    >>> vars(file)["text"] = "Columns [3]:\\nData:\\nChan.#\\tWvl\\tReflect. %\\n1\\t350.0\\t4.0\\n2\\t351.0\\t5.0\\n"
+    >>> [(r.wavelength_nm.tolist(), r.values.tolist(), r.unit) for r in sed_records(file)]
+    [([350.0, 351.0], [4.0, 5.0], 'percent')]
     """
     text, path, where = file.text, file.path, str(file.path)
     lines = text.splitlines()
@@ -567,9 +567,12 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
     wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
     pattern = r"reflect|tgt\.?\s*/\s*ref" if wanted == "reflectance" else rf"{wanted[:3]}\w*\.?\s*\(target"
-    columns = [i for i, title in enumerate(titles) if re.match(pattern, title, re.IGNORECASE)]
-    lacking = len(columns) != 1 or not re.match(r"wvl|wavelength", titles[0], re.IGNORECASE)
-    refuse(lacking, "sed.column", there, wanted=wanted, titles=", ".join(titles))
+    # Behind a column of wavelengths, which numbers of channels may precede.
+    waves, columns = (
+        [i for i, title in enumerate(titles) if re.match(words, title, re.IGNORECASE)]
+        for words in ("wvl|wavelength", pattern)
+    )
+    refuse((len(waves), len(columns)) != (1, 1), "sed.column", there, wanted=wanted, titles=", ".join(titles))
     title = titles[columns[0]]
     unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
     refuse(unit is None and wanted == "reflectance", "sed.unit", there, title=title)
@@ -578,10 +581,10 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     count, unlike = table.shape[1], header or len({table.shape[1], len(titles), named[0]}) > 1
     refuse(unlike, "sed.titles", f"{path}:{start}", count=count, titles=len(titles), stated=named[0])
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
-    check_stated(table[:, 0], where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
+    nm, values = table[:, waves[0]], table[:, columns[0]]
+    check_stated(nm, where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
     check_last_line(text, where)
-    values = table[:, columns[0]]
-    return [FieldSpectrum(path.stem, table[:, 0], values, quantity=wanted, wavelength_unit="nm", unit=unit)]
+    return [FieldSpectrum(path.stem, nm, values, quantity=wanted, wavelength_unit="nm", unit=unit)]
 
 
 MAX_WAVELENGTH_FILES = 40  # that are looked into
