@@ -20,7 +20,7 @@ from hyperval import attribute
 from hyperval.campaign.products import asked_again, collected, outcomes, predicted_side
 from hyperval.campaign.schema import Job, jobs_of
 from hyperval.config import Model, load_model
-from hyperval.errors import MissingDataError, UsageError, refuse
+from hyperval.errors import HypervalError, MissingDataError, UsageError, refuse, told_of
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import DIGITS, Evidence, default_tolerance, plain_words
 from hyperval.model import Truth, predict
@@ -250,7 +250,7 @@ def _power(job: Job, own: Path | None) -> Power:
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table, accepted = power_table(job, errors), accepted_table(name, job.folder)
+        table, accepted = power_table(job, errors), None if own else accepted_table(name, job.folder)
     except MissingDataError as error:
         return Power(name, skipped=str(error))
     now, before = ({n: one.sight for n, one in t.errors.items()} for t in (table, accepted or table))
@@ -273,17 +273,22 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
         def injected(error: attribute.Family) -> Injected:
             """What it turns, and what the attribution says of it when it came to what is measured.
 
-            Of a scenario that has nothing of the kind the prediction stays.
+            Of a scenario that has nothing of the kind the prediction stays; where none has, but a path that is nearly
+            the same, the user's is refused.
             """
             sides: list[tuple[PredictedProducts, Truth]] = [(plain, {}) for plain in stated]
-            refused = []
+            refused = list[HypervalError]()
             for i, (scenario, own) in enumerate(zip(here.scenarios, origins, strict=True)):
                 try:
                     sides[i] = attribute.injected_prediction(scenario, error, own, objects=True)
                 except attribute.NotInjectable as why:
-                    refused.append(why.what)
+                    refused.append(why)
             if len(refused) == len(sides):
-                return Injected(not_applicable=refused[0])
+                misspelled = [own for why in refused if isinstance(own := why.__cause__, UsageError) and own.mend]
+                with told_of(job.campaign.name):
+                    if misspelled:
+                        raise misspelled[0]
+                return Injected(not_applicable=refused[0].what)
             predictions, truths = zip(*sides, strict=True)
             found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
             ((with_it, _),), level = causes.evaluate([truths], "injected error"), causes.predicted

@@ -287,7 +287,8 @@ def compare(
     output: Output,
 ) -> int:
     """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
-    return finished(hyperval.report.compare_runs(one, other, output), output)
+    note(hyperval.report.compare_runs(one, other, output))
+    return finished(0, output)
 
 
 @command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
@@ -449,7 +450,8 @@ def power(
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
     done = [item.table for item in tables if item.table is not None]
     names = list(dict.fromkeys(name for table in done for name in table.errors))
-    rows = [(name, *(table.errors[name].words for table in done)) for name in names]
+    every = {name: [table.errors[name] for table in done] for name in names}
+    rows = [(n, *(": ".join(filter(None, (e.words, e.not_applicable))) for e in own)) for n, own in every.items()]
     print_table(("injected error", *(table.campaign for table in done)), rows)
     for item in tables:
         if item.skipped:

@@ -22,8 +22,12 @@ from hyperval.storage import whole_folder
 _FIGURE_BYTES = 4_200_000
 
 
-def compare_runs(one: Path, other: Path, output: Path) -> int:
+def compare_runs(one: Path, other: Path, output: Path) -> str:
     """Write a page that sets two folders of results side by side, and the differences as a results table.
+
+    Returns
+    -------
+    What differs, in a sentence.
 
     Raises
     ------
@@ -35,7 +39,29 @@ def compare_runs(one: Path, other: Path, output: Path) -> int:
     refuse(not any(p.a and p.b for p in pairs), "results.common", f"{one}, {other}")
     with whole_folder(output) as folder:
         Run(difference_table(pairs)).write(folder, side_by_side_page(a, b, pairs))
-    return 0
+    return conclusion(pairs)
+
+
+def conclusion(pairs: Sequence[Pair]) -> str:
+    """What differs between two runs, and what differs most.
+
+    >>> a, b = (Result("c", "radiance", "lawn", "sixs", "bias_ratio", value) for value in (0.01, 0.03))
+    >>> print(conclusion([Pair(a, a), Pair(b, b)]))
+    Identical: all 2 comparisons have the same value and outcome in both runs.
+    >>> print(conclusion([Pair(a, a), Pair(a, b), Pair(a, None)]))
+    Changed: 1 of 2 comparisons, 0 of them in outcome; most radiance lawn sixs bias_ratio: 0.01 in A, 0.03 in B.
+    In one run only: 1.
+    """
+    both = [p for p in pairs if p.a and p.b]
+    changed = [p for p in both if p.size > 0 or p.verdict_changed]
+    if not changed and len(both) == len(pairs):
+        return f"Identical: all {len(both)} comparisons have the same value and outcome in both runs."
+    words = f"Changed: {len(changed)} of {len(both)} comparisons"
+    if changed:
+        most = max(changed, key=lambda p: p.size)
+        a, b = (v.value_text(row) for row in (most.a, most.b) if row)
+        words += f", {sum(p.verdict_changed for p in changed)} of them in outcome; most {most.name}: {a} in A, {b} in B"
+    return f"{words}.\nIn one run only: {len(pairs) - len(both)}."
 
 
 def difference_table(pairs: Sequence[Pair]) -> ResultTable:
@@ -74,7 +100,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         bands=len(moved) - len(whole),
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
         same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
-        identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
+        conclusion=conclusion(pairs),
         inputs=[(k, left.get(k, "–"), right.get(k, "–")) for k in left | right if left.get(k) != right.get(k)],
         charts=charts,
         figures=_figures(a, b, alike),

@@ -768,7 +768,7 @@ def benchmark(
     from hyperval.figures.print import drawings_of
 
     load_extensions(extensions)
-    jobs, programs = jobs_of(*paths), tuple(Path(p).resolve() for p in extensions)
+    jobs, programs = jobs_of(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
     with whole_folder(output) as folder, workers(worker_count(len(jobs)), scheduler) as where:
         here = where.executor is None  # one after the other, each with its own bars
         run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores))

@@ -481,13 +481,22 @@ class Sensor:
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
 
-    def notes(self, shift_nm: Array) -> list[str]:
-        """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
+    def notes(self, shift_nm: Array, changes: SensorChanges | None = None) -> list[str]:
+        """Assumptions of the sensor file, what the scenario has changed in it, MTF at Nyquist, shift of the bands.
+
+        >>> sensor = load_sensor("casi-1500")
+        >>> stated = sensor.notes(np.zeros(1), SensorChanges(calibration_error_percent=1.5, bits=12))
+        >>> [note for note in stated if "calibration" in note]
+        ['sensor casi-1500: calibration_error_percent 1.5, bits 12: changed by the scenario']
+        """
         spec = self.specification
         named = [(f"{arm.name}: {key}", getattr(arm, key)) for arm in spec.arms for key in type(arm).model_fields]
         named.append(("calibration_error_percent", spec.calibration_error_percent))
-        sources = [(name, getattr(value, "source", "")) for name, value in named]
+        told = changes.model_dump(exclude_defaults=True) if changes else {}
+        sources = [(name, getattr(value, "source", "")) for name, value in named if name not in told]
         notes = [f"{name} ({source})" for name, source in sources if source.lower().startswith("assumed")]
+        if told:
+            notes.append(f"{', '.join(f'{name} {value:g}' for name, value in told.items())}: changed by the scenario")
         if spec.psf is not None:
             along, across = mtf_at_nyquist(np.array(spec.psf.fwhm))
             notes.append(f"MTF at Nyquist {along:.3f} along, {across:.3f} across the track")

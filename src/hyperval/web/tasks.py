@@ -152,7 +152,8 @@ def _drafted(
 ) -> tuple[str, list[str], dict[str, str]]:
     """The campaign of the files of each part, what is guessed in it, and what the header says."""
     cube, about, targets = files["cube"][0], dict(stated), next(iter(files["targets"]), None)
-    beside = None if header_beside(cube) else files["header"][0]
+    given = files["header"][0]
+    beside = None if given == header_beside(cube) else given
     raster = open_raster(cube, header=beside)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
     told = {key: about[key] for key in ("quantity", "unit") if key in about}
