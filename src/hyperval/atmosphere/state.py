@@ -274,9 +274,7 @@ class AtmosphericState(Model):
     sensor_altitude_km: float = Field(
         title="sensor altitude", ge=0.0, le=100_000.0, description="above sea level [km]; 100 and more is space"
     )
-    solar_zenith_deg: float | None = _number(
-        "[deg]", title="solar zenith angle", ge=0.0, lt=MAX_SOLAR_ZENITH_DEG
-    )
+    solar_zenith_deg: float | None = _number("[deg]", title="solar zenith angle", ge=0.0, lt=MAX_SOLAR_ZENITH_DEG)
     solar_azimuth_deg: float | None = _number("east of north [deg]", title="solar azimuth", ge=-360.0, le=360.0)
     day_of_year: int | None = _number("day of year, for the Earth-Sun distance", ge=1, le=366)
     earth_sun_distance_au: float | None = _number("[au]", title="Earth-Sun distance", ge=0.98, le=1.02)
