@@ -20,7 +20,7 @@ from hyperval import attribute
 from hyperval.campaign.products import asked_again, collected, outcomes, predicted_side
 from hyperval.campaign.schema import Job, jobs_of
 from hyperval.config import Model, load_model
-from hyperval.errors import HypervalError, MissingDataError, UsageError, refuse, told_of
+from hyperval.errors import MissingDataError, UsageError, refuse
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.metrics import DIGITS, Evidence, default_tolerance, plain_words
 from hyperval.model import Truth, predict
@@ -273,22 +273,17 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
         def injected(error: attribute.Family) -> Injected:
             """What it turns, and what the attribution says of it when it came to what is measured.
 
-            Of a scenario that has nothing of the kind the prediction stays; where none has, but a path that is nearly
-            the same, the user's is refused.
+            Of a scenario that has nothing of the kind the prediction stays.
             """
             sides: list[tuple[PredictedProducts, Truth]] = [(plain, {}) for plain in stated]
-            refused = list[HypervalError]()
+            refused = []
             for i, (scenario, own) in enumerate(zip(here.scenarios, origins, strict=True)):
                 try:
                     sides[i] = attribute.injected_prediction(scenario, error, own, objects=True)
                 except attribute.NotInjectable as why:
-                    refused.append(why)
+                    refused.append(why.what)
             if len(refused) == len(sides):
-                misspelled = [own for why in refused if isinstance(own := why.__cause__, UsageError) and own.mend]
-                with told_of(job.campaign.name):
-                    if misspelled:
-                        raise misspelled[0]
-                return Injected(not_applicable=refused[0].what)
+                return Injected(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
             found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
             ((with_it, _),), level = causes.evaluate([truths], "injected error"), causes.predicted
