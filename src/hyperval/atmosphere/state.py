@@ -28,7 +28,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hyperval.atmosphere import solar
 from hyperval.config import Model
@@ -293,12 +293,18 @@ class AtmosphericState(Model):
 
     @field_validator("time_utc")
     @classmethod
-    def _is_a_time(cls, value: str | None) -> str | None:
+    def _is_a_time(cls, value: str | None, info: ValidationInfo) -> str | None:
+        """Of daylight, where the place is known: so a dark hour stands beside the other mistakes of a state."""
+        place = [info.data.get(name) for name in _PLACE[:2]]
         if value is not None:
             try:
-                solar.parse_utc(value)
+                time = solar.parse_utc(value)
             except UsageError as error:
                 raise ValueError(f"{error.what}; expected: {error.expected}") from error
+            zenith = solar.solar_position(*place, time)[0] if None not in place else 0.0
+            if zenith >= MAX_SOLAR_ZENITH_DEG:
+                where = "below the horizon" if zenith >= 90.0 else "too low for a plane-parallel atmosphere"
+                raise ValueError(f"the sun is {where} (zenith {zenith:.2f} deg; limit {MAX_SOLAR_ZENITH_DEG:g} deg)")
         return value
 
     @model_validator(mode="after")
@@ -326,11 +332,6 @@ class AtmosphericState(Model):
         ):
             if wrong:
                 raise ValueError(said)
-        zenith, _ = self.sun
-        if zenith >= MAX_SOLAR_ZENITH_DEG:
-            where = "below the horizon" if zenith >= 90.0 else "too low for a plane-parallel atmosphere"
-            limit = f"limit {MAX_SOLAR_ZENITH_DEG:g} deg"
-            raise ValueError(f"{_PLACE[2]}: the sun is {where} (zenith {zenith:.2f} deg; {limit})")
         return self
 
     @property
