@@ -80,8 +80,9 @@ def to_show(refusal: Refused) -> list[FieldMistake]:
     return list(refusal.mistakes)
 
 
-def without_paths(text: str) -> str:
-    """The text, each absolute path in it cut down to its last name."""
+def for_pages(text: str) -> str:
+    """The text without options of a command, each absolute path in it cut down to its last name."""
+    text = re.sub(r" \(--[a-z-]+\)", "", text)
     return _PATH.sub(lambda m: re.split(r"[\\/]", m[0].rstrip("\\/"))[-1] or "a folder", text)
 
 
@@ -91,8 +92,7 @@ def said(error: HypervalError) -> str:
     >>> said(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit"))
     'collection.cube.unit: of the radiance; expected: a unit'
     """
-    parts = [re.sub(r" \(--[a-z-]+\)", "", error.what), f"expected: {error.expected}" if error.expected else ""]
-    return without_paths("; ".join(part for part in parts if part))
+    return for_pages(f"{error.what}; expected: {error.expected}" if error.expected else error.what)
 
 
 def field_name(location: Sequence[str | int], data: Any, is_missing: bool = True) -> str:
@@ -122,7 +122,7 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
         words = "no background is chosen: add at least one"
     elif kind == "string_pattern_mismatch":
         words = spelled(item["ctx"]["pattern"]) or words
-    return FieldMistake(name[:200], without_paths(_WORDS.get(kind, words))[:500])
+    return FieldMistake(name[:200], for_pages(_WORDS.get(kind, words))[:500])
 
 
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:

@@ -41,6 +41,7 @@ from hyperval.simulate import simulate
 from hyperval.spectra.axis import in_window
 from hyperval.storage import write_text
 from hyperval.study import live, piece, study_to_folder
+from hyperval.web.refusal import for_pages
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
 
@@ -144,7 +145,8 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     write_draft(place / "campaign.yaml", "campaign", text)
     with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
-    return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
+    told = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": "\ncomparisons:" in text}
+    return summary_of("pipeline", place / "results") | told
 
 
 def _drafted(

@@ -27,7 +27,7 @@ from hyperval.sensor.specification import library_names
 from hyperval.storage import whole_file
 from hyperval.web.forms import marked
 from hyperval.web.pages import SentForm, api, owner_of, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, for_pages, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
@@ -245,7 +245,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
             raise
         raise Refused(422, [FieldMistake("cube", mistake.message) for mistake in refusal.mistakes]) from refusal
     for key, what in asked:
-        field, words = key.rpartition(".")[2], re.sub(r" \(--[a-z-]+\)", "", f"the files do not say it: {what}")
+        field, words = key.rpartition(".")[2], for_pages(f"the files do not say it: {what}")
         if key.startswith("collection."):
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
     deny(mistakes, 422)
