@@ -449,8 +449,7 @@ def power(
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
     done = [item.table for item in tables if item.table is not None]
-    names = list(dict.fromkeys(name for table in done for name in table.errors))
-    every = {name: [table.errors[name] for table in done] for name in names}
+    every = {name: [table.errors[name] for table in done] for table in done[:1] for name in table.errors}
     rows = [(n, *(": ".join(filter(None, (e.words, e.not_applicable))) for e in own)) for n, own in every.items()]
     print_table(("injected error", *(table.campaign for table in done)), rows)
     for item in tables:
@@ -591,8 +590,8 @@ def serve(
         list[str] | None, Option(help="Name under which browsers reach it, besides localhost; may be repeated.")
     ] = None,
     folder: Annotated[Path | None, Option(help="Runs and uploads; by default in the user's data folder.")] = None,
-    campaigns: Annotated[Path | None, Option(help="Folder of campaigns that may be run from the pages.")] = None,
-    data: Annotated[Path | None, Option(help="Folder whose cubes, regions and spectra pages may name.")] = None,
+    campaigns: Annotated[Path | None, Option(exists=True, file_okay=False, help="Folder of campaigns to run.")] = None,
+    data: Annotated[Path | None, Option(exists=True, file_okay=False, help="Folder of files to name on pages.")] = None,
     workers: Annotated[int, Option(min=1, max=64, help="Processes for predictions.")] = 2,
     long_workers: Annotated[int, Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
     scheduler: Scheduler = None,
@@ -619,8 +618,6 @@ def serve(
         from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connections_of, make_app
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
-    for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
-        refuse(given is not None and not given.is_dir(), "serve.folder", str(given), words=words)
     try:
         listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:

@@ -407,9 +407,9 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
             point = {path: own for path, own in point_of(item, value).items() if own is not None and in_file(path)}
             named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
             tries.append((f"{at}.path", named))
-    for field, point in tries:
+    for field, there in tries:
         try:
-            checked_scenario(plain(with_settings(scenario, {**study.settings, **point})), uploads)
+            checked_scenario(plain(with_settings(scenario, {**study.settings, **there})), uploads)
         except (UsageError, Refused) as error:
             words = said(error) if isinstance(error, UsageError) else str(error)
             yield FieldMistake(field, words[:400])
