@@ -131,9 +131,6 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert "sunlight x 1.05: criteria, accepted: undetected" in said
     assert "noise x 1.5: undetected, accepted: not in the table" in said
     assert "another: not in the table, accepted: undetected" in said
-    Path("own.yaml").write_text("dim: {scene.clases.grass.gain: 0.5}\n")
-    assert cli.run(["power", str(path), "--errors", "own.yaml"]) == 2
-    assert "did you mean scene.classes.[" in capsys.readouterr().err
 
     def since() -> str:
         rows = campaign.run_campaign(campaign.jobs_of(small.write())[0]).table

@@ -95,8 +95,7 @@ def test_the_recipe_of_the_page_adds_its_row(make_small, tmp_path, no_drawing):
         assert 0.4 < float(added["value"]) <= 1.0
         rank = rows[campaign, "all objects", "plain-difference/object", "rank_auc"]
         assert float(rank["value"]) > float(rows[campaign, "all objects", "cem/object", "rank_auc"]["value"])
-    provenance = (tmp_path / "out" / "provenance.json").read_text()
-    assert '"mine.py"' in provenance
+    assert '"mine.py"' in (tmp_path / "out" / "provenance.json").read_text()
 
 
 def test_what_cannot_run_is_skipped_with_the_reason(small, tmp_path, no_drawing):
