@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
@@ -101,17 +102,20 @@ def field_name(location: Sequence[str | int], data: Any, is_missing: bool = True
     Parameters
     ----------
     is_missing : whether the last key may be one that ``data`` lacks
+
+    >>> data = {"scene": {"classes": [{"name": "grass", "spectrum": {"builtin": 3}}], "fill": 2.0}}
+    >>> field_name(("scene", "classes", 0, "spectrum", "str", "builtin"), data), field_name(("scene", "host"), data)
+    ('scene.classes.0.spectrum.builtin', 'scene.host')
+    >>> field_name(("scene", "fill", "float"), data), field_name(("scene", "host"), data, is_missing=False)
+    ('scene.fill', 'scene')
     """
-    parts: list[str] = []
-    at = data
-    for number, part in enumerate(location):
-        last = number == len(location) - 1
-        inside = isinstance(at, list | tuple) and isinstance(part, int) and part < len(at)
-        if inside or (isinstance(at, Mapping) and part in at):
-            parts.append(str(part))
+    parts, at, last = list[str](), data, str(location[-1] if location else "")
+    for part in location:
+        with suppress(LookupError, TypeError):
             at = at[part]
-        elif is_missing and isinstance(at, Mapping) and last and isinstance(part, str) and part.isidentifier():
-            parts.append(part)
+            parts.append(str(part))
+    if is_missing and isinstance(at, Mapping) and last.isidentifier() and parts[-1:] != [last]:
+        parts.append(last)
     return ".".join(parts)
 
 
