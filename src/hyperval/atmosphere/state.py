@@ -295,13 +295,13 @@ class AtmosphericState(Model):
     @classmethod
     def _is_a_time(cls, value: str | None, info: ValidationInfo) -> str | None:
         """Of daylight, where the place is known: so a dark hour stands beside the other mistakes of a state."""
-        latitude, longitude = (info.data.get(name) for name in _PLACE[:2])
+        north, east = (info.data.get(name) for name in _PLACE[:2])
         if value is not None:
             try:
                 time = solar.parse_utc(value)
             except UsageError as error:
                 raise ValueError(f"{error.what}; expected: {error.expected}") from error
-            zenith = 0.0 if latitude is None or longitude is None else solar.solar_position(latitude, longitude, time)[0]
+            zenith = 0.0 if north is None or east is None else solar.solar_position(north, east, time)[0]
             if zenith >= MAX_SOLAR_ZENITH_DEG:
                 where = "below the horizon" if zenith >= 90.0 else "too low for a plane-parallel atmosphere"
                 raise ValueError(f"the sun is {where} (zenith {zenith:.2f} deg; limit {MAX_SOLAR_ZENITH_DEG:g} deg)")

@@ -109,7 +109,8 @@ def field_name(location: Sequence[str | int], data: Any, is_missing: bool = True
     >>> field_name(("scene", "fill", "float"), data), field_name(("scene", "host"), data, is_missing=False)
     ('scene.fill', 'scene')
     """
-    parts, at, last = list[str](), data, str(location[-1] if location else "")
+    parts, last = list[str](), str(location[-1] if location else "")
+    at: Any = None if isinstance(data, str) else data  # a body that could not be read
     for part in location:
         with suppress(LookupError, TypeError):
             at = at[part]

@@ -47,6 +47,7 @@ _NEEDED = {
     "cube": "one data file of a cube is needed", "header": "the ENVI header is needed",
     "regions": "at least one file of regions is needed",
 }  # fmt: skip
+_PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xml": "XML", b"BZh": "packed by bzip2"}
 _LARGEST_TEXT = 4_000_000
 _INSIDE = re.compile(r"(?:\w[\w .@+()-]{0,100}/){0,12}\w[\w .@+()-]{0,100}")
 _NAME = re.compile(r"[^\W_][\w .@+()-]{0,79}")
@@ -110,11 +111,15 @@ class Uploads:
         return place / name
 
     def _check(self, field: str, name: str, path: Path) -> None:
-        """Refuse a file by the ending of its name or its size; one of a sensor by what it says."""
+        """Refuse a file by the ending of its name, its head or its size; one of a sensor by what it says."""
+        with path.open("rb") as file:
+            head = file.read(8)
+        packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
         largest = self._state.settings.samples * 8 if field == "cube" else _LARGEST_TEXT
         endings, is_large = _ENDINGS[field], path.stat().st_size > largest
         words = f"{name}: ends with none of {', '.join(filter(None, endings))}"
         deny(Path(name).suffix.lower() not in endings, 422, words, field)
+        deny(packed, 422, f"{name}: is {packed}, which is not accepted", field)
         deny(is_large, 422, f"{name}: larger than {largest:,} bytes", field)
         if field == "sensors":
             try:
