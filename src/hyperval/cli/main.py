@@ -590,8 +590,8 @@ def serve(
         list[str] | None, Option(help="Name under which browsers reach it, besides localhost; may be repeated.")
     ] = None,
     folder: Annotated[Path | None, Option(help="Runs and uploads; by default in the user's data folder.")] = None,
-    campaigns: Annotated[Path | None, Option(exists=True, file_okay=False, help="Folder of campaigns to run.")] = None,
-    data: Annotated[Path | None, Option(exists=True, file_okay=False, help="Folder of files to name on pages.")] = None,
+    campaigns: Annotated[Path | None, Option(help="Folder of campaigns that may be run from the pages.")] = None,
+    data: Annotated[Path | None, Option(help="Folder whose cubes, regions and spectra pages may name.")] = None,
     workers: Annotated[int, Option(min=1, max=64, help="Processes for predictions.")] = 2,
     long_workers: Annotated[int, Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
     scheduler: Scheduler = None,
@@ -618,6 +618,7 @@ def serve(
         from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connections_of, make_app
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
+    refuse(wrong := [str(p) for p in (campaigns, data) if p and not p.is_dir()], "serve.folder", ", ".join(wrong))
     try:
         listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:
