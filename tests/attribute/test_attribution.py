@@ -166,8 +166,9 @@ def test_errors_of_a_users_own_are_named_or_move_a_path(tmp_path):
 
 
 def test_an_error_of_a_path_that_leads_nowhere_names_it():
-    with pytest.raises(NotInjectable, match=r"surfaces\.nobody"):
-        injected_prediction(SCENE, lambda world: {"surfaces.nobody.mean": 0.1}, Origins(axis=AXIS, engine=engine))
+    for path, kind, words in (("surfaces.nobody.mean", NotInjectable, ""), ("scene.clases.a.gain", UsageError, "mean")):
+        with pytest.raises(kind, match=rf"{path}(?s:.*){words}"):
+            injected_prediction(SCENE, lambda _, at=path: {at: 0.1}, Origins(axis=AXIS, engine=engine))
 
 
 def test_an_input_of_the_budget_moves_from_where_it_was_injected():

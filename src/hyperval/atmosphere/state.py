@@ -28,7 +28,7 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hyperval.atmosphere import solar
 from hyperval.config import Model
@@ -274,7 +274,7 @@ class AtmosphericState(Model):
     sensor_altitude_km: float = Field(
         title="sensor altitude", ge=0.0, le=100_000.0, description="above sea level [km]; 100 and more is space"
     )
-    solar_zenith_deg: float | None = _number("less than 85 [deg]", title="solar zenith angle", ge=0.0)
+    solar_zenith_deg: float | None = _number("[deg]", title="solar zenith angle", ge=0.0, lt=MAX_SOLAR_ZENITH_DEG)
     solar_azimuth_deg: float | None = _number("east of north [deg]", title="solar azimuth", ge=-360.0, le=360.0)
     day_of_year: int | None = _number("day of year, for the Earth-Sun distance", ge=1, le=366)
     earth_sun_distance_au: float | None = _number("[au]", title="Earth-Sun distance", ge=0.98, le=1.02)
@@ -293,12 +293,18 @@ class AtmosphericState(Model):
 
     @field_validator("time_utc")
     @classmethod
-    def _is_a_time(cls, value: str | None) -> str | None:
+    def _is_a_time(cls, value: str | None, info: ValidationInfo) -> str | None:
+        """Of daylight, where the place is known: so a dark hour stands beside the other mistakes of a state."""
+        north, east = (info.data.get(name) for name in _PLACE[:2])
         if value is not None:
             try:
-                solar.parse_utc(value)
+                time = solar.parse_utc(value)
             except UsageError as error:
                 raise ValueError(f"{error.what}; expected: {error.expected}") from error
+            zenith = 0.0 if north is None or east is None else solar.solar_position(north, east, time)[0]
+            if zenith >= MAX_SOLAR_ZENITH_DEG:
+                where = "below the horizon" if zenith >= 90.0 else "too low for a plane-parallel atmosphere"
+                raise ValueError(f"the sun is {where} (zenith {zenith:.2f} deg; limit {MAX_SOLAR_ZENITH_DEG:g} deg)")
         return value
 
     @model_validator(mode="after")
@@ -326,12 +332,6 @@ class AtmosphericState(Model):
         ):
             if wrong:
                 raise ValueError(said)
-        zenith, _ = self.sun
-        if zenith >= MAX_SOLAR_ZENITH_DEG:
-            field = _ANGLES[0] if by_angles else _PLACE[2]
-            where = "below the horizon" if zenith >= 90.0 else "too low for a plane-parallel atmosphere"
-            limit = f"limit {MAX_SOLAR_ZENITH_DEG:g} deg"
-            raise ValueError(f"{field}: the sun is {where} (zenith {zenith:.2f} deg; {limit})")
         return self
 
     @property

@@ -814,6 +814,7 @@ def injected_prediction(
     Raises
     ------
     NotInjectable : the scenario has nothing of the kind.
+    UsageError : a path that is none, and is nearly one of the scenario's.
     """
     world = read(scenario, origins)
     try:
@@ -821,7 +822,7 @@ def injected_prediction(
         for path in truth:
             value_at(world, path)
     except UsageError as why:
-        raise NotInjectable(why.what) from why
+        raise (UsageError if why.mend else NotInjectable)(why.what, expected=why.expected, mend=why.mend) from why
     prediction = predict(scenario, origins, truth=truth, objects=objects)
     if "line.gain" in truth:  # what was collected is through its own line: an error of the model's shows in its own
         gain, offset = truth["line.gain"], truth["line.offset"]

@@ -250,7 +250,7 @@ def _power(job: Job, own: Path | None) -> Power:
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table, accepted = power_table(job, errors), accepted_table(name, job.folder)
+        table, accepted = power_table(job, errors), None if own else accepted_table(name, job.folder)
     except MissingDataError as error:
         return Power(name, skipped=str(error))
     now, before = ({n: one.sight for n, one in t.errors.items()} for t in (table, accepted or table))

@@ -287,7 +287,8 @@ def compare(
     output: Output,
 ) -> int:
     """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
-    return finished(hyperval.report.compare_runs(one, other, output), output)
+    note(hyperval.report.compare_runs(one, other, output))
+    return finished(0, output)
 
 
 @command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
@@ -448,8 +449,8 @@ def power(
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
     done = [item.table for item in tables if item.table is not None]
-    names = list(dict.fromkeys(name for table in done for name in table.errors))
-    rows = [(name, *(table.errors[name].words for table in done)) for name in names]
+    every = {name: [table.errors[name] for table in done] for table in done[:1] for name in table.errors}
+    rows = [(n, *(": ".join(filter(None, (e.words, e.not_applicable))) for e in own)) for n, own in every.items()]
     print_table(("injected error", *(table.campaign for table in done)), rows)
     for item in tables:
         if item.skipped:
@@ -617,8 +618,7 @@ def serve(
         from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connections_of, make_app
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
-    for given, words in ((campaigns, "a folder of campaigns"), (data, "a folder of collections")):
-        refuse(given is not None and not given.is_dir(), "serve.folder", str(given), words=words)
+    refuse(wrong := [str(p) for p in (campaigns, data) if p and not p.is_dir()], "serve.folder", ", ".join(wrong))
     try:
         listening = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET)
     except OSError as error:

@@ -757,7 +757,7 @@ def read_files(
             true, axis = binned_axis(true, count), binned_axis(axis, count)
     if np.any(shift_nm) or width != 1.0:
         true = SpectralAxis(true.centre_nm + shift_nm, width * true.fwhm_nm, true.good)
-    notes = sensor.notes(true.centre_nm - axis.centre_nm) if sensor and noise else []
+    notes = sensor.notes(true.centre_nm - axis.centre_nm, scenario.sensor_changes) if sensor and noise else []
     scenario = with_sensor_blur(scenario, sensor)
     scene, sources = scenario.scene, Sources(true, measured, find, axis, source.read)
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}

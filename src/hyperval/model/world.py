@@ -347,7 +347,7 @@ class World:
 
     def made(self) -> World:
         """Itself, with what follows from all that was moved; what contradicts itself is refused."""
-        for name, part in vars(World).items():
+        for name, part in [*vars(World).items()]:  # which pickling adds to
             if isinstance(part, cached_property):
                 getattr(self, name)
         return self

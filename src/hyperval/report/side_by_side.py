@@ -8,22 +8,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hyperval.errors import refuse
 from hyperval.figures import first_figures, outcome_words
-from hyperval.products import SPECTRA, Products
 from hyperval.report import verdict as v
 from hyperval.report.html import embedded, flat, page
 from hyperval.results import WORST_FIRST, Cause, Outcome, Pair, Result, ResultTable, paired
-from hyperval.run import Run
+from hyperval.run import Run, to_xarray
 from hyperval.storage import whole_folder
 
 _FIGURE_BYTES = 4_200_000
 
 
-def compare_runs(one: Path, other: Path, output: Path) -> int:
+def compare_runs(one: Path, other: Path, output: Path) -> str:
     """Write a page that sets two folders of results side by side, and the differences as a results table.
+
+    Returns
+    -------
+    What differs, in a sentence.
 
     Raises
     ------
@@ -35,7 +36,25 @@ def compare_runs(one: Path, other: Path, output: Path) -> int:
     refuse(not any(p.a and p.b for p in pairs), "results.common", f"{one}, {other}")
     with whole_folder(output) as folder:
         Run(difference_table(pairs)).write(folder, side_by_side_page(a, b, pairs))
-    return 0
+    return conclusion(pairs)
+
+
+def conclusion(pairs: Sequence[Pair]) -> str:
+    """What differs between two runs, and what differs most.
+
+    >>> a, b = (Result("c", "radiance", "lawn", "sixs", "bias_ratio", value) for value in (0.01, 0.03))
+    >>> print(conclusion([Pair(a, a), Pair(b, b)]))
+    Identical: all 2 comparisons have the same value and outcome in both runs.
+    >>> print(conclusion([Pair(a, a), Pair(a, None), Pair(a, b)]))
+    Changed or in one run only: 2 of 3 comparisons, most radiance lawn sixs bias_ratio: 0.01 in A, 0.03 in B.
+    """
+    changed = [p for p in pairs if p.size > 0 or p.verdict_changed or not (p.a and p.b)]
+    if not changed:
+        return f"Identical: all {len(pairs)} comparisons have the same value and outcome in both runs."
+    most = max(changed, key=lambda p: p.size)
+    a, b = (v.value_text(row) if row else "none" for row in (most.a, most.b))
+    count = f"Changed or in one run only: {len(changed)} of {len(pairs)} comparisons"
+    return f"{count}, most {most.name}: {a} in A, {b} in B."
 
 
 def difference_table(pairs: Sequence[Pair]) -> ResultTable:
@@ -60,7 +79,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
     # Of their predictions, or of their collections where those alone differ.
-    both = [(x, y) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not _same_curves(x, y)]
+    both = [(x, y) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not to_xarray(x).equals(to_xarray(y))]
     charts = first_figures(both[0], names=("run A", "run B")) if both and (moved or changed) else []
     alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
     left, right = flat(a.provenance), flat(b.provenance)
@@ -74,7 +93,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         bands=len(moved) - len(whole),
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
         same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
-        identical=not moved and all(p.a and p.b and not p.verdict_changed for p in pairs),
+        conclusion=conclusion(pairs),
         inputs=[(k, left.get(k, "–"), right.get(k, "–")) for k in left | right if left.get(k) != right.get(k)],
         charts=charts,
         figures=_figures(a, b, alike),
@@ -88,20 +107,6 @@ def _names(a: Path, b: Path) -> tuple[str, str]:
     first, second = a.resolve().parts, b.resolve().parts
     most = next((n for n in range(1, max(len(first), len(second))) if first[-n:] != second[-n:]), 1)
     return "/".join(first[-most:]), "/".join(second[-most:])
-
-
-def _same_curves(one: Products, other: Products) -> bool:
-    """Whether both have the same means of spectra and the same ROC, as far as a chart could show."""
-
-    def curves(side: Products) -> dict[str, Any]:
-        means = {f"{name} {k}": e.mean for name in SPECTRA for k, e in getattr(side, name).items()}
-        return means | {f"roc {k}": np.stack([curve.pfa, curve.pd]) for k, curve in side.roc.items()}
-
-    first, second = curves(one), curves(other)
-    shapes = [{k: v.shape for k, v in each.items()} for each in (first, second)]
-    return shapes[0] == shapes[1] and all(
-        np.allclose(v, second[k], 1e-6, 0.0, equal_nan=True) for k, v in first.items()
-    )
 
 
 def _figures(a: Run, b: Run, alike: Sequence[str]) -> list[dict[str, Any]]:

@@ -123,17 +123,13 @@ class Measure:
     name, title : in the table, and on the page
     of_look : the part each look has in the metric, from (over, tie); the metric is their mean.  None: the quantile
         of false alarms at P_D = 0.5, of which less is better
-    least_pfa : P_FA that the background must resolve for it; 0: any
+    least_pfa : P_FA at which the background must expect some alarms; infinity: any
     """
 
     name: str
     title: str
     of_look: Callable[[Array, Array], Array] | None
-    least_pfa: float
-
-    def known_from(self, n: int) -> bool:
-        """Whether ``n`` background pixels resolve it (10 expected alarms)."""
-        return self.least_pfa * n >= LEAST_EXPECTED_ALARMS or self.least_pfa == 0.0
+    least_pfa: float = math.inf
 
 
 def detected_at(pfa: float) -> Callable[[Array, Array], Array]:
@@ -144,11 +140,11 @@ def detected_at(pfa: float) -> Callable[[Array, Array], Array]:
 MEASURES: Mapping[str, Measure] = {
     m.name: m
     for m in (
-        Measure("auc", "AUC", AREAS["auc"].averaged, 0.0),
+        Measure("auc", "AUC", AREAS["auc"].averaged),
         Measure(LOG_AREA, "log-weighted AUC, P_FA 1e-3 to 1e-1", AREAS[LOG_AREA].averaged, 1e-3),
         Measure("pd@1e-2", "P_D at P_FA 1e-2", detected_at(1e-2), 1e-2),
         Measure("pd@1e-3", "P_D at P_FA 1e-3", detected_at(1e-3), 1e-3),
-        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None, 0.0),
+        Measure("far@pd0.5", "false alarms per km2 at P_D 0.5", None),
     )
 }
 
@@ -334,22 +330,9 @@ PRODUCT = "benchmark"
 DRAWS = 1000
 
 
-@dataclass(frozen=True)
-class Question:
-    """A campaign that is asked for every detector it can take.
-
-    Attributes
-    ----------
-    left_out : detector -> why it cannot run here
-    notes : what was chosen for the campaign
-    """
-
-    campaign: Campaign
-    left_out: Mapping[str, str]
-    notes: tuple[str, ...] = ()
-
-
-def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Mapping[str, str]) -> Question:
+def with_every_detector(
+    campaign: Campaign, regions: Sequence[str], refused: Mapping[str, str]
+) -> tuple[Campaign, Mapping[str, str], Sequence[str]]:
     """The campaign with all detectors that the code knows, and without what the benchmark does not look at.
 
     Parameters
@@ -357,11 +340,15 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Map
     regions : names that the collection has; those that are classes of a scenario are projected away by osp, where
         the campaign names none itself
     refused : detector -> why it cannot run, as was found out
+
+    Returns
+    -------
+    The campaign; detector -> why it cannot run here; what was chosen for the campaign.
     """
     bare = campaign.model_copy(update={"classification": None, "attribution": None})
     detection = campaign.detection
     if detection is None:
-        return Question(bare, {})
+        return bare, {}, ()
     undesired, left_out = list(detection.undesired or regions), dict[str, str]()
     if detection.local_window is not None:
         why = "the campaign takes background means from a local window, which this detector does not have"
@@ -373,8 +360,7 @@ def with_every_detector(campaign: Campaign, regions: Sequence[str], refused: Map
     is_chosen = "osp" in run and not detection.undesired
     notes = (f"osp projects away the mean spectra of {', '.join(undesired)}",) if is_chosen else ()
     changes = {"detectors": run, "undesired": undesired if "osp" in run else [], "areas": [], "unmixing": None}
-    asked = bare.model_copy(update={"detection": with_settings(detection, changes)})
-    return Question(asked, left_out, notes)
+    return bare.model_copy(update={"detection": with_settings(detection, changes)}), left_out, notes
 
 
 def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[str, list[TargetObject]]]]:
@@ -439,9 +425,11 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     return BlockCounts(names, over, tie, blocks[0].pixels, np.array(item, dtype=np.intp), group, density, lost)
 
 
-def detector_rows(observed: Observed, question: Question, *, seed: int) -> tuple[list[Result], tuple[str, ...]]:
+def detector_rows(
+    observed: Observed, detection: Detection | None, left_out: Mapping[str, str], *, seed: int
+) -> tuple[list[Result], tuple[str, ...]]:
     """Rows of every detector: metrics by subject, the same of all objects, ranks, and what could not run; and notes."""
-    detection, place = question.campaign.detection, observed.place
+    place = observed.place
     if detection is None or place is None or observed.detected is None:
         why = "the campaign looks for no targets"
         return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors")), ()
@@ -452,10 +440,10 @@ def detector_rows(observed: Observed, question: Question, *, seed: int) -> tuple
         if len(set(counts.item[list(looks)])) < 2:
             continue  # no object orders detectors, and one by chance alone
         for measure in MEASURES.values():
-            if measure.known_from(counts.n):
+            if counts.n * measure.least_pfa >= LEAST_EXPECTED_ALARMS:
                 ranks = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(name, counts, measure, ranks)
-    for name, reason in question.left_out.items():
+    for name, reason in left_out.items():
         rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
     return rows, tuple(f"warning: {what}" for what in counts.lost)
 
@@ -467,7 +455,7 @@ def side_rows(side: Products, said: Literal["measured", "predicted"]) -> Iterato
     for own in product_rows(side, "observed" if said == "measured" else said):
         measure = names.get(own.metric) if own.product == "roc" else None
         n = pixels.get((own.subject, own.method))
-        if measure is not None and (n is None or measure.known_from(n)):
+        if measure is not None and (n is None or n * measure.least_pfa >= LEAST_EXPECTED_ALARMS):
             metric = measure.name if said == "measured" else f"predicted_{measure.name}"
             yield replace(own, product=PRODUCT, metric=metric, evidence=None)
 
@@ -700,26 +688,27 @@ def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
 
 def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
     """The rows with every detector that was not ``refused``."""
-    name, chosen = job.campaign.name, Question(job.campaign, {})
+    left_out, said = dict[str, str](), list[str]()
 
     def ask(scenarios: Sequence[Scenario], inputs: InputLog) -> Campaign:
-        nonlocal chosen
         regions: list[str] = []
         if job.campaign.detection is not None and not job.campaign.detection.undesired:
             place = open_place(job.campaign.collection, inputs.resolve)
             # Those that are classes of the scenarios, or give them their statistics.
             named = [n for s in scenarios for c in s.scene.classes for n in (c.name, c.spectrum.measured)]
             regions = list(dict.fromkeys(n for n in named if n is not None and n in place.regions))
-        chosen = with_every_detector(job.campaign, regions, refused)
-        return chosen.campaign
+        asked, reasons, notes = with_every_detector(job.campaign, regions, refused)
+        left_out.update(reasons)
+        said.extend(notes)
+        return asked
 
-    with step(name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
-        observed, detection = collection.observed, chosen.campaign.detection
-        rows, lost = detector_rows(observed, chosen, seed=seed)
-        rows, notes = [*rows, *peer_rows(observed, detection)], [*chosen.notes, *lost]
+    with step(job.campaign.name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
+        observed, detection = collection.observed, collection.campaign.detection
+        rows, lost = detector_rows(observed, detection, left_out, seed=seed)
+        rows, notes = [*rows, *peer_rows(observed, detection)], [*said, *lost]
         for scenario in collection.scenarios if detection is not None else ():
             rows += side_rows(predict(scenario, collection.origins(scenario)), "predicted")
-        about = {"campaign": chosen.campaign}
+        about = {"campaign": collection.campaign}
         record = record_of(collection.inputs, collection.scenarios, collection.seed, about, [observed.observation])
         if detection is not None and detection.halo_pixels:
             notes += ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
@@ -768,7 +757,7 @@ def benchmark(
     from hyperval.figures.print import drawings_of
 
     load_extensions(extensions)
-    jobs, programs = jobs_of(*paths), tuple(Path(p).resolve() for p in extensions)
+    jobs, programs = jobs_of(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
     with whole_folder(output) as folder, workers(worker_count(len(jobs)), scheduler) as where:
         here = where.executor is None  # one after the other, each with its own bars
         run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores))

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from hyperval.config import Model, OneOf, file_of, load_model, shipped
+from hyperval.config import Model, OneOf, file_of, load_model, shipped, unknown
 from hyperval.data import Array, Index
 from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.sensor.noise import (
@@ -443,9 +443,8 @@ class Sensor:
         stated = operation.wavelength_shift_nm if operation else 0.0
         if isinstance(stated, dict):
             names = [arm.name for arm in self.specification.arms]
-            if unknown := [name for name in stated if name not in names]:
-                known = ", ".join(names) or "none: give one number"
-                raise refusal("sensor.shift", name=self.name, arm=unknown[0], known=known)
+            if wrong := unknown(stated, names):
+                raise refusal("sensor.shift", name=self.name, arm=wrong[0], known=wrong[1] or "none: give one number")
             by_arm = np.array([stated.get(name, 0.0) for name in names])
             shift += by_arm[self.arm_index(nominal.centre_nm)] if stated else 0.0
         else:
@@ -463,10 +462,9 @@ class Sensor:
         UsageError : a band lies outside all arms.
         """
         spec, on = self.specification, self.axis if axis is None else axis
-        w = on.centre_nm
-        calibration = self._at("calibration_error_percent", w)
+        calibration = self._at("calibration_error_percent", on.centre_nm)
         measured = spec.measured_noise
-        model = self._measured_noise(measured, w, calibration) if measured else self._noise(on, calibration)
+        model = self._measured_noise(measured, on.centre_nm, calibration) if measured else self._noise(on, calibration)
         return model if operation is None else averaged_noise(model, operation)
 
     def operated_noise(
@@ -481,13 +479,23 @@ class Sensor:
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
 
-    def notes(self, shift_nm: Array) -> list[str]:
-        """Assumptions of the sensor file, MTF at Nyquist, shift of the bands."""
+    def notes(self, shift_nm: Array, changes: SensorChanges | None = None) -> list[str]:
+        """Assumptions of the sensor file, what the scenario has changed in it, MTF at Nyquist, shift of the bands.
+
+        >>> sensor = load_sensor("casi-1500")
+        >>> stated = None, SensorChanges(calibration_error_percent=1.5)
+        >>> notes = [note for changes in stated for note in sensor.notes(np.zeros(1), changes)]
+        >>> [note.partition(": ")[2] for note in notes if "calibration_error" in note]
+        ['calibration_error_percent (assumed: pixel-to-pixel part of the radiometric calibration)',
+        'calibration_error_percent 1.5 (stated by the scenario)']
+        """
         spec = self.specification
-        named = [(f"{arm.name}: {key}", getattr(arm, key)) for arm in spec.arms for key in type(arm).model_fields]
+        told = changes.model_dump(exclude_defaults=True) if changes else {}
+        named = [(f"{arm.name}: {key}", value) for arm in spec.arms for key, value in arm]
         named.append(("calibration_error_percent", spec.calibration_error_percent))
-        sources = [(name, getattr(value, "source", "")) for name, value in named]
+        sources = [(name, getattr(value, "source", "")) for name, value in named if name not in told]
         notes = [f"{name} ({source})" for name, source in sources if source.lower().startswith("assumed")]
+        notes += [f"{name} {value:g} (stated by the scenario)" for name, value in told.items()]
         if spec.psf is not None:
             along, across = mtf_at_nyquist(np.array(spec.psf.fwhm))
             notes.append(f"MTF at Nyquist {along:.3f} along, {across:.3f} across the track")

@@ -448,12 +448,11 @@ class Progress(NamedTuple):
 
 
 def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress:
-    """The next piece: points twice as dense as before, then the required values, then the limits of each family."""
+    """The next piece: points twice as dense as before, what is required with the last of them; limits of a family."""
     p = prepared(source, trade)
     study, (columns, labels) = study_of(p, trade, source), _families(p, trade)
     families, subjects, along = len(labels) // len(trade.subject), len(trade.subject), study.inputs[-1]
     steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
-    steps += [("required", 0)] if trade.wanted is not None else []
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
     blank = np.full((families, _known(trade, 1).size, subjects), np.nan)
     before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", len(steps))
@@ -465,8 +464,7 @@ def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress
         some = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
         values.reshape(-1, subjects)[rows], told = plan.output_values(_world(p, trade), some, study.outputs)
         remarks |= {int(rows[i]): words for i, words in told.items()}
-    elif what == "required":
-        needed = _required(p, trade, study)
+        needed = _required(p, trade, study) if trade.wanted is not None and step == _STRIDES[-1] else ()
     else:
         limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()})
     stride = step if what == "points" else _STRIDES[-1]

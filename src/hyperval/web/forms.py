@@ -408,11 +408,12 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     ------
     Refused : every mistake with its field.
     """
+    mistakes = list(_of_names(of_bounded_size(data), uploads))
     try:
-        scenario = Scenario.model_validate(of_bounded_size(data))
+        scenario = Scenario.model_validate(data)
     except ValidationError as error:
-        raise Refused(422, mistakes_of(error, data)) from error
-    deny(list(_of_names(scenario, uploads)) or list(_of_cost(scenario)), 422)
+        raise Refused(422, [*mistakes_of(error, data), *mistakes][:MOST_MISTAKES]) from error
+    deny(mistakes or list(_of_cost(scenario)), 422)
     return scenario
 
 
@@ -455,18 +456,18 @@ def _excess(at: tuple[str, ...], value: Any) -> str:
     return "a number of too many digits" if isinstance(value, int) and abs(value) > 1 << 62 else ""
 
 
-def _of_names(scenario: Scenario, uploads: Collection[str]) -> Iterator[FieldMistake]:
+def _of_names(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
     """Names that this server does not have, and files of its own."""
     sensors = (*library_names(), *uploads)
-    if scenario.sensor not in (None, *sensors):
-        yield FieldMistake("sensor", f"no such sensor; one of {', '.join(sensors)}")
-    if scenario.atmosphere is not None and scenario.atmosphere.engine not in _ENGINES:
-        yield FieldMistake("atmosphere.engine", "this server has the engines sixs and emulator alone")
     # What the predefined scenarios name of data sets, anybody may name.
-    known = {target.spectrum.file for one in predefined().values() for target in one.scene.targets}
-    for at, value in _values(plain(scenario)):
+    known = [target.spectrum.file for one in predefined().values() for target in one.scene.targets]
+    for at, value in _values(data):
         path, key = ".".join(at), at[-1] if at else ""
-        if key == "builtin" and value not in SURFACES and not _GREY.fullmatch(str(value)):
+        if path == "sensor" and value not in (None, *sensors):
+            yield FieldMistake(path, f"no such sensor; one of {', '.join(sensors)}")
+        elif path == "atmosphere.engine" and value not in _ENGINES:
+            yield FieldMistake(path, "this server has the engines sixs and emulator alone")
+        elif key == "builtin" and value not in SURFACES and not _GREY.fullmatch(str(value)):
             yield FieldMistake(path, f"no such surface; one of {', '.join(SURFACES)}")
         elif key == "file" and value in known:
             yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -357,7 +357,7 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     own = Uploads(request)
     scenario = load_scenario(_source(request, study.scenario))
     most = request.app.state.settings.points
-    deny([*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())], 422)
+    deny(list(dict.fromkeys((*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())))), 422)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
     files: Files = {**own.copies(text + asked, scenario.folder), "study.yaml": asked, "scenario.yaml": text}
@@ -387,11 +387,17 @@ def _of_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldM
 
 
 def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) -> Iterator[FieldMistake]:
-    """Paths that lead nowhere, and values that cannot stand there: files of the server among them."""
+    """Paths that lead nowhere, and values that cannot stand there: files of the server among them.
+
+    >>> planks, asked = "yellow-planks-asphalt", Trade(side_m=1.0)  # of a GSD, which the settings of the study make
+    >>> study = study_of(p := prepared(planks, asked), completed(asked, p), planks)
+    >>> study.inputs[0].path.endswith("gsd_m"), list(_of_paths(study, load_scenario(planks), ()))
+    (True, [])
+    """
     if wrong := [path for path in study.settings if path.partition(".")[0] not in _SETTABLE]:
         yield FieldMistake("settings", f"{wrong[0]!r} cannot be set from here")
         return
-    tries = [("settings", study.settings)]
+    tries: list[tuple[str, Mapping[str, Any]]] = [("settings", {})]
     asked = [(f"{kind}.{i}", one) for kind in ("inputs", "required") for i, one in enumerate(getattr(study, kind))]
     for at, item in asked:
         values = list({repr(value): value for value in values_to_try(item)}.values())
@@ -401,10 +407,11 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
             point = {path: own for path, own in point_of(item, value).items() if own is not None and in_file(path)}
             named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
             tries.append((f"{at}.path", named))
-    for field, settings in tries:
+    for field, there in tries:
         try:
-            checked_scenario(plain(with_settings(scenario, settings)), uploads)
-        except UsageError as error:
-            yield FieldMistake(field, said(error)[:400])
-        except Refused as refusal:
-            yield FieldMistake(field, str(refusal)[:400])
+            checked_scenario(plain(with_settings(scenario, {**study.settings, **there})), uploads)
+        except (UsageError, Refused) as error:
+            words = said(error) if isinstance(error, UsageError) else str(error)
+            yield FieldMistake(field, words[:400])
+            if field == "settings":  # on which the others stand
+                return

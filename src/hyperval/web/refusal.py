@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
@@ -80,8 +81,9 @@ def to_show(refusal: Refused) -> list[FieldMistake]:
     return list(refusal.mistakes)
 
 
-def without_paths(text: str) -> str:
-    """The text, each absolute path in it cut down to its last name."""
+def for_pages(text: str) -> str:
+    """The text without options of a command, each absolute path in it cut down to its last name."""
+    text = re.sub(r" \(--[a-z-]+\)", "", text)
     return _PATH.sub(lambda m: re.split(r"[\\/]", m[0].rstrip("\\/"))[-1] or "a folder", text)
 
 
@@ -91,8 +93,7 @@ def said(error: HypervalError) -> str:
     >>> said(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit"))
     'collection.cube.unit: of the radiance; expected: a unit'
     """
-    parts = [re.sub(r" \(--[a-z-]+\)", "", error.what), f"expected: {error.expected}" if error.expected else ""]
-    return without_paths("; ".join(part for part in parts if part))
+    return for_pages(f"{error.what}; expected: {error.expected}" if error.expected else error.what)
 
 
 def field_name(location: Sequence[str | int], data: Any, is_missing: bool = True) -> str:
@@ -101,17 +102,21 @@ def field_name(location: Sequence[str | int], data: Any, is_missing: bool = True
     Parameters
     ----------
     is_missing : whether the last key may be one that ``data`` lacks
+
+    >>> data = {"scene": {"classes": [{"name": "grass", "spectrum": {"builtin": 3}}], "fill": 2.0}}
+    >>> field_name(("scene", "classes", 0, "spectrum", "str", "builtin"), data), field_name(("scene", "host"), data)
+    ('scene.classes.0.spectrum.builtin', 'scene.host')
+    >>> field_name(("scene", "fill", "float"), data), field_name(("scene", "host"), data, is_missing=False)
+    ('scene.fill', 'scene')
     """
-    parts: list[str] = []
-    at = data
-    for number, part in enumerate(location):
-        last = number == len(location) - 1
-        inside = isinstance(at, list | tuple) and isinstance(part, int) and part < len(at)
-        if inside or (isinstance(at, Mapping) and part in at):
-            parts.append(str(part))
+    parts, last = list[str](), str(location[-1] if location else "")
+    at: Any = None if isinstance(data, str) else data  # a body that could not be read
+    for part in location:
+        with suppress(LookupError, TypeError):
             at = at[part]
-        elif is_missing and isinstance(at, Mapping) and last and isinstance(part, str) and part.isidentifier():
-            parts.append(part)
+            parts.append(str(part))
+    if is_missing and isinstance(at, Mapping) and last.isidentifier() and parts[-1:] != [last]:
+        parts.append(last)
     return ".".join(parts)
 
 
@@ -122,7 +127,7 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
         words = "no background is chosen: add at least one"
     elif kind == "string_pattern_mismatch":
         words = spelled(item["ctx"]["pattern"]) or words
-    return FieldMistake(name[:200], without_paths(_WORDS.get(kind, words))[:500])
+    return FieldMistake(name[:200], for_pages(_WORDS.get(kind, words))[:500])
 
 
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:

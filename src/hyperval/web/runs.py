@@ -217,7 +217,7 @@ def known_campaigns(request: Request) -> dict[str, CampaignAnswer]:
     store = store_of(request)
     for run in store.of(owner_of(request), "pipeline"):
         path = store.place(run.id) / "campaign.yaml"
-        if run.state == "finished" and path.is_file():
+        if run.state == "finished" and path.is_file() and run.summary.get("compares", True):
             about = {"title": run.title or run.name, "description": "Brought by this session."}
             out[f"run:{run.id}"] = CampaignAnswer(name=f"run:{run.id}", **about, path=path)
     return out

@@ -41,6 +41,7 @@ from hyperval.simulate import simulate
 from hyperval.spectra.axis import in_window
 from hyperval.storage import write_text
 from hyperval.study import live, piece, study_to_folder
+from hyperval.web.refusal import for_pages
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
 
@@ -144,7 +145,8 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     write_draft(place / "campaign.yaml", "campaign", text)
     with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
-    return summary_of("pipeline", place / "results") | {"header": header, "guesses": guesses}
+    told = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": "\ncomparisons:" in text}
+    return summary_of("pipeline", place / "results") | told
 
 
 def _drafted(
@@ -152,7 +154,8 @@ def _drafted(
 ) -> tuple[str, list[str], dict[str, str]]:
     """The campaign of the files of each part, what is guessed in it, and what the header says."""
     cube, about, targets = files["cube"][0], dict(stated), next(iter(files["targets"]), None)
-    beside = None if header_beside(cube) else files["header"][0]
+    given = files["header"][0]
+    beside = None if given == header_beside(cube) else given
     raster = open_raster(cube, header=beside)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
     told = {key: about[key] for key in ("quantity", "unit") if key in about}

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 from unicodedata import normalize
 
-from fastapi import Depends, Request
+from fastapi import Request
 from pydantic import AfterValidator, BaseModel, Field, ValidationError
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
@@ -27,7 +27,7 @@ from hyperval.sensor.specification import library_names
 from hyperval.storage import whole_file
 from hyperval.web.forms import marked
 from hyperval.web.pages import SentForm, api, owner_of, page, pages
-from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, to_show
+from hyperval.web.refusal import FieldMistake, Refused, deny, for_pages, mistakes_of, to_show
 from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
@@ -116,13 +116,11 @@ class Uploads:
             head = file.read(8)
         packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
         largest = self._state.settings.samples * 8 if field == "cube" else _LARGEST_TEXT
-        wrong = {
-            f"ends with none of {', '.join(filter(None, _ENDINGS[field]))}":
-                Path(name).suffix.lower() not in _ENDINGS[field],
-            f"is {packed}, which is not accepted": packed is not None,
-            f"larger than {largest:,} bytes": path.stat().st_size > largest,
-        }  # fmt: skip
-        deny([FieldMistake(field, f"{name}: {words}") for words, is_so in wrong.items() if is_so], 422)
+        endings, is_large = _ENDINGS[field], path.stat().st_size > largest
+        words = f"{name}: ends with none of {', '.join(filter(None, endings))}"
+        deny(Path(name).suffix.lower() not in endings, 422, words, field)
+        deny(packed, 422, f"{name}: is {packed}, which is not accepted", field)
+        deny(is_large, 422, f"{name}: larger than {largest:,} bytes", field)
         if field == "sensors":
             try:
                 self._state.runs.ask("sensor", path=str(path))
@@ -158,21 +156,6 @@ class StatedCollection(BaseModel):
     scale: float | None = Field(None, gt=0.0, allow_inf_nan=False)
 
 
-def sent_files(request: Request, form: SentForm) -> FormData:
-    """The fields and files of a request.
-
-    Raises
-    ------
-    Refused : it is not of the form that files come in.
-    """
-    is_multipart = request.headers.get("content-type", "").startswith("multipart/form-data")
-    deny(not is_multipart, 422, "files come as multipart/form-data", "body")
-    return form
-
-
-SentFiles = Annotated[FormData, Depends(sent_files)]
-
-
 @pages.get("/bring")
 def bring(request: Request) -> Response:
     """The form."""
@@ -180,7 +163,7 @@ def bring(request: Request) -> Response:
 
 
 @pages.post("/uploads")
-def uploads_page(request: Request, form: SentFiles) -> Response:
+def uploads_page(request: Request, form: SentForm) -> Response:
     """Take files: a cube runs through the empirical pipeline, spectra and sensor files are kept."""
     try:
         taken = take_files(request, form)
@@ -245,7 +228,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
             raise
         raise Refused(422, [FieldMistake("cube", mistake.message) for mistake in refusal.mistakes]) from refusal
     for key, what in asked:
-        field, words = key.rpartition(".")[2], re.sub(r" \(--[a-z-]+\)", "", f"the files do not say it: {what}")
+        field, words = key.rpartition(".")[2], for_pages(f"the files do not say it: {what}")
         if key.startswith("collection."):
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
     deny(mistakes, 422)
@@ -279,7 +262,7 @@ _FORM = {"multipart/form-data": {"schema": {"type": "object", "properties": _BOD
 
 
 @api.post("/uploads", status_code=201, openapi_extra={"requestBody": {"required": True, "content": _FORM}})
-def uploads(request: Request, form: SentFiles) -> UploadAnswer:
+def uploads(request: Request, form: SentForm) -> UploadAnswer:
     """Bring a cube with regions and spectra, on which the empirical pipeline runs.
 
     Field spectra and sensor files without a cube are kept for the scenarios of this session.
