@@ -464,7 +464,7 @@ def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection
     """Areas of the other two sides of the 3-D ROC by subject: P_D and P_FA over the threshold.
 
     Scores run from 0, the least of background and targets, to 1, the greatest; the area under an exceedance is then
-    the mean.  Intervals are of the means of objects and of blocks of the image.
+    the mean.  Without an interval: the extremes of the image have no variance that its pixels tell.
     Source: Chang, IEEE Trans. Geosci. Remote Sens. 59, 5131-5153, 2021.
     """
     counted, rows = place.pixels_of(*detection.false_alarms), list[Result]()
@@ -479,17 +479,9 @@ def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection
             found = [np.array([part.sum(), part.size]) for v in each if (part := v[np.isfinite(v)] - low).size]
             for metric, parts in (("auc_d_tau", np.array(found).T), ("auc_f_tau", np.stack([sums, sizes]))):
                 if parts.size:
-                    mean, ends = _mean_of_parts(parts[0] / max(float(high - low), 1e-300), parts[1])
-                    rows += named([row(metric, mean, ends, n=parts.shape[1])], PRODUCT, subject, f"{name}/pixel")
+                    mean = parts[0].sum() / parts[1].sum() / max(float(high - low), 1e-300)
+                    rows += named([row(metric, mean, n=parts.shape[1])], PRODUCT, subject, f"{name}/pixel")
     return rows
-
-
-def _mean_of_parts(sums: Array, sizes: Array) -> tuple[float, tuple[float, float]]:
-    """Mean over parts of different sizes, and its 95 % interval from their scatter, by Student's t."""
-    mean, count = float(sums.sum() / sizes.sum()), sums.size
-    spread = math.sqrt(float(np.sum((sums - mean * sizes) ** 2)) * count / max(count - 1, 1)) / float(sizes.sum())
-    half = float(stats.t.ppf(0.975, count - 1)) * spread if count > 1 else math.nan
-    return mean, (mean - half, mean + half)
 
 
 def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDetectors) -> list[Result]:
