@@ -568,14 +568,14 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
         name: _mixed(world, one, full, populations.index(name)) if name in populations else _of_surface(world, name)
         for name in levels
     }
-    levels = {**levels, **{name: light.level(reflectance) for name, reflectance in full.items()}}
+    bare = {**levels, **{name: light.level(reflectance) for name, reflectance in full.items()}}  # of surfaces alone
     around, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
     out: dict[tuple[str, str], Spread] = {}
     for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
         covariance, gain, others, parts = pixels[name]
         # The covariance of pixels of the image holds their noise.
         held = [s for s in parts if e.stated.of_pixels[world.surface(s)]]
-        noise = light.noise_variance(levels[name]) - sum(parts[s] * light.noise_variance(levels[s]) for s in held)
+        noise = light.noise_variance(levels[name]) - sum(parts[s] * light.noise_variance(bare[s]) for s in held)
         seen = light.pixel_covariance(noise, radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
