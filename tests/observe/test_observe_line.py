@@ -149,7 +149,7 @@ def test_panels_that_contradict_each_other_widen_the_line_and_are_warned_of(make
     assert chi2 > 20
     assert f"empirical line: reduced chi-square of its panels {chi2:.3g} (median over bands)" in notes
     warned = [n for n in notes if n.startswith("warning:")]
-    factor = np.sqrt(apart.elm.contradiction)
+    factor = np.sqrt(apart.place.line.contradiction)
     assert any(f"within their stated errors: they are {factor:.3g} times as great" in n for n in warned)
     assert any("line give light a reflectance that is off by 0.17" in n for n in warned)
     # The line itself hardly turns, so that its width is what differs.

@@ -210,7 +210,8 @@ def test_a_side_alone(run):
     assert "absorption" not in figure.title + figures.statement(figure)
     known = figures.spectra_figure((None, run.pair[1]), "reflectance")
     assert [685.0, 693.0] in json.loads(figures.statement(known))["absorption"]
-    assert "radiance-eigenvalues" not in further(None, run.pair[0])
+    (mark,) = further(None, run.pair[0])["radiance-eigenvalues"].views[0].parts[0].marks
+    assert "high" not in mark.columns, "nothing is known of how far pixels are independent"
     part = figures.Part(figures.Axis("y"), (figures.Mark("line", {"x": [1.0], "y": [5.0]}),))
     low, high = figures.Panels(figures.Axis("x"), (part,)).ends("y", part)
     assert low < 5.0 < high, "a single value has an axis"

@@ -609,8 +609,7 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
     covariance = radiance.target_pixel_covariance(
         fill, variance, full[target.name], own, host, behind,
         target_gain=float(world.column("target_gain")[0, t]),
-        fine_texture=fine,
-        formulation=stated.scenario.formulation,
+        fine_texture=fine, formulation=stated.scenario.formulation,
     )  # fmt: skip
     shares = shares_at(world, number)
     errors = {} if shares is None else shares[0][shares[1][0]].errors(full, host, behind)
