@@ -603,8 +603,8 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
         own = own * np.outer(factor, factor)
     host, (behind, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
-    fill, fine = float(weights @ fills), float(world.column("fine_texture")[0, world.surface(target.name)])  # E[f]
-    variance = float(weights @ (fills - fill) ** 2)  # of (3.12)
+    fill, fine = float(weights @ fills), world.column("fine_texture")[0, world.surface(target.name)]  # E[f] of (3.12)
+    variance = float(weights @ (fills - fill) ** 2)
     parts = {target.host: weights @ (1.0 - fills) ** 2, target.name: weights @ (fills**2 + fine * (fills - fills**2))}
     covariance = radiance.target_pixel_covariance(
         fill, variance, full[target.name], own, host, behind,
