@@ -484,7 +484,7 @@ class Study(_Shown):
 
     def to_dataframe(self) -> pandas.DataFrame:
         """A row for each point."""
-        return self.table.to_dataframe()
+        return self.table.drop_vars("reason", errors="ignore").to_dataframe()
 
     def to_xarray(self) -> xr.Dataset:
         """The columns as variables over the points."""
