@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 import pytest
 import requests
@@ -31,8 +31,8 @@ def port(tmp_path_factory) -> Iterator[int]:
     with subprocess.Popen(["sh", "-c", f"ulimit -n 400; exec {shlex.join(command)}"]) as server:
         try:
             for _ in range(600):
-                with socket.socket() as one:
-                    if one.connect_ex((HOST, number)) == 0:
+                with suppress(requests.ConnectionError):  # it listens before it has loaded what answers
+                    if requests.get(f"http://{HOST}:{number}/api/v1/sensors", timeout=60).ok:
                         break
                 time.sleep(0.2)
             yield number
