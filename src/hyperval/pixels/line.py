@@ -198,10 +198,10 @@ class EmpiricalLine:
         known, freedom = np.isfinite(self.reduced_chi2), len(self.panels) - 1 - self.intercept
         if not known.any() or freedom < 1:
             return 1.0
-        slope, total = np.sqrt(np.outer(self.gain, self.gain)), np.zeros(2 * (self.gain.size,))
+        squares, total = np.outer(self.gain, self.gain), np.zeros(2 * (self.gain.size,))
         for p in self.panels:
-            for error, factor in ((p.reflectance_error, slope**2), (p.radiance_error, 1.0)):
-                total += factor * (np.diag(error) if error.ndim == 1 else error)
+            x, y = (np.diag(e) if e.ndim == 1 else e for e in (p.reflectance_error, p.radiance_error))
+            total += squares * x + y
         covariance = total[np.ix_(known, known)]
         sd = np.sqrt(np.diag(covariance))
         rank = (sd.size**2 / np.sum((covariance / np.outer(sd, sd)) ** 2) + 1.0) / 2.0
