@@ -41,9 +41,9 @@ GONE = {
 
 
 # The unit that the end of a number's name says; longer ends first.
-_UNITS = {
+UNITS = {
     "_g_cm2": "g cm-2", "_atm_cm": "atm cm", "_percent": "%", "_pixels": "pixels", "cm2_sr": "cm2 sr", "_mrad": "mrad",
-    "_deg": "deg", "_km": "km", "_nm": "nm", "_um": "um", "_au": "au", "_m": "m",
+    "_deg": "deg", "_km": "km", "_nm": "nm", "_um": "um", "_au": "au", "_m": "m", "_s": "s", "_electrons": "electrons",
 }  # fmt: skip
 _BRACKETS = re.compile(r" ?\[([^\]\[]{1,24})\]")
 
@@ -58,11 +58,11 @@ def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
         info = fields[name]
         if field.get("default") in ([], {}):
             del field["default"]
-        ending = next((end for end in _UNITS if name.endswith(end)), "")
+        ending = next((end for end in UNITS if name.endswith(end)), "")
         words = str(field.get("description", ""))
         stated = _BRACKETS.search(words)
         field["title"] = info.title or (name.removesuffix(ending) or name).replace("_", " ")
-        if unit := stated[1] if stated else _UNITS.get(ending):
+        if unit := stated[1] if stated else UNITS.get(ending):
             field["unit"] = unit
         if stated:
             field["description"] = _BRACKETS.sub("", words).strip()

@@ -152,8 +152,9 @@ def test_only_what_would_come_out_the_same_is_taken_over(two, quick, tmp_path, m
         if out not in file.parents:
             file.write_bytes(before)
             assert ran() == ["small"], file
-    for name, again in (("small_rad.img~", []), ("junit.xml", []), ("small_rad.img.hdr", ["small"])):
-        cube.with_name(name).touch()  # of which only another header is looked for
+    found = ("small_rad.img~", []), ("junit.xml", []), ("small_rad.img.hdr", ["small"]), ("small_rad.glt", ["small"])
+    for name, again in found:  # a header and a grid are looked for, the others are not
+        cube.with_name(name).touch()
         assert ran() == again
     monkeypatch.setattr(f"{RUN}._program", lambda: "another")
     assert ran() == ["other", "small"]

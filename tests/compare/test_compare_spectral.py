@@ -201,6 +201,9 @@ def test_the_detectable_tilt_is_found_in_four_cases_of_five():
     assert np.isnan(compare.detectable_tilts([1.0, 1.0], [500.0, 500.0], compare.whitening(np.eye(2)))).all()
     sampled = compare.whitening(np.eye(2), [EstimatedPart(np.eye(2), 1.0)])
     assert math.isnan(compare.detectable_tilts([1.0, 1.0], [400.0, 500.0], sampled)[0])
+    few = compare.whitening(np.eye(2), [EstimatedPart(np.eye(2), 10.0)])  # whose inverse is 10/7 times too great
+    size, limit = compare.detectable_tilts([1.0, 1.0], [400.0, 500.0], few)[0], stats.f.isf(5e-4, 2, 9)
+    assert stats.ncf.sf(limit, 2, 9, 0.7 * 2.0 * size**2) == pytest.approx(0.8, rel=1e-4)
 
 
 def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held():

@@ -95,8 +95,10 @@ def test_snr_of_a_region_is_that_of_its_pixels(panels):
     panels.write(values)
     panels.collection["regions"].append({"name": "flat", "rectangle": [34, 0, 16, SAMPLES]})
     panels.collection["snr_regions"] = ["flat"]
-    found = panels.observe().observation.snr
+    seen = panels.observe()
+    found, error = seen.observation.snr, np.diag(seen.sampling["flat"].covariance)  # of the mean of its pixels
     assert set(found) == {"flat"}
+    assert (found["flat"].budget["mean"] * 30.0 / found["flat"].mean) ** 2 == pytest.approx(error, rel=1e-2)
     assert found["flat"].mean == pytest.approx(snr_decorrelated(values[34:50].reshape(-1, BANDS)).mean, rel=1e-9)
 
 

@@ -243,7 +243,7 @@ def test_alarms_at_a_detection_hold_the_truth_where_they_come_in_clusters():
     # 150 worlds of clusters of 49 pixels, correlation 0.9, and 1,500 targets 2 standard deviations above: at a true
     # coverage of 0.95 fewer than 134 come in 0.2 % of runs (seed fixed).  Taken as independent 0.66 hold.
     rng, truth = np.random.default_rng(5), norm.sf(2.0)
-    held = np.zeros(2)
+    held, ends = np.zeros(2), []
     for _ in range(150):
         common = rng.standard_normal((15, 15)).repeat(7, 0).repeat(7, 1)
         scores = np.sqrt(0.9) * common + np.sqrt(0.1) * rng.standard_normal(common.shape)
@@ -251,7 +251,9 @@ def test_alarms_at_a_detection_hold_the_truth_where_they_come_in_clusters():
         for i, background in enumerate((blocks, scores)):
             (found,) = pixels.alarms_at_detection(t, background, [0.5])
             held[i] += found.pfa_lower <= truth <= found.pfa_upper
+            ends += [np.log([found.pfa_lower, found.pfa, found.pfa_upper])] * (i == 0)
     assert held[0] >= 134, held
+    assert np.mean(np.diff(ends)) * 2.0 / 3.92 < 1.3 * np.std(ends, axis=0)[1], "they are as wide as what they hold"
     assert held[1] < 115, held
 
 

@@ -102,8 +102,8 @@ def test_factors_that_stand_out_are_found_and_the_rest_is_diagonal():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [16, 40, 200])
-def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n):
+@pytest.mark.parametrize(("n", "known"), [(16, 0.0), (40, 0.0), (200, 0.0), (40, 0.004)])
+def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n, known):
     """Pixels of asphalt in 163 bands with noise, 300 means each: what a scene's small regions are.
 
     Along the samples' own leading directions the mean p-value was 0.87 to 0.90 and 42 % lay above 0.95.  Standard
@@ -119,7 +119,8 @@ def test_p_values_of_true_means_are_uniform_where_bands_hang_together(n):
         sample = np.cov(x.T)
         covariance, common, dof = pixels.factor_covariance(sample, n) if n < 163 else (sample, sample, n - 1.0)
         part = EstimatedPart(covariance / n, dof, None, sample / n, n - 1.0, common / n)
-        found.append(chi_square_full(x.mean(0), whitening(covariance / n, [part])).p_value)
+        mean, error = x.mean(0) + known * rng.standard_normal(163), known**2 * np.eye(163)
+        found.append(chi_square_full(mean, whitening(covariance / n + error, [part])).p_value)
     p = np.array(found)
     assert abs(p.mean() - 0.5) < 0.058
     assert abs(np.mean(p < 0.05) - 0.05) < 0.045
@@ -225,6 +226,9 @@ def test_noise_of_one_band_has_the_scatter_of_normal_pixels_and_of_its_columns()
     # 2/n of the square for the pixels, whose texture alone has tails, 2/(columns - 1) for what the columns share.
     factor, uncertainty = pixels.noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
     assert (factor, uncertainty**2) == pytest.approx((2.0, 4.0 * 2.0 / 100.0 + 0.2 / 16.0))
+    # Of two bands the texture is in the first alone, whose pixels are ten: the noise is known by those of the second.
+    s = np.diag([101.0, 1.0])
+    assert pixels.noise_part(s, s, [1.0, 1.0], [10.0, 1000.0])[1] ** 2 == pytest.approx(2.0 / 1000.0, rel=1e-6)
 
 
 def test_kurtosis_rank_and_directions():

@@ -31,7 +31,7 @@ from hyperval.atmosphere.state import SPACE_KM, AtmosphericState, aot550_from_ra
 from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
 from hyperval.data import Array
 from hyperval.datasets import cache_root
-from hyperval.errors import InputError, UsageError, reader, refusal, refuse
+from hyperval.errors import InputError, UsageError, needed, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.progress import bars, track
 from hyperval.storage import sha256_of, whole_file
@@ -408,9 +408,8 @@ def _row(path: Path, albedos: list[float] | None) -> dict[str, Any]:
     runs = modtran.read_channels(path)
     solved = len(runs) >= 3
     terms = modtran.terms_from_runs(runs, albedos) if solved else modtran.read_chn(path)
-    unit = terms.diffuser_radiance
-    if unit is None or np.any(unit <= 0.0) or np.any(np.diff(terms.wavelength_nm) <= 0):
-        raise refusal("table.overlap", path)
+    unit = needed(terms.diffuser_radiance, "table.overlap", path)
+    refuse(np.any(unit <= 0.0) or np.any(np.diff(terms.wavelength_nm) <= 0), "table.overlap", path)
     return {**_quantities(terms, unit), "fwhm_nm": terms.fwhm_nm, "unit": unit, "solved": solved}
 
 

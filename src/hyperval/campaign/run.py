@@ -28,8 +28,9 @@ from hyperval.compare import product_rows
 from hyperval.datasets import SIMULATED, InputLog, owner_of, resolve
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
+from hyperval.imagery import COMPANIONS, companion
 from hyperval.model import predict
-from hyperval.observe import Observed, open_place
+from hyperval.observe import Observed, open_source
 from hyperval.observe import write_reflectance as reflectance_cube
 from hyperval.paths import matching
 from hyperval.products import PredictedProducts
@@ -176,8 +177,8 @@ def _named(job: Job) -> list[str]:
     """
     paths = [path for one in job.files if one.path is not None for path in matching(one.path)]
     if (collection := job.campaign.collection).cube is not None and not collection.simulate:
-        cube_alone = collection.model_copy(update={"regions": [], "targets": None, "leave_out": []})
-        paths += open_place(cube_alone, partial(resolve, base=job.folder)).source_files
+        raster = open_source(collection.cube, partial(resolve, base=job.folder), collection.bands).raster
+        paths += [*raster.source_files, *filter(None, (companion(raster.path, kind) for kind in COMPANIONS))]
     return sorted({path.name for path in paths})
 
 

@@ -40,6 +40,9 @@ def independent_pixels(n: int, distribution: PixelDistribution | None, size: int
 
     Directions beyond those whose correlation was measured take the last one's value.  A correlation that was found is
     known the worse the fewer pixels it leaves (:func:`~hyperval.pixels.small_sample_factor`).
+
+    >>> independent_pixels(1600, PixelDistribution(n=1600, effective_n=np.array([70.0, 1600.0])), 3).round().tolist()
+    [64.0, 1599.0, 1599.0]
     """
     if distribution is None or distribution.effective_n is None or not distribution.n:
         return np.full(size, n - 1.0)
@@ -80,8 +83,8 @@ def compare_covariance(predicted: Products, observed: Products, subject: str, qu
     The excess is known the worse the heavier the tails that are predicted, and the fewer pixels are independent.
 
     >>> from dataclasses import replace
-    >>> def width(tail_dof=np.inf, n=400):
-    ...     seen = {"grass": PixelDistribution(n=n, effective_n=np.full(20, 399.0))}
+    >>> def width(tail_dof=np.inf, n=400, **own):
+    ...     seen = {"grass": PixelDistribution(n=n, effective_n=np.full(20, 399.0), **own)}
     ...     law = {"grass": PixelDistribution(tail_dof=tail_dof)}
     ...     sides = Products(axis, radiance={"grass": predicted}, distribution=law), Products(
     ...         axis, radiance={"grass": replace(observed, n=n)}, distribution=seen)
@@ -91,6 +94,8 @@ def compare_covariance(predicted: Products, observed: Products, subject: str, qu
     >>> [bool(a > 1.02 * b) for a, b in zip(tails[:2] + alike[:2], normal[:2] * 2)]
     [True, True, True, True]
     >>> tails[2] == normal[2]  # at least as much is due to sampling as of normal pixels
+    True
+    >>> width(leading_tail_dof=6.0, leading_upper=9.0) == tails  # as the pixels show them themselves
     True
     """
     sample = sampled(predicted, observed, subject, quantity, EIGENVALUES)
@@ -122,7 +127,7 @@ class Sampled:
     spaces : the k of the principal angles
     n : pixels; ``fewest``: independent ones behind any direction
     size : directions in which the prediction has a spread
-    kurtosis : of the predicted law
+    kurtosis : of the predicted law, or of the measured pixels where their tails are heavier
     """
 
     sides: tuple[SpectralEstimate, SpectralEstimate]

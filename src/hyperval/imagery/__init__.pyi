@@ -12,6 +12,7 @@ from .cube import (
 from .description import Description, Raster, acquisition_notes, time_notes
 from .envi import EnviRaster, crs_of, envi_writer, pixel_area_m2, pixel_sides_m, transform_of, write_cube
 from .placing import (
+    COMPANIONS,
     LocationTable,
     companion,
     metres_per_degree,
@@ -41,6 +42,7 @@ from .regions import (
 from .truth import TargetMasks, TargetObject, all_pixels, cut_out, intersected_objects, read_targets, region_objects
 
 __all__ = [
+    "COMPANIONS",
     "Block",
     "Cube",
     "Description",

@@ -15,7 +15,7 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ _BLOCK = 256  # lines of the table held at once
 _FILLED = 1e-6  # weight of a cell that was filled from its neighbours
 _SIDE_PIXELS = 4.0  # a polygon's sides are divided, as a straight one is bent in the raw image
 MAX_VERTICES = 1_000_000
-_AREA_LINES = 20  # and as many samples, at whose crossings the area of a pixel is looked at
+_AREA_PLACES = 400  # at which the area of a pixel is looked at
 MOST_NODES = 160_000  # of the coarse grid that a place is first looked for in
 _STEPS = 8  # of the search from the nearest node to the nearest pixel
 _FARTHEST = 1.5  # [pixel] beyond the image that a place may lie
@@ -132,9 +132,8 @@ class LocationTable:
     @property
     def middle(self) -> tuple[float, float]:
         """Map coordinates (x, y) of the pixel with a place that is nearest to the middle of the image."""
-        _, nodes, _ = self._coarse
-        line, sample = nodes[np.argmin(np.hypot(*(nodes - np.array(self.shape) / 2.0).T))]
-        x, y = (float(v[0, sample]) for v in self._xy(int(line), 1))
+        tree, nodes, scale = self._coarse
+        x, y = (tree.data / scale)[np.argmin(np.hypot(*(nodes - np.array(self.shape) / 2.0).T))].tolist()
         return x - 360.0 * (self.meridian is not None and round(x / 360.0)), y
 
     @property
@@ -148,18 +147,23 @@ class LocationTable:
     @cached_property
     def _coarse(self) -> tuple[Any, Index, Array]:
         """Every n-th pixel with a place: their tree, their (line, sample), and the scale of x and y in it."""
-        step = max(1, math.ceil(math.sqrt(self.shape[0] * self.shape[1] / MOST_NODES)))
-        x, y = np.stack([[v[0, ::step] for v in self._xy(line, 1)] for line in range(0, self.shape[0], step)], axis=1)
-        good = self._valid(x, y)
-        place, nodes = np.column_stack([x[good], y[good]]), np.argwhere(good) * step
-        refuse(not len(place), "place.none", self.raster.path)
+        fewest, found = math.ceil(math.prod(self.shape) / MOST_NODES), []
+        step = next(n for n in count(fewest) if math.gcd(n, self.shape[1]) == 1)  # not the same columns of all lines
+        for first in range(0, self.shape[0], _BLOCK):
+            x, y = self._xy(first, min(_BLOCK, self.shape[0] - first))
+            rows, columns = (part[::step] for part in np.nonzero(self._valid(x, y)))
+            found.append([rows + first, columns, x[rows, columns], y[rows, columns]])
+        places = np.concatenate(found, axis=1).T
+        refuse(not len(places), "place.none", self.raster.path)
+        nodes, place = places[:, :2].astype(int), places[:, 2:]
         scale = np.array([1.0 if self.meridian is None else math.cos(math.radians(float(place[:, 1].mean()))), 1.0])
         return scipy.spatial.cKDTree(place * scale), nodes, scale
 
     @cached_property
     def _area(self) -> float | None:
         """Median area of a pixel over places along the image in square units of the map; None where none has any."""
-        fits = [self._fit(int(n), int(m)) for n, m in product(*(some_lines(size, _AREA_LINES) for size in self.shape))]
+        nodes = self._coarse[1]
+        fits = [self._fit(*nodes[n].tolist()) for n in some_lines(len(nodes), _AREA_PLACES)]
         areas = [abs(float(np.linalg.det(fit[1]))) for fit in fits if fit is not None]
         return float(np.median(areas)) if areas else None
 
@@ -184,8 +188,7 @@ class LocationTable:
         place = self._by_plane(at, nearest) if beyond else None  # the planes of a line that turns lead nowhere
         if place is not None:
             return place
-        what = f"the image, whose places are in {self.crs or 'an unknown system'}"
-        raise refusal("place.nowhere", where, xy=xy, what=what)
+        raise refusal("place.nowhere", where, xy=xy, crs=self.crs or "an unknown system")
 
     def _by_plane(self, at: Array, pixel: Index) -> Array | None:
         """(sample, line) of map coordinates by the plane around a pixel (line, sample); None where there is none."""
@@ -212,12 +215,12 @@ class LocationTable:
     def _xy(self, first: int, count: int) -> tuple[Array, Array]:
         x, y = self.raster.read_bands(first, count)[:2].astype(float)
         if self.meridian is not None:
-            x = np.where((np.abs(x) <= 180.0) & (np.abs(y) <= 90.0), self._near(np.stack([x, y], -1))[..., 0], np.nan)
+            x = np.where((np.abs(x) <= 360.0) & (np.abs(y) <= 90.0), self._near(np.stack([x, y], -1))[..., 0], np.nan)
         return x, y
 
     def _valid(self, x: Array, y: Array) -> Mask:
         """Where the coordinates are numbers and no fill."""
-        return np.asarray(np.isfinite(x) & np.isfinite(y) & (x > -9990.0) & ((x != 0) | (y != 0)))
+        return np.asarray(np.isfinite(x) & np.isfinite(y) & ((x > -9990.0) | (x != y)) & ((x != 0) | (y != 0)))
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:
@@ -232,8 +235,20 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
 def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> LocationTable:
     """The places of the pixels of an image of ``shape`` (lines, samples) by a file, or its raster; all is checked.
 
-    Whole numbers are a GLT.  Others are x and y of every pixel: where they all lie within 180 and 90, longitude and
-    latitude on WGS 84, else in the system that the header names, which may be unknown.
+    Whole numbers are a GLT, in the system of its header.  Others are x and y of every pixel: where they all lie within
+    180 and 90, longitude and latitude on WGS 84, else in the system that the header names, which may be unknown.
+
+    A GLT of cells five pixels wide, on a map near its origin in a system that is not known:
+
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import write_cube
+    >>> line, sample = np.indices((20, 20)) * 5 + 3
+    >>> with TemporaryDirectory() as folder:
+    ...     glt = write_cube(
+    ...         f"{folder}/glt", np.stack([sample, line], -1), data_type=3, transform=Affine(5, 0, 10, 0, -5, 60))
+    ...     table = open_lookup_table(glt, (100, 100))
+    ...     table.crs, table.to_pixel([[40.0, 20.0]], where="").round(6).tolist()
+    (None, [[30.0, 40.0]])
 
     Raises
     ------
@@ -241,15 +256,14 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loc
         the image, fewer than two bands, or no pixel with a place.
     """
     raster = open_raster(table) if isinstance(table, Path | str) else table
-    raster = _places_of_cells(raster, shape) if raster.dtype.kind in "iu" else raster
+    if is_table := raster.dtype.kind in "iu":
+        raster = _places_of_cells(raster, shape)
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     places = LocationTable(raster, None)
-    x, y = np.concatenate([places._xy(int(line), 1) for line in some_lines(shape[0], SAMPLED_LINES)], axis=1)
-    good = places._valid(x, y)
-    refuse(not good.any(), "place.none", raster.path)
-    degrees = bool(np.all(np.abs(x[good]) <= 180.0) and np.all(np.abs(y[good]) <= 90.0))
-    crs = CRS.from_epsg(4326) if degrees and raster.crs is None else raster.crs
-    return LocationTable(raster, crs, float(x[good][0]) if crs is not None and crs.is_geographic else None)
+    x, y = places._coarse[0].data.T
+    degrees = not is_table and bool(np.all(np.abs(x) <= 180.0) and np.all(np.abs(y) <= 90.0))
+    crs = CRS.from_epsg(4326) if degrees else raster.crs
+    return LocationTable(raster, crs, float(x[0]) if crs is not None and crs.is_geographic else None)
 
 
 def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
@@ -301,8 +315,11 @@ _KINDS = re.compile(
 )
 
 
+COMPANIONS = "glt", "igm", "loc", "obs"
+
+
 def companion(image: Path, kind: str) -> Path | None:
-    """The file of a kind ("glt", "igm", "loc", "obs") beside an image, by the names that producers give; None else.
+    """The file of a kind of :data:`COMPANIONS` beside an image, by the names that producers give; None else.
 
     Their names are the same but for the words that say what a file is; of several that fit, the one that has the
     image's own such words (``x_rad_glt`` for ``x_rad``), and none where that leaves two.
@@ -328,7 +345,7 @@ def table_of(raster: Raster) -> tuple[LocationTable | None, tuple[str, ...]]:
         return None, ()
     if (own := table_in(raster)) is not None:
         return open_lookup_table(own, shape), ()
-    for kind in ("glt", "igm", "loc") if isinstance(raster, EnviRaster) else ():
+    for kind in COMPANIONS[:3] if isinstance(raster, EnviRaster) else ():
         path = companion(raster.path, kind)
         if path is None:
             continue
@@ -452,7 +469,7 @@ def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
     stated = raster.description.sun_zenith_deg
     if stated is not None:
         return stated, (*raster.other_files, raster.path)[0].name
-    path = companion(raster.path, "obs")
+    path = companion(raster.path, COMPANIONS[3])
     if path is None:
         return None
     with suppress(HypervalError):

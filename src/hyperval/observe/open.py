@@ -596,11 +596,10 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGri
     if truth.corner is not None and truth.times_finer is not None:
         grid = FinerGrid(np.array(truth.corner), np.full(2, 1.0 / truth.times_finer))
     else:
-        if raster.transform is None or cube.transform is None:
-            raise refusal("finer.map", where)
+        own, image = (needed(placed.transform, "finer.map", where) for placed in (raster, cube))
         if raster.crs is not None and cube.crs is not None and raster.crs != cube.crs:
             raise refusal("finer.crs", where, own=raster.crs.to_string()[:60], other=cube.crs.to_string()[:60])
-        to_pixels: Affine = ~cube.transform @ raster.transform
+        to_pixels: Affine = ~image @ own
         aslant = max(abs(to_pixels.b) * raster.lines, abs(to_pixels.d) * raster.samples)
         refuse(aslant > _SQUARE_OFF or to_pixels.a <= 0 or to_pixels.e <= 0, "finer.aslant", where)
         grid = FinerGrid(np.array([to_pixels.f, to_pixels.c]), np.array([to_pixels.e, to_pixels.a]))

@@ -606,8 +606,8 @@ def noise_part(
     expectation = np.array([[np.sum(m * part) for part in parts] for m in seen])
     inverse = np.linalg.pinv(expectation)
     factors = inverse @ [np.sum(m * s) for m in seen]
-    along = EigenDirections.of(sigma).vectors
-    known = (along * np.atleast_1d(dof)[: along.shape[1]] ** -0.25) @ along.T
+    along, of = EigenDirections.of(sigma).vectors, np.atleast_1d(dof).astype(float)
+    known = (along * of[np.minimum(np.arange(along.shape[1]), of.size - 1)] ** -0.25) @ along.T
     shown = [known @ (max(float(f), 0.0) * part) @ known for f, part in zip(factors, parts, strict=True)]
     # Muirhead 1982, 1.6: cov(S_ij, S_kl) of normal pixels, and what an elliptical law of the texture adds.
     whole, heavy = ([m @ part for m in seen] for part in (sum(shown), sum(shown[1:], np.zeros_like(sigma))))

@@ -164,7 +164,8 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
             f"Narrow the intervals of what is inconclusive: {product_words(row.product)} of {row_label(row)} "
             f"is {effect_text(row)}, and {accepted} is accepted ({row.effect_unit})."
         )
-    steps += [step for outcome, step in _UNMADE.items() if any(row.gates and row.outcome is outcome for row in rows)]
+    not_made = {row.outcome for row in rows if row.gates or row.outcome is Outcome.ERROR}
+    steps += [step for outcome, step in _UNMADE.items() if outcome in not_made]
     if any(map(disagrees_without_gating, rows)):
         steps.append("Look at the informational comparisons that are not met: they do not change the status.")
     if not criteria and any(row.planned for row in rows):

@@ -21,6 +21,7 @@ from scipy import constants
 from hyperval.atmosphere import AtmosphericState, AtmosphericTerms, atmospheric_terms
 from hyperval.atmosphere.solar import extraterrestrial_irradiance
 from hyperval.compare import regions
+from hyperval.config import UNITS
 from hyperval.data import Array, Mask
 from hyperval.errors import HypervalError, UsageError
 from hyperval.model import Origins, predict
@@ -55,10 +56,7 @@ _GRID_NM = np.arange(300.0, 2700.5, 1.0)
 STEP = 1.25  # by which time, aperture and C_R are raised
 
 
-_UNITS = {
-    "_s": "s", "_um": "um", "_nm": "nm", "_percent": "%", "_electrons": "electrons",
-    "_radiance": "uW cm-2 sr-1 nm-1",
-}  # fmt: skip
+_ENDINGS = UNITS | {"_radiance": "uW cm-2 sr-1 nm-1"}
 _NO_NUMBERS = ("source", "schema_version", "notes", "title", "name", "known_discrepancies")
 
 
@@ -101,7 +99,7 @@ def _numbers(data: dict[str, Any], stated: dict[str, Any], at: str, source: str)
                 yield from _numbers(item, own, f"{item.get('name', f'{at}{name}.{number}')}.", source)
         elif value not in ([], ""):
             place = f"{at}{name}".removesuffix(".value").removesuffix(".table")
-            unit = next((unit for end, unit in _UNITS.items() if place.endswith(end)), "")
+            unit = next((unit for end, unit in _ENDINGS.items() if place.endswith(end)), "")
             said = data.get(f"{name}_source", "not stated" if name == "bits" else source)
             said = said if name in stated else "assumed: the file does not state it"
             yield SensorNumber(place, _shown(value), unit, said)

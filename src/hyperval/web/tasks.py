@@ -28,7 +28,7 @@ from hyperval.collection import CollectionSection, CubeSource
 from hyperval.config import load_model, parse_yaml, placeholders, write_draft
 from hyperval.datasets import InputLog
 from hyperval.envi_header import header_beside
-from hyperval.errors import UsageError, refusal, refuse
+from hyperval.errors import UsageError, needed, refuse
 from hyperval.executors import under_command
 from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
 from hyperval.imagery import open_raster, record
@@ -277,9 +277,7 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
         raise UsageError(f"no such pixel: ({line}, {sample})", expected=f"({cube.lines}, {cube.samples}) pixels")
     values = cube.read(line, 1).values[0, sample]
     predicted, quantity = read_products(Path(folder) / "results").pair[0], source.quantity
-    spectra = getattr(predicted, quantity, None)
-    if not spectra:
-        raise refusal("web.spectra", quantity=quantity)
+    spectra = needed(getattr(predicted, quantity, None) or None, "web.spectra", quantity=quantity)
     own = SpectralEstimate(values, np.zeros((values.size, values.size)))
     sides: dict[str, Any] = {quantity: dict.fromkeys(spectra, own)}
     observed = ObservedProducts(cube.axis, **sides)
