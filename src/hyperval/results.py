@@ -82,6 +82,7 @@ class Cause(StrEnum):
     NO_UNCERTAINTY = "no stated uncertainty"
     CIRCULAR = "one side was derived from the other"
     FEW_PIXELS = "too few pixels"
+    HEAVY_TAILS = "tails too heavy for a sampling interval"
     FEW_ALARMS = "background too small for that rate"
     BEYOND_CURVE = "a curve does not cover that range"
     VACUOUS = "the interval accepts nearly any value"

@@ -104,7 +104,7 @@ def test_dependent_pixels_and_heavy_tails_widen_the_band():
     assert width(predicted_distribution=PixelDistribution(tail_dof=5.0)) > 1.3 * width()
     assert width(predicted_distribution=PixelDistribution()) == width()  # without a law: the normal one
     refused = rows_of(estimate(truth()), sample(3000), predicted_distribution=PixelDistribution(tail_dof=4.0))
-    assert "4 degrees of freedom or fewer" in refused["comparison"].reason
+    assert "predicted tails of 4 degrees of freedom: with 4 or fewer" in refused["comparison"].reason
 
 
 def tails(predicted, observed):

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from hyperval import pixels
-from hyperval.compare.rows import row, said, skipped, without
+from hyperval.compare.rows import COMPARISON, row, said, without
 from hyperval.data import Array, Mask
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
 from hyperval.products import PixelDistribution, Products, SpectralEstimate
-from hyperval.results import Cause, Effect, Result
+from hyperval.results import Effect, Result
 from hyperval.spectra.axis import SpectralAxis, in_window
 
 EIGENVALUES = 5  # compared
@@ -97,10 +97,18 @@ def compare_covariance(predicted: Products, observed: Products, subject: str, qu
     True
     >>> width(leading_tail_dof=6.0, leading_upper=9.0) == tails  # as the pixels show them themselves
     True
+
+    Heavier tails leave no interval to compare with.
+
+    >>> heavy = {"grass": PixelDistribution(leading_tail_dof=3.5, leading_upper=3.9)}
+    >>> sides = Products(axis, radiance={"grass": predicted}), Products(
+    ...     axis, radiance={"grass": observed}, distribution=heavy)
+    >>> [(row.cause.name, row.reason[:41]) for row in compare_covariance(*sides, "grass", "radiance")]
+    [('HEAVY_TAILS', 'measured tails of 3.5 degrees of freedom:')]
     """
     sample = sampled(predicted, observed, subject, quantity, EIGENVALUES)
-    if isinstance(sample, str):
-        yield from skipped(Cause.FEW_PIXELS, sample)
+    if isinstance(sample, list):
+        yield from sample
     elif sample is not None:
         yield from _eigenvalue_rows(sample)
         yield from _space_rows(sample)
@@ -145,28 +153,28 @@ class Sampled:
     kurtosis: float
 
 
-def sampled(predicted: Products, observed: Products, subject: str, quantity: str, most: int) -> Sampled | str | None:
+def sampled(predicted: Products, observed: Products, subject: str, quantity: str, most: int) -> Sampled | list[Result] | None:
     """The measured covariance and what chance alone makes of the predicted one, for at most ``most`` eigenvalues.
 
-    None where a side has no spread; a text that says why where the two cannot be compared.
+    None where a side has no spread; a row that says why where the two cannot be compared.
     """
     p, o = (getattr(side, quantity).get(subject) for side in (predicted, observed))
     if p is None or o is None or p.pixel_covariance is None or o.pixel_covariance is None or o.n is None:
         return None
     bands, n = compared_bands(p, o, observed.axis), o.n
     if n < FEWEST_PIXELS or not bands.any():
-        return f"{n} pixels and {int(bands.sum())} bands are too few for a covariance"
+        return without("few_pixels.covariance", COMPARISON, n=n, bands=int(bands.sum()))
     at = np.ix_(bands, bands)
     first, second = np.asarray(p.pixel_covariance)[at], np.asarray(o.pixel_covariance)[at]
     first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
-        return "a covariance is not finite"
+        return without("no_value.covariance", COMPARISON)
     # Pixels that have tails scatter by them, whatever law is predicted.
     there, law = (side.distribution.get(subject, PixelDistribution()) for side in (observed, predicted))
-    has_tails = math.isfinite(there.leading_upper)
-    kurtosis = pixels.kurtosis_parameter(min(law.tail_dof, there.leading_tail_dof if has_tails else math.inf))
+    tails = law.tail_dof, there.leading_tail_dof if math.isfinite(there.leading_upper) else math.inf
+    kurtosis = pixels.kurtosis_parameter(min(tails))
     if math.isinf(kurtosis):
-        return "tails of 4 degrees of freedom or fewer: a sample covariance has no sampling band"
+        return without("heavy_tails.covariance", COMPARISON, predicted=tails[0], measured=tails[1])
     directions = pixels.EigenDirections.of(first)
     size = directions.values.size
     independent = independent_pixels(n, observed.distribution.get(subject), size)

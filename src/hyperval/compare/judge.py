@@ -244,7 +244,7 @@ def tail_probability(row: Result) -> float:
     """The p-value of a test, of both tails where its metric counts both; of an interval that of both sides equal.
 
     The end of the interval on the side of equality is taken for the 97.5 % point of a normal law, of ratios in the
-    logarithm.
+    logarithm; of Student's with n - 1 degrees of freedom where the interval is by that.
 
     Examples
     --------
@@ -252,6 +252,9 @@ def tail_probability(row: Result) -> float:
     0.0002
     >>> round(tail_probability(Result("", "covariance", "", "", "noise_ratio", 1.2, lower=1.0, upper=1.5)), 6)
     0.05
+    >>> of_five = Result("", "abundance", "", "", "area_bias_observed", 2.0, lower=1.0, upper=3.0, n=5)
+    >>> round(tail_probability(of_five), 4)  # P(|t| > 2 x 2.776)
+    0.0051
     """
     known, value = metric_of(row.metric), row.value
     if known.kind is Kind.TEST:
@@ -261,7 +264,8 @@ def tail_probability(row: Result) -> float:
         equal, value, end = 0.0, math.log(value), math.log(end)
     if value == end:
         return float(value == equal)
-    return 2.0 * float(scipy.stats.norm.sf(Z95 * abs(value - equal) / abs(end - value)))
+    law = scipy.stats.t(row.n - 1) if row.n and "Student" in known.interval else scipy.stats.norm
+    return 2.0 * float(law.sf(law.isf(0.025) * abs(value - equal) / abs(end - value)))
 
 
 def _of_test(row: Result, level: float) -> Judgement:
