@@ -336,7 +336,7 @@ def test_a_map_has_the_colours_of_its_scores_and_says_where_it_is():
     edges = [marked[top + 5 * wide - 3 : top + 5 * wide + 3, left + at * wide].tolist() for at in (8, 12, 9, 10)]
     assert [[255, 215, 0] in edge for edge in edges] == [True, True, False, False], "around the region, not through it"
     assert not np.array_equal(picture[-200:, :300], marked[-200:, :300]), "a scale"
-    assert outlined.legend == "1 panel"
+    assert outlined.legend == "1: panel"
 
 
 def test_a_target_of_one_pixel_is_seen_in_a_large_map():

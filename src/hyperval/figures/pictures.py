@@ -147,7 +147,7 @@ class _Canvas:
             self._label((left + right) / 2, y - 12, f"{length_m:g} m", _WHITE, "mb")
         out = io.BytesIO()
         self._image.save(out, format="png")
-        named = "; ".join(f"{number} {one}" for number, one in enumerate(regions, start=1))
+        named = "; ".join(f"{number}: {one}" for number, one in enumerate(regions, start=1))
         named = f"{len(regions)} outlines" if len(regions) > _MOST_NUMBERED else named
         width_px, (lines, samples) = round(self._image.width / _PER_CSS), _size(self._view)
         alt = f"{title}: {lines} lines by {samples} samples; outlined: {named or 'nothing'}."

@@ -125,7 +125,7 @@ def _reason(rows: Sequence[Result], subject: str) -> str:
     if since.startswith(("check", "none")):
         words = f"{since}, since the accepted run"
     elif since and words.startswith(("check", "none")):
-        words += "; so it stood in the accepted run"
+        words += ", as in the accepted run"
     return f"{words[:1].upper()}{words[1:]}." if words else ""
 
 
