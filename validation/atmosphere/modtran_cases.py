@@ -1,10 +1,11 @@
-"""MODTRAN 6 channel files of airborne states, and the same states for hyperval."""
+"""MODTRAN 6 channel files of airborne states, the same states for hyperval, and what the scripts beside share."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,13 +25,41 @@ def data_file(relative: str) -> Path:
     return Path(root) / relative
 
 
-def put_between_marks(document: Path, script: str, text: str) -> None:
-    """Write what a script made between its marks in a document."""
-    begin, end = f"<!-- {script}: begin -->", f"<!-- {script}: end -->"
-    whole = document.read_text("utf-8")
-    if whole.count(begin) != 1 or whole.count(end) != 1:
-        sys.exit(f"{document} lacks the marks {begin} and {end}")
-    document.write_text(f"{whole.split(begin)[0]}{begin}\n{text}\n{end}{whole.split(end)[1]}", "utf-8")
+def shown(
+    script: str, documented: str | None, text: Callable[[], str], write: Callable[[], None] | None = None
+) -> None:
+    """The command line of a script: print its tables, or renew the numbers that the package ships.
+
+    ``--document FILE`` puts the tables between the script's marks in a file.
+    """
+    parser = argparse.ArgumentParser(description=documented, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--document", type=Path, help="file with the marks between which the tables stand")
+    if write is not None:
+        parser.add_argument("--write", action="store_true", help="the numbers that the package ships, and no table")
+    chosen = parser.parse_args()
+    if write is not None and chosen.write:
+        write()
+        return
+    print(tables := text())
+    if chosen.document:
+        begin, end = f"<!-- {script}: begin -->", f"<!-- {script}: end -->"
+        whole = chosen.document.read_text("utf-8")
+        if whole.count(begin) != 1 or whole.count(end) != 1:
+            sys.exit(f"{chosen.document} lacks the marks {begin} and {end}")
+        before, after = whole.split(begin)[0], whole.split(end)[1]
+        chosen.document.write_text(f"{before}{begin}\n{tables}\n{end}{after}", "utf-8")
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))
+
+
+def smoothed(wavelength_nm: np.ndarray, values: np.ndarray, sigma_nm: float) -> np.ndarray:
+    """Gaussian mean of the values that there are."""
+    finite = np.isfinite(values)
+    weights = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm) / sigma_nm) ** 2) * finite
+    return (weights @ np.where(finite, values, 0.0)) / weights.sum(axis=1)
 
 
 @dataclass(frozen=True)
