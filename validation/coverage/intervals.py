@@ -101,7 +101,7 @@ def areas(rng: np.random.Generator, clustered: bool) -> Intervals:
     near = all_pixels([target], (side, side))
     place = SimpleNamespace(
         pixel_area_m2=AREA_M2, targets=[target], cube=SimpleNamespace(shape=(side, side)), near_targets=near,
-        background=lambda names: np.ones((side, side), bool),
+        pixels_of=lambda *names: np.ones((side, side), bool),
     )  # fmt: skip
     asked = Detection.model_validate(
         {"targets": [{"name": "t", "material": "paint", "spectrum": {"constant": 0.5}}],
