@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -75,21 +76,26 @@ class PlainScene:
         sigma = sigma + np.diag(self.noise.variance(self.level(rho)))  # (3.16)-(3.19)
         return self.retrieved(rho), np.diag(1 / self.k) @ sigma @ np.diag(1 / self.k)
 
-    def of_class(self, name: str) -> Moments:
-        """Of the pixels of a class."""
-        s, gain = self.surfaces[name], self.gains.get(name, 1.0)
-        return self.seen(s.mean, s.mean, gain * s.covariance, gain)
+    @cached_property
+    def classes(self) -> dict[str, Moments]:
+        """Of the pixels of each class."""
+        found = {}
+        for name in self.fractions:
+            s, gain = self.surfaces[name], self.gains.get(name, 1.0)
+            found[name] = self.seen(s.mean, s.mean, gain * s.covariance, gain)
+        return found
 
+    @cached_property
     def filter(self) -> Moments:
         """Weights of the matched filter, and the mean of the background that it is against."""
-        mu, sigma = mixture(self.fractions.values(), [self.of_class(name) for name in self.fractions])
+        mu, sigma = mixture(self.fractions.values(), list(self.classes.values()))
         d = self.retrieved(self.surfaces[self.target].mean) - mu  # (3.22)
         w = np.linalg.inv(sigma) @ d / (d @ np.linalg.inv(sigma) @ d)  # (3.23)-(3.25)
         return w, mu
 
     def scores(self, moments: Moments) -> tuple[float, float]:
         """Mean and variance of the score of pixels (3.26)-(3.29)."""
-        w, mu = self.filter()
+        w, mu = self.filter
         return float(w @ (moments[0] - mu)), float(w @ moments[1] @ w)
 
     def light(self) -> np.ndarray:

@@ -110,7 +110,7 @@ def designed():
 def test_3_22_to_3_25_filters_of_two_truths():
     _, filters = designed()
     for u in (0, 1):
-        w, mu = plain(u).filter()
+        w, mu = plain(u).filter
         assert filters.weights[u] == pytest.approx(w, rel=1e-9)
         assert filters.offset[u] == pytest.approx(w @ mu, rel=1e-9)
 
@@ -119,8 +119,8 @@ def test_3_27_and_3_29_scores_of_the_classes():
     e, filters = designed()
     means, sds = class_scores(e.seen, filters)
     for u in (0, 1):
-        for m, name in enumerate(("soil", "grass")):
-            mean, variance = plain(u).scores(plain(u).of_class(name))
+        for m, of_class in enumerate(plain(u).classes.values()):
+            mean, variance = plain(u).scores(of_class)
             assert means[u, m] == pytest.approx(mean, abs=1e-10)  # (3.27)
             assert sds[u, m] ** 2 == pytest.approx(variance, rel=1e-9)  # (3.29)
 
@@ -175,7 +175,7 @@ def test_3_12_target_pixels_of_a_fill():
     assert whole == pytest.approx(covariance, rel=1e-9)
     levels = {n: one.level(s.mean) for n, s in SURFACES.items()} | {"plank": one.b + one.k * mean}
     spreads = pixel_spreads(e, 1, levels)
-    for name, (_, own) in zip(SURFACES, [one.of_class("soil"), one.of_class("grass"), one.pixel(f)], strict=True):
+    for name, (_, own) in zip(SURFACES, [*one.classes.values(), one.pixel(f)], strict=True):
         assert spreads["reflectance", name][0] == pytest.approx(own, rel=1e-9)
 
 

@@ -63,7 +63,7 @@ def test_3_28_scores_of_a_random_fill_by_the_law_of_total_variance():
 
 def test_3_27_and_3_29_scores_of_the_background_by_plain_arithmetic():
     hand = by_hand()
-    theta, sigma2 = np.array([hand.scores(hand.of_class(n)) for n in SHARES]).T
+    theta, sigma2 = np.array([hand.scores(own) for own in hand.classes.values()]).T
     share = np.array(list(SHARES.values()))
     scores = predict(scene(), Origins(axis=AXIS, engine=engine)).scores[background_of("tenth"), "cem"]
     assert scores.mean == pytest.approx(share @ theta, abs=1e-9)
@@ -74,7 +74,7 @@ def test_3_30_to_3_33_the_curve_by_plain_arithmetic():
     hand = by_hand()
     curve = predict(scene(), Origins(axis=AXIS, engine=engine)).roc["tenth", "cem", "pixel"]
     mean, variance = hand.scores(hand.pixel(0.1))
-    classes = {share: hand.scores(hand.of_class(name)) for name, share in SHARES.items()}
+    classes = {share: hand.scores(hand.classes[name]) for name, share in SHARES.items()}
     pfa = sum(share * norm.sf(curve.threshold, theta, np.sqrt(own)) for share, (theta, own) in classes.items())
     some = (curve.pfa > 1e-8) & (curve.pfa < 0.99)
     assert some.sum() > 20

@@ -6,9 +6,7 @@ Each model is fitted to the pixels outside the targets, class by class as in the
 one half of the image's blocks (drawn at random, SPLITS times, each half in turn), the filters being those of the
 campaign.  Printed are predicted over measured P_FA at the threshold that the pixels themselves set: in sample,
 and on the other half as geometric means, with the share of pairs of filter and half within a factor of two.
-The last line is the yardstick: one half of the pixels in the place of a model.  Lines that begin with "sd" have the
-standard deviation of ln P_FA at the fixed threshold, of the model by the pixels that it was fitted to and of the
-measured share: a jackknife over GROUPS groups of blocks.
+The last line is the yardstick: one half of the pixels in the place of a model.
 """
 
 from __future__ import annotations
@@ -30,7 +28,6 @@ CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yam
 MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")
 LEVELS = (1e-2, 1e-3)
 SIDE = 10  # pixels of a block, 7 m
-GROUPS = 8  # of blocks, each left out once
 
 Pixels = np.ndarray
 
@@ -100,23 +97,6 @@ def halves(image: Image, splits: int) -> list[tuple[Pixels, Pixels]]:
     return out
 
 
-def jackknife(image: Image, count: object, tails: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(levels, filters) standard deviation of ln P_FA: of the model, and of the measured share (Miller 1974)."""
-    every = np.arange(image.kind.size)
-    ordered = np.sort(image.scores, axis=1)[:, ::-1]
-    thresholds = [ordered[:, max(round(level * every.size), 1)] for level in LEVELS]
-    blocks, block_of = np.unique(image.block, return_inverse=True)
-    group = (np.random.default_rng(0).permutation(blocks.size) % GROUPS)[block_of]
-    modelled, measured = [], []
-    for g in range(GROUPS):
-        rows = every[group != g]
-        models = laws(image, rows, count, tails)
-        modelled.append([[log_false_alarm(t[[f]], m)[0][0] for f, m in enumerate(models)] for t in thresholds])
-        shares = [(image.scores[:, rows] > t[:, None]).mean(axis=1) for t in thresholds]
-        measured.append(np.log(np.maximum(shares, 0.5 / rows.size)))
-    return tuple(np.sqrt((GROUPS - 1) * np.var(x, axis=0)) for x in (modelled, measured))  # type: ignore[return-value]
-
-
 def line(name: str, inside: np.ndarray | None, outside: np.ndarray) -> str:
     means = np.exp(np.log(np.maximum(outside, 1e-6)).mean(axis=0))
     within = (np.abs(np.log2(outside)) <= 1.0).mean(axis=(0, 2))
@@ -141,9 +121,6 @@ def main() -> None:
         inside = ratios(image, by_laws(laws(image, every, count, tails)), every)
         outside = np.array([ratios(image, by_laws(laws(image, told, count, tails)), rows) for told, rows in pairs])
         print(line(name, inside, outside), flush=True)
-        for side, sd in zip(("model", "image"), jackknife(image, count, tails) if tails else (), strict=False):
-            cells = [" ".join(f"{v:.2g}" for v in at) for at in sd]
-            print(f"| sd of ln P_FA, {side}, {name} | " + " | ".join(cells) + " | | |", flush=True)
     yardstick = np.array([ratios(image, by_pixels(image, told), rows) for told, rows in pairs])
     print(line("the other half of the image", None, yardstick), flush=True)
 
