@@ -48,7 +48,7 @@ class TooLong(BaseException):
 def outcome(sample: Sample, folder: Path) -> tuple[str, str]:
     """What comes of reading the folder as it stands, and words on it."""
     try:
-        sample.read(folder)
+        sample.read_in(folder)
         return READ, ""
     except HypervalError as error:
         if isinstance(error.__cause__, MemoryError):
