@@ -1,8 +1,8 @@
 """How far the embedded engine is from MODTRAN 6, by window and by transmittance, under the same sun.
 
-    HYPERVAL_DATA=... python validation/atmosphere/compare_modtran.py [--document validation/atmosphere/README.md]
+    HYPERVAL_DATA=... python validation/atmosphere/compare_modtran.py [--write validation/atmosphere/README.md]
 
-Prints the tables in Markdown, and with ``--document`` puts them between the marks of that file.  Criteria:
+Prints the tables in Markdown, and with ``--write`` puts them between the marks of that file.  Criteria:
 
 - total radiance over ground of 0.3 within 2 % in windows, and within 5 % where the two-way gas
   transmittance (MODTRAN's coefficient A over its continuum) is above 0.7;
@@ -14,10 +14,13 @@ which part of the channels meets it one by one.
 
 from __future__ import annotations
 
+import argparse
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from modtran_cases import cases, data_file, markdown, matched, shown, total_radiance
+from modtran_cases import cases, data_file, markdown, matched, total_radiance
 
 from hyperval.atmosphere import AtmosphericTerms, atmospheric_terms
 
@@ -134,8 +137,16 @@ def tables(found: Differences) -> str:
 
 def main() -> None:
     """Print the tables, or put them into a document."""
-    pairs = lambda: [matched(case, atmospheric_terms(case.state)) for case in cases(data_file)]  # noqa: E731
-    shown("compare_modtran.py", __doc__, lambda: tables(differences(pairs())))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", type=Path, help="document with the marks between which the tables stand")
+    document = parser.parse_args().write
+    print(text := tables(differences([matched(case, atmospheric_terms(case.state)) for case in cases(data_file)])))
+    if document:
+        begin, end = (f"<!-- compare_modtran.py: {edge} -->" for edge in ("begin", "end"))
+        before, _, after = document.read_text("utf-8").partition(begin)
+        if end not in after:
+            sys.exit(f"{document} lacks the marks {begin} and {end}")
+        document.write_text(f"{before}{begin}\n{text}\n{end}{after.partition(end)[2]}", "utf-8")
 
 
 if __name__ == "__main__":

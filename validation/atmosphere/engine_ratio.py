@@ -1,29 +1,27 @@
-"""What MODTRAN 6 has over the embedded engine, as numbers that the package ships, and how well they predict.
+"""What MODTRAN 6 has over the embedded engine, as numbers that the package ships.
 
-    HYPERVAL_DATA=... python validation/atmosphere/engine_ratio.py [--write] [--document FILE]
+    HYPERVAL_DATA=... python validation/atmosphere/engine_ratio.py src/hyperval/atmosphere/engine_ratio.csv
 
-``--write`` puts the numbers into ``src/hyperval/atmosphere/engine_ratio.csv``.  Made from eleven airborne states
-of two flights, whose coefficient A (sun to ground to sensor) is divided by its own continuum, a line through the
-windows, so that scattering stays out.  Channel by channel the logarithm of 6S over MODTRAN is a straight line in
-the air and in the water on the way.  Path of the aerosol and spherical albedo come from the states that were run
-with DISORT.
+Made from eleven airborne states of two flights, whose coefficient A (sun to ground to sensor) is divided by its own
+continuum, a line through the windows, so that scattering stays out.  Channel by channel the logarithm of 6S over
+MODTRAN is a straight line in the air and in the water on the way.  Path of the aerosol and spherical albedo come from
+the states that were run with DISORT.
 
-Each state is predicted from numbers made without it, without its amount of water, haze, or without its whole flight
-(another sun, height, band model): what is left then is the error that a budget holds.
+``tests/atmosphere/test_atmosphere_modtran.py`` predicts each flight from numbers made without it (another sun, height,
+band model): what is left then is the error that a budget holds.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from compare_modtran import CLASSES, differences
-from modtran_cases import Case, cases, data_file, markdown, matched, shown, smoothed
+from modtran_cases import Case, cases, data_file, matched, smoothed
 
 from hyperval.atmosphere import AtmosphericTerms, EngineRatio, amounts, sixs_terms
-from hyperval.atmosphere.physics import FILE
 from hyperval.datasets import cache_root
 
 # Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.
@@ -40,11 +38,6 @@ HEAD = """What MODTRAN 6 has over 6S V2.1, by validation/atmosphere/engine_ratio
 isofit/isofit examples/topoflux/lut and isofit/isofit-tutorials 20171108_Pasadena (Apache-2.0).
 dry: optical depth per slanted atm; water: per slanted g cm-2; path: factor on rural aerosol;
 albedo: factor on the part that rural aerosol below the free troposphere has in S.
-"""
-TABLE = """states; what is left of total radiance (rho = 0.3) by two-way transmittance of the gases,
-of path radiance below 1.1 um and of the spherical albedo at 500-1700 nm, both in windows (transmittance
-above 0.95) of the states with DISORT: median, percent (channels within 5 %; within 10 % where the
-transmittance is below 0.7, and for the albedo).
 """
 
 
@@ -151,46 +144,8 @@ def _albedo(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
     return _smooth(nm, np.mean(levels, axis=0), window)
 
 
-LEAVE_OUT: dict[str, Callable[[Pair, Pair], bool]] = {
-    "nothing": lambda a, b: True,
-    "the state": lambda a, b: a is not b,
-    "its water": lambda a, b: (
-        (a.flight, a.case.state.water_vapour_g_cm2) != (b.flight, b.case.state.water_vapour_g_cm2)
-    ),
-    "its haze": lambda a, b: a.case.state.aot550 != b.case.state.aot550,
-    "its flight": lambda a, b: a.flight != b.flight,
-}
-
-
-def table(pairs: Sequence[Pair]) -> str:
-    """The table in Markdown."""
-    made: dict[tuple[int, ...], EngineRatio | None] = {(): None}
-    rows = []
-    for name, keeps in {"6S as it is": lambda a, b: False, **LEAVE_OUT}.items():
-        compared = []
-        for a in pairs:
-            kept = tuple(i for i, b in enumerate(pairs) if keeps(b, a))
-            if kept not in made:
-                made[kept] = fitted([pairs[i] for i in kept])
-            compared.append((a.ours(made[kept]), a.theirs))
-        every = differences(compared)
-        solved = differences([both for both, p in zip(compared, pairs, strict=True) if p.case.albedos])
-        window = solved.gas > WINDOW
-        looked_at = [(every.total[every.transmitting(a, b)], 0.05 if a >= 0.7 else 0.1) for a, b in CLASSES]
-        looked_at.append((solved.path[window & solved.window(400.0, 1100.0)], 0.05))
-        looked_at.append((solved.albedo[window & solved.window(500.0, 1700.0)], 0.1))
-        rows.append([name, *(f"{100 * np.median(x):+.1f} ({np.mean(np.abs(x) <= e):.0%})" for x, e in looked_at)])
-    head = ["numbers made without", *(f"{a:g}-{min(b, 1):g}" for a, b in CLASSES), "path", "albedo"]
-    return f"{len(pairs)} {TABLE}\n{markdown(head, rows)}"
-
-
-def write() -> None:
-    """The numbers that the package ships."""
-    place = Path(__file__).parents[2] / "src" / "hyperval" / "atmosphere" / FILE
+if __name__ == "__main__":
     ratio = fitted(pairs_of(data_file))
     columns = [getattr(ratio, f.name) for f in fields(EngineRatio)]
-    np.savetxt(place, np.stack(columns, 1), "%.5g", ",", header=HEAD + ",".join(f.name for f in fields(EngineRatio)))
-
-
-if __name__ == "__main__":
-    shown("engine_ratio.py", __doc__, lambda: table(pairs_of(data_file)), write)
+    names = ",".join(f.name for f in fields(EngineRatio))
+    np.savetxt(sys.argv[1], np.stack(columns, axis=1), "%.5g", ",", header=HEAD + names)

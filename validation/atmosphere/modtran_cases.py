@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,31 +22,6 @@ def data_file(relative: str) -> Path:
     if not root:
         sys.exit("set HYPERVAL_DATA to the data directory")
     return Path(root) / relative
-
-
-def shown(
-    script: str, documented: str | None, text: Callable[[], str], write: Callable[[], None] | None = None
-) -> None:
-    """The command line of a script: print its tables, or renew the numbers that the package ships.
-
-    ``--document FILE`` puts the tables between the script's marks in a file.
-    """
-    parser = argparse.ArgumentParser(description=documented, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--document", type=Path, help="file with the marks between which the tables stand")
-    if write is not None:
-        parser.add_argument("--write", action="store_true", help="the numbers that the package ships, and no table")
-    chosen = parser.parse_args()
-    if write is not None and chosen.write:
-        write()
-        return
-    print(tables := text())
-    if chosen.document:
-        begin, end = f"<!-- {script}: begin -->", f"<!-- {script}: end -->"
-        whole = chosen.document.read_text("utf-8")
-        if whole.count(begin) != 1 or whole.count(end) != 1:
-            sys.exit(f"{chosen.document} lacks the marks {begin} and {end}")
-        before, after = whole.split(begin)[0], whole.split(end)[1]
-        chosen.document.write_text(f"{before}{begin}\n{tables}\n{end}{after}", "utf-8")
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -36,13 +36,13 @@ PANELS = ("white-panel", "black-panel")
 CLASSES = {"grass": "grass-field", "asphalt": "asphalt-court"}
 PLANKS = {"yellow": "asphalt", "green": "grass"}
 # Rectangles of the two classes in parts of 24 of the lines and of the samples, the greatest of each class first.
-G, A = CLASSES
+GRASS, ASPHALT = CLASSES
 LAYOUTS = {
-    "lines": ((G, 0, 12, 0, 24), (A, 12, 24, 0, 24)),
-    "samples": ((G, 0, 24, 0, 12), (A, 0, 24, 12, 24)),
-    "unequal": ((G, 0, 8, 0, 24), (A, 8, 24, 0, 24)),
-    "stripes": ((G, 0, 9, 0, 24), (A, 9, 18, 0, 24), (G, 18, 21, 0, 24), (A, 21, 24, 0, 24)),
-    "quarters": ((G, 0, 12, 0, 12), (A, 0, 12, 12, 24), (A, 12, 24, 0, 12), (G, 12, 24, 12, 24)),
+    "lines": ((GRASS, 0, 12, 0, 24), (ASPHALT, 12, 24, 0, 24)),
+    "samples": ((GRASS, 0, 24, 0, 12), (ASPHALT, 0, 24, 12, 24)),
+    "unequal": ((GRASS, 0, 8, 0, 24), (ASPHALT, 8, 24, 0, 24)),
+    "stripes": ((GRASS, 0, 9, 0, 24), (ASPHALT, 9, 18, 0, 24), (GRASS, 18, 21, 0, 24), (ASPHALT, 21, 24, 0, 24)),
+    "quarters": ((GRASS, 0, 12, 0, 12), (ASPHALT, 0, 12, 12, 24), (ASPHALT, 12, 24, 0, 12), (GRASS, 12, 24, 12, 24)),
 }
 MEANS = "score_mean_difference"
 BANDS = (12, 16, 24, 32, 48)
