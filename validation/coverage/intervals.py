@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import numpy.typing as npt
+from counts import Key
 from scipy import optimize, stats
 from world import AXIS
 
@@ -187,9 +188,10 @@ KINDS: tuple[Callable[[np.random.Generator, bool], Intervals], ...] = (
 )  # fmt: skip
 
 
-def intervals_of(world: int, seed: int) -> Iterator[tuple[str, bool, bool]]:
+def counted(world: int, seed: int) -> Iterator[tuple[Key, list[float]]]:
     """Every interval of one world: what of, whether the background is in clusters, whether it holds the truth."""
     for number, kind in enumerate(KINDS):
-        for clustered in (False, True):
+        for clustered, where in enumerate(("independent", "clusters")):
             rng = np.random.default_rng([seed, world, number, clustered])
-            yield from ((what, clustered, inside) for what, inside in kind(rng, clustered))
+            for what, inside in kind(rng, bool(clustered)):
+                yield ("interval", where, what, "pixels"), [float(inside)]

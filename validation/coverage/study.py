@@ -23,11 +23,11 @@ from pathlib import Path
 from unittest.mock import patch
 
 import campaigns
+import intervals
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 from counts import Key, Tally, outcomes
-from intervals import intervals_of
 from world import AXIS, HIGH, LOW, PANEL_SIDE, SITE, Collection, collect, engine, scenario, tilt, truth
 from world import B as BANDS
 
@@ -151,12 +151,7 @@ class Batch:
     def _of(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
         if self.of == "campaigns":
             return campaigns.counted(campaigns.rows_of(i, self.seed))
-        return self._of_map(i) if self.of == "maps" else self._of_collection(i)
-
-    def _of_map(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
-        """Intervals of the background, of curves, areas and eigenvalues: :mod:`intervals`."""
-        for what, clustered, inside in intervals_of(i, self.seed):
-            yield ("interval", "clusters" if clustered else "independent", what, "pixels"), [float(inside)]
+        return intervals.counted(i, self.seed) if self.of == "maps" else self._of_collection(i)
 
     def _of_collection(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
         p = predictions(self.draws)
