@@ -12,12 +12,17 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import norm
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "validation" / "equations"))
+from plain_scene import PlainScene
 
 from hyperval.atmosphere import atmospheric_terms
 from hyperval.config import parse_yaml, validate
@@ -50,39 +55,16 @@ KAPPA = 1e-3
 def plainly(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
     """P_FA and P_D by the corrected equations, one after the other, with diagonal matrices written out."""
     sensor = load_sensor("prospectir-vs")
-    axis = sensor.axis
     assert scenario.atmosphere is not None
-    t = atmospheric_terms(scenario.atmosphere).at_bands(axis)
-    noise = sensor.noise(axis)
-    a, b, s, path = t.direct, t.adjacency, t.spherical_albedo, t.path_radiance
-    classes = [(c.fraction, builtin_class(str(c.spectrum.builtin), axis)) for c in scenario.scene.classes]
-    average = sum(f * c.mean for f, c in classes)  # (3.8)
-    spread = sum(f * (c.covariance + np.outer(c.mean - average, c.mean - average)) for f, c in classes)
-
-    def radiance(rho: np.ndarray) -> np.ndarray:
-        return path + (a * rho + b * average) / (1 - s * average)  # (3.7)
-
-    low, high = radiance(np.full(len(axis), 0.1)), radiance(np.full(len(axis), 0.6))
-    k = (high - low) / 0.5
-    offset = low - 0.1 * k
-
-    def seen(rho: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        d_a = np.diag(a / (1 - s * average))
-        d_b = np.diag((a * s * rho + b) / (1 - s * average) ** 2)
-        sigma = d_a @ covariance @ d_a + KAPPA * d_b @ spread @ d_b  # (3.11)
-        sigma = sigma + np.diag(noise.variance(radiance(rho)))  # (3.13)-(3.19)
-        return (radiance(rho) - offset) / k, np.diag(1 / k) @ sigma @ np.diag(1 / k)
-
-    found = [(f, *seen(c.mean, c.covariance)) for f, c in classes]
-    target, host = builtin_class("yellow-paint-plank", axis), classes[0][1]
-    rho = 0.1 * target.mean + 0.9 * host.mean  # (3.10)
-    mixed = seen(rho, 0.01 * target.covariance + 0.81 * host.covariance)  # (3.12)
-    mu = sum(f * m for f, m, _ in found)
-    sigma = sum(f * (c + np.outer(m - mu, m - mu)) for f, m, c in found)
-    d = target.mean - mu
-    w = np.linalg.inv(sigma) @ d / (d @ np.linalg.inv(sigma) @ d)  # (3.22)-(3.25)
-    theta = [(f, w @ (m - mu), np.sqrt(w @ c @ w)) for f, m, c in found]  # (3.27), (3.29)
-    theta_t, sigma_t = w @ (mixed[0] - mu), np.sqrt(w @ mixed[1] @ w)  # (3.26), (3.28)
+    terms = atmospheric_terms(scenario.atmosphere).at_bands(sensor.axis)
+    names = {c.name: str(c.spectrum.builtin) for c in scenario.scene.classes} | {"plank": "yellow-paint-plank"}
+    surfaces = {name: builtin_class(builtin, sensor.axis) for name, builtin in names.items()}
+    fractions = {c.name: c.fraction for c in scenario.scene.classes}
+    noise = sensor.noise(sensor.axis)
+    plain = PlainScene(terms, noise, surfaces, fractions, "plank", "asphalt", kappa=KAPPA)
+    scores = [(f, *plain.scores(plain.classes[name])) for name, f in fractions.items()]
+    theta = [(f, mean, np.sqrt(variance)) for f, mean, variance in scores]  # (3.27), (3.29)
+    theta_t, variance_t = plain.scores(plain.pixel(0.1))  # (3.26), (3.28)
     pfa = false_alarm_grid()
 
     def excess(x: float, p: float) -> float:
@@ -90,7 +72,7 @@ def plainly(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
 
     ends = min(m - 10 * sd for _, m, sd in theta), max(m + 10 * sd for _, m, sd in theta)
     threshold = np.array([brentq(excess, *ends, args=(p,)) for p in pfa])
-    return pfa, norm.cdf((theta_t - threshold) / sigma_t)  # (3.31)
+    return pfa, norm.cdf((theta_t - threshold) / np.sqrt(variance_t))  # (3.31)
 
 
 def best_of(run: Callable[[], object], times: int) -> tuple[float, float]:

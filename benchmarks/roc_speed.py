@@ -8,23 +8,13 @@ All is one sort.  On AMD's Zen 4 NumPy 2.4 sorts five times as fast by AVX2 (6 m
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
+from predict_speed import best_of
 
 from hyperval.pixels import area_variance, counts_of, empirical_roc, roc_area
 
 BACKGROUND, TARGETS = 640_000, 80
 LIMITS_MS = {"counts among the targets": 10.0, "curve with intervals": 10.0, "AUC with DeLong": 50.0}
-
-
-def milliseconds(work, rounds=7):
-    best = np.inf
-    for _ in range(rounds):
-        start = time.process_time()
-        work()
-        best = min(best, time.process_time() - start)
-    return 1e3 * best
 
 
 def main():
@@ -42,7 +32,7 @@ def main():
         "AUC with DeLong": auc_and_variance,
     }
     for name, work in rows.items():
-        time_ms, limit = milliseconds(work), LIMITS_MS.get(name)
+        time_ms, limit = 1e3 * best_of(work, 7)[0], LIMITS_MS.get(name)
         verdict = "" if limit is None else f"  {'met' if time_ms <= limit else 'NOT MET'}: at most {limit:.0f} ms"
         print(f"{name:26s} {time_ms:8.1f} ms{verdict}")
 

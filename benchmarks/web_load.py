@@ -14,7 +14,6 @@ import argparse
 import os
 import random
 import statistics
-import subprocess
 import sys
 import tempfile
 import threading
@@ -24,6 +23,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import requests
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "validation" / "robustness"))
+from web_api import served
 
 PORT = 8765
 ADDRESS = f"http://127.0.0.1:{PORT}"
@@ -99,22 +101,15 @@ def main() -> int:
     parser.add_argument("--think", type=float, default=5.0, help="mean time between a user's clicks [s]")
     parser.add_argument("--no-charts", action="store_true", help="results and their numbers alone")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        words = ["serve", "--port", str(PORT), "--folder", str(Path(folder) / "web"), "--queue", "200"]
-        command = [sys.executable, "-m", "hyperval", *words]
-        server = subprocess.Popen(command, env=os.environ, start_new_session=True)  # noqa: S603 - our own
-        try:
-            warm()
-            end = time.monotonic() + options.seconds
-            users = [User(number, end, options.think, not options.no_charts) for number in range(options.users)]
-            for user in users:
-                user.start()
-            for user in users:
-                user.join(options.seconds + 120.0)
-        finally:
-            used = processor_seconds(server.pid)
-            server.terminate()
-            server.wait()
+    with tempfile.TemporaryDirectory() as folder, served(PORT, Path(folder) / "web", "--queue", "200") as server:
+        warm()
+        end = time.monotonic() + options.seconds
+        users = [User(number, end, options.think, not options.no_charts) for number in range(options.users)]
+        for user in users:
+            user.start()
+        for user in users:
+            user.join(options.seconds + 120.0)
+        used = processor_seconds(server.pid)
     rounds = sum(len(user.times["result"]) for user in users)
     seconds = used / max(1, rounds)
     print(f"processor time of the server and its workers: {seconds:.2f} s a round, their start included")
@@ -130,13 +125,7 @@ def main() -> int:
 
 
 def warm() -> None:
-    """Wait for the server, ask both workers once, and tell how long one prediction takes."""
-    for _ in range(300):
-        try:
-            requests.get(ADDRESS, timeout=60)
-            break
-        except requests.ConnectionError:
-            time.sleep(0.2)
+    """Ask both workers once, and tell how long one prediction takes."""
     session = requests.Session()
     times = []
     for number in range(24):

@@ -20,6 +20,7 @@ import sys
 import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,17 +42,12 @@ class Formula:
     line: int
     equation: str
     function: str
-    tests: list[Callable[[], object]] = field(default_factory=list)
+    tests: dict[str, Callable[[], object]] = field(default_factory=dict)  # that call it, by their names in the run
 
     @property
     def place(self) -> str:
         """File, line, function and equation."""
         return f"{self.path.relative_to(ROOT)}:{self.line} {self.function} ({self.equation})"
-
-    @property
-    def module(self) -> types.ModuleType:
-        """The module that production imports."""
-        return importlib.import_module(".".join(self.path.relative_to(ROOT / "src").with_suffix("").parts))
 
 
 def formulas(folder: Path = SOURCE, rooms: tuple[str, ...] = ROOMS) -> Iterator[Formula]:
@@ -59,7 +55,7 @@ def formulas(folder: Path = SOURCE, rooms: tuple[str, ...] = ROOMS) -> Iterator[
     for room in rooms:
         for path in sorted((folder / room).rglob("*.py")) if (folder / room).is_dir() else [folder / room]:
             text = path.read_text("utf-8")
-            functions = [(name, node) for name, node in _functions(ast.parse(text))]
+            functions = list(_functions(ast.parse(text)))
             for number, line in enumerate(text.splitlines(), 1):
                 match = EQUATION.search(line)
                 around = [name for name, f in functions if f.lineno <= number <= (f.end_lineno or 0)]
@@ -77,8 +73,8 @@ def _functions(tree: ast.Module) -> Iterator[tuple[str, ast.FunctionDef]]:
 
 
 def live_function(formula: Formula) -> types.FunctionType:
-    """The function object behind the name, without what is wrapped around it."""
-    owner: Any = formula.module
+    """The function object behind the name in the module that production imports, without what is wrapped around it."""
+    owner: Any = importlib.import_module(".".join(formula.path.relative_to(ROOT / "src").with_suffix("").parts))
     for part in formula.function.split("."):
         owner = inspect.getattr_static(owner, part)
     while not isinstance(owner, types.FunctionType):
@@ -139,7 +135,6 @@ class Evidence:
         self.by_code: dict[types.CodeType, list[Formula]] = {}
         for formula in chosen:
             self.by_code.setdefault(live_function(formula).__code__, []).append(formula)
-        self.failures = 0
 
     @pytest.hookimpl(wrapper=True)
     def pytest_pyfunc_call(self, pyfuncitem: pytest.Function) -> Iterator[None]:
@@ -156,27 +151,9 @@ class Evidence:
         finally:
             sys.setprofile(None)
         arguments = {name: pyfuncitem.funcargs[name] for name in pyfuncitem._fixtureinfo.argnames}
-        for code in called:
-            for formula in self.by_code[code]:
-                formula.tests.append(Trial(pyfuncitem.name, pyfuncitem.obj, arguments))
+        for formula in (f for code in called for f in self.by_code[code]):
+            formula.tests[pyfuncitem.nodeid] = partial(pyfuncitem.obj, **arguments)
         return result
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Count failures of the unbroken run."""
-        self.failures += report.failed
-
-
-@dataclass
-class Trial:
-    """A test with its arguments, to be run again."""
-
-    name: str
-    function: Callable[..., object]
-    arguments: dict[str, Any]
-
-    def __call__(self) -> object:
-        """Run it."""
-        return self.function(**self.arguments)
 
 
 def red_test(formula: Formula, factor: float) -> str | None:
@@ -186,12 +163,12 @@ def red_test(formula: Formula, factor: float) -> str | None:
     function.__globals__["_broken"] = broken(factor)
     function.__code__ = broken_code(formula)
     try:
-        for test in formula.tests:
+        for name, test in formula.tests.items():
             _forget()
             try:
                 test()
             except Exception:
-                return test.name
+                return name.partition("::")[2]
         return None
     finally:
         function.__code__ = right

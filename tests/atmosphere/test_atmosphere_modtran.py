@@ -272,11 +272,11 @@ def test_each_flight_is_predicted_from_the_other_and_the_budget_is_what_is_left(
 ):
     """Here and not beside the tests of the ratio: the states are those of the tests above, and computed once."""
     monkeypatch.setenv("HYPERVAL_CACHE", str(engine_cache))
-    made, fine = scripts[1:]
+    compare, made, fine = scripts
     pairs = made.pairs_of(data_dir)
     ratio = made.fitted([p for p in pairs if p.flight == "topoflux"])
     of_disort = [p for p in pairs if p.flight == "pasadena" and p.case.albedos]
-    error = made.differences([(p.ours(ratio), p.theirs) for p in of_disort])
+    error = compare.differences([(p.ours(ratio), p.theirs) for p in of_disort])
     for low, high, limit, least in ((0.85, 1.01, 0.05, 0.99), (0.7, 0.85, 0.05, 0.9), (0.5, 0.7, 0.1, 0.9)):
         here = error.transmitting(low, high)
         assert np.mean(np.abs(error.total[here]) <= limit) >= least

@@ -15,11 +15,12 @@ which part of the channels meets it one by one.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from modtran_cases import cases, data_file, matched, put_between_marks, total_radiance
+from modtran_cases import cases, data_file, markdown, matched, total_radiance
 
 from hyperval.atmosphere import AtmosphericTerms, atmospheric_terms
 
@@ -86,78 +87,66 @@ def differences(pairs: list[tuple[AtmosphericTerms, AtmosphericTerms]]) -> Diffe
 
 def verdicts(found: Differences) -> list[Verdict]:
     """Every criterion in every window and class that it speaks of."""
-
-    def verdict(name: str, values: np.ndarray, limit: float) -> Verdict:
-        if not values.size:
-            return Verdict(name, limit, float("nan"), float("nan"))  # nan keeps no limit
-        return Verdict(name, limit, float(np.median(values)), float(np.mean(np.abs(values) <= limit)))
-
-    made = [
-        verdict(f"total radiance, {a}-{b} nm", found.total[found.window(a, b)], TOTAL_IN_WINDOWS) for a, b in WINDOWS_NM
+    classes = {"above 0.7": (0.7, 1.01)} | {f"{a:g}-{min(b, 1):g}": (a, b) for a, b in CLASSES if a >= 0.7}
+    asked = [
+        *((f"total radiance, {a}-{b} nm", found.total[found.window(a, b)], TOTAL_IN_WINDOWS) for a, b in WINDOWS_NM),
+        *(
+            (f"total radiance, transmittance {name}", found.total[found.transmitting(*ends)], TOTAL_ABOVE_07)
+            for name, ends in classes.items()
+        ),
+        *(
+            (f"path radiance, {a}-{b} nm", found.path[found.window(a, b)], PATH_BELOW_1100)
+            for a, b in WINDOWS_NM
+            if b < 1100
+        ),
     ]
-    made.append(
-        verdict("total radiance, transmittance above 0.7", found.total[found.transmitting(0.7, 1.01)], TOTAL_ABOVE_07)
-    )
-    made += [
-        verdict(
-            f"total radiance, transmittance {a:g}-{min(b, 1):g}",
-            found.total[found.transmitting(a, b)],
-            TOTAL_ABOVE_07,
-        )
-        for a, b in CLASSES
-        if a >= 0.7
-    ]
-    made += [
-        verdict(f"path radiance, {a}-{b} nm", found.path[found.window(a, b)], PATH_BELOW_1100)
-        for a, b in WINDOWS_NM
-        if b < 1100
-    ]
-    return made
+    return [Verdict(name, limit, float(np.median(x)), float(np.mean(np.abs(x) <= limit))) for name, x, limit in asked]
 
 
 def tables(found: Differences) -> str:
     """The tables in Markdown."""
-    lines = [
-        f"{found.states} states; hyperval over MODTRAN less one, percent: "
-        "median (5 %, 95 % of all channels and states).",
-        "",
-        f"| window [nm] | total radiance, rho = {RHO:g} | path radiance | spherical albedo |",
-        "| --- | --- | --- | --- |",
+
+    def spread(x: np.ndarray) -> str:
+        low, middle, high = 100 * np.quantile(x, [0.05, 0.5, 0.95])
+        return f"{middle:+.2f} ({low:+.1f}, {high:+.1f})"
+
+    radiances = [f"total radiance, rho = {RHO:g}", "path radiance"]
+    windows = [
+        [f"{a} - {b}", *(spread(x[found.window(a, b)]) for x in (found.total, found.path, found.albedo))]
+        for a, b in WINDOWS_NM
     ]
-    for a, b in WINDOWS_NM:
-        m = found.window(a, b)
-        cells = " | ".join(_spread(x[m]) for x in (found.total, found.path, found.albedo))
-        lines.append(f"| {a} - {b} | {cells} |")
-    lines += [
-        "",
-        f"| two-way gas transmittance | total radiance, rho = {RHO:g} | path radiance |",
-        "| --- | --- | --- |",
+    classes = [
+        [f"{a:.2f} - {min(b, 1):.2f}", *(spread(x[found.transmitting(a, b)]) for x in (found.total, found.path))]
+        for a, b in CLASSES
     ]
-    for a, b in CLASSES:
-        m = found.transmitting(a, b)
-        lines.append(f"| {a:.2f} - {min(b, 1):.2f} | {_spread(found.total[m])} | {_spread(found.path[m])} |")
-    lines += ["", "| criterion | limit | median | channels that keep it | |", "| --- | --- | --- | --- | --- |"]
-    lines += [
-        f"| {v.name} | {v.limit:.0%} | {v.median:+.2%} | {v.share:.0%} | {'met' if v.met else 'MISSED'} |"
+    judged = [
+        [v.name, f"{v.limit:.0%}", f"{v.median:+.2%}", f"{v.share:.0%}", "met" if v.met else "MISSED"]
         for v in verdicts(found)
     ]
-    return "\n".join(lines)
-
-
-def _spread(x: np.ndarray) -> str:
-    low, mid, high = 100 * np.quantile(x, [0.05, 0.5, 0.95])
-    return f"{mid:+.2f} ({low:+.1f}, {high:+.1f})"
+    head = (
+        f"{found.states} states; hyperval over MODTRAN less one, percent: "
+        "median (5 %, 95 % of all channels and states)."
+    )
+    return "\n\n".join([
+        head,
+        markdown(["window [nm]", *radiances, "spherical albedo"], windows),
+        markdown(["two-way gas transmittance", *radiances], classes),
+        markdown(["criterion", "limit", "median", "channels that keep it", ""], judged),
+    ])  # fmt: skip
 
 
 def main() -> None:
     """Print the tables, or put them into a document."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", type=Path, help="document with the marks between which the tables stand")
-    chosen = parser.parse_args()
-    text = tables(differences([matched(case, atmospheric_terms(case.state)) for case in cases(data_file)]))
-    print(text)
-    if chosen.write:
-        put_between_marks(chosen.write, "compare_modtran.py", text)
+    document = parser.parse_args().write
+    print(text := tables(differences([matched(case, atmospheric_terms(case.state)) for case in cases(data_file)])))
+    if document:
+        begin, end = (f"<!-- compare_modtran.py: {edge} -->" for edge in ("begin", "end"))
+        before, _, after = document.read_text("utf-8").partition(begin)
+        if end not in after:
+            sys.exit(f"{document} lacks the marks {begin} and {end}")
+        document.write_text(f"{before}{begin}\n{text}\n{end}{after.partition(end)[2]}", "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,30 +1,27 @@
-"""What MODTRAN 6 has over the embedded engine, as numbers that the package ships, and how well they predict.
+"""What MODTRAN 6 has over the embedded engine, as numbers that the package ships.
 
-    HYPERVAL_DATA=... python validation/atmosphere/engine_ratio.py [--write] [--document FILE]
+    HYPERVAL_DATA=... python validation/atmosphere/engine_ratio.py src/hyperval/atmosphere/engine_ratio.csv
 
-``--write`` puts the numbers into ``src/hyperval/atmosphere/engine_ratio.csv``.  Made from eleven airborne states
-of two flights, whose coefficient A (sun to ground to sensor) is divided by its own continuum, a line through the
-windows, so that scattering stays out.  Channel by channel the logarithm of 6S over MODTRAN is a straight line in
-the air and in the water on the way.  Path of the aerosol and spherical albedo come from the states that were run
-with DISORT.
+Made from eleven airborne states of two flights, whose coefficient A (sun to ground to sensor) is divided by its own
+continuum, a line through the windows, so that scattering stays out.  Channel by channel the logarithm of 6S over
+MODTRAN is a straight line in the air and in the water on the way.  Path of the aerosol and spherical albedo come from
+the states that were run with DISORT.
 
-Each state is predicted from numbers made without it, without its amount of water, haze, or without its whole flight
-(another sun, height, band model): what is left then is the error that a budget holds.
+``tests/atmosphere/test_atmosphere_modtran.py`` predicts each flight from numbers made without it (another sun, height,
+band model): what is left then is the error that a budget holds.
 """
 
 from __future__ import annotations
 
-import argparse
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from compare_modtran import CLASSES, differences
-from modtran_cases import Case, cases, data_file, matched, put_between_marks
+from modtran_cases import Case, cases, data_file, matched, smoothed
 
 from hyperval.atmosphere import AtmosphericTerms, EngineRatio, amounts, sixs_terms
-from hyperval.atmosphere.physics import FILE
 from hyperval.datasets import cache_root
 
 # Channels where gases absorb next to nothing in both codes: the continuum of the ratio goes through them.
@@ -37,6 +34,11 @@ SMOOTH_NM = 30.0
 PATH_NM = (600.0, 700.0, 1700.0)  # scalar and vector Rayleigh light differ below; emission counts beyond
 LEAST_AOT = 0.1  # for the path: thinner haze is mostly above the aircraft
 PASSES = 2
+HEAD = """What MODTRAN 6 has over 6S V2.1, by validation/atmosphere/engine_ratio.py from airborne channel files:
+isofit/isofit examples/topoflux/lut and isofit/isofit-tutorials 20171108_Pasadena (Apache-2.0).
+dry: optical depth per slanted atm; water: per slanted g cm-2; path: factor on rural aerosol;
+albedo: factor on the part that rural aerosol below the free troposphere has in S.
+"""
 
 
 @dataclass(frozen=True)
@@ -103,9 +105,7 @@ def _gas(pairs: Sequence[Pair], ratio: EngineRatio) -> tuple[np.ndarray, np.ndar
 
 def _smooth(nm: np.ndarray, values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Gaussian mean over SMOOTH_NM of straight lines through the known values."""
-    line = np.interp(nm, nm[known], values[known])
-    weights = np.exp(-0.5 * ((nm[:, None] - nm) / SMOOTH_NM) ** 2)
-    return (weights @ line) / weights.sum(axis=1)
+    return smoothed(nm, np.interp(nm, nm[known], values[known]), SMOOTH_NM)
 
 
 def _path(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
@@ -144,83 +144,8 @@ def _albedo(pairs: Sequence[Pair], ratio: EngineRatio) -> np.ndarray:
     return _smooth(nm, np.mean(levels, axis=0), window)
 
 
-LEAVE_OUT: dict[str, Callable[[Pair, Pair], bool]] = {
-    "nothing": lambda a, b: True,
-    "the state": lambda a, b: a is not b,
-    "its water": lambda a, b: (
-        (a.flight, a.case.state.water_vapour_g_cm2) != (b.flight, b.case.state.water_vapour_g_cm2)
-    ),
-    "its haze": lambda a, b: a.case.state.aot550 != b.case.state.aot550,
-    "its flight": lambda a, b: a.flight != b.flight,
-}
-
-
-def table(pairs: Sequence[Pair]) -> str:
-    """The tables in Markdown."""
-    lines = [
-        f"{len(pairs)} states; what is left of total radiance (rho = 0.3) by two-way transmittance of the gases,",
-        "of path radiance below 1.1 um and of the spherical albedo at 500-1700 nm, both in windows (transmittance",
-        "above 0.95) of the states with DISORT: median, percent (channels within 5 %; within 10 % where the",
-        "transmittance is below 0.7, and for the albedo).",
-        "",
-        "| numbers made without | " + " | ".join(f"{a:g}-{min(b, 1):g}" for a, b in CLASSES) + " | path | albedo |",
-        "| --- |" + " --- |" * (len(CLASSES) + 2),
-    ]
-    rows: list[tuple[str, list[EngineRatio | None]]] = [("6S as it is", [None] * len(pairs))]
-    made: dict[tuple[int, ...], EngineRatio] = {}
-    for name, keeps in LEAVE_OUT.items():
-        ratios: list[EngineRatio | None] = []
-        for a in pairs:
-            kept = tuple(i for i, b in enumerate(pairs) if keeps(b, a))
-            if kept not in made:
-                made[kept] = fitted([pairs[i] for i in kept])
-            ratios.append(made[kept])
-        rows.append((name, ratios))
-    for name, ratios in rows:
-        every = differences([(p.ours(r), p.theirs) for p, r in zip(pairs, ratios, strict=True)])
-        solved = differences([(p.ours(r), p.theirs) for p, r in zip(pairs, ratios, strict=True) if p.case.albedos])
-        window = solved.gas > WINDOW
-        cells = [_share(every.total[every.transmitting(a, b)], 0.05 if a >= 0.7 else 0.1) for a, b in CLASSES]
-        cells.append(_share(solved.path[window & solved.window(400.0, 1100.0)], 0.05))
-        cells.append(_share(solved.albedo[window & solved.window(500.0, 1700.0)], 0.1))
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
-
-
-def _share(x: np.ndarray, limit: float) -> str:
-    return f"{100 * np.median(x):+.1f} ({np.mean(np.abs(x) <= limit):.0%})"
-
-
-def text_of(ratio: EngineRatio) -> str:
-    """The numbers as CSV."""
-    lines = [
-        "# What MODTRAN 6 has over 6S V2.1, by validation/atmosphere/engine_ratio.py from airborne channel files:",
-        "# isofit/isofit examples/topoflux/lut and isofit/isofit-tutorials 20171108_Pasadena (Apache-2.0).",
-        "# dry: optical depth per slanted atm; water: per slanted g cm-2; path: factor on rural aerosol;",
-        "# albedo: factor on the part that rural aerosol below the free troposphere has in S.",
-        "# " + ",".join(f.name for f in fields(EngineRatio)),
-    ]
-    columns = [getattr(ratio, f.name) for f in fields(EngineRatio)]
-    lines += [",".join(f"{x:.5g}" for x in row) for row in zip(*columns, strict=True)]
-    return "\n".join(lines) + "\n"
-
-
-def main() -> None:
-    """Print the tables; write the numbers, or the tables into a document."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="the numbers that the package ships, and no table")
-    parser.add_argument("--document", type=Path, help="document with the marks between which the table stands")
-    chosen = parser.parse_args()
-    pairs = pairs_of(data_file)
-    if chosen.write:
-        place = Path(__file__).parents[2] / "src" / "hyperval" / "atmosphere" / FILE
-        place.write_text(text_of(fitted(pairs)), "utf-8")
-        return
-    text = table(pairs)
-    print(text)
-    if chosen.document:
-        put_between_marks(chosen.document, "engine_ratio.py", text)
-
-
 if __name__ == "__main__":
-    main()
+    ratio = fitted(pairs_of(data_file))
+    columns = [getattr(ratio, f.name) for f in fields(EngineRatio)]
+    names = ",".join(f.name for f in fields(EngineRatio))
+    np.savetxt(sys.argv[1], np.stack(columns, axis=1), "%.5g", ",", header=HEAD + names)

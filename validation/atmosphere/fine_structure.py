@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from compare_modtran import RHO
 from engine_ratio import Pair, fitted, pairs_of
-from modtran_cases import data_file, total_radiance
+from modtran_cases import data_file, markdown, smoothed, total_radiance
 
 SMOOTH_NM = 50.0
 RANGE_NM = (400.0, 2450.0)
@@ -23,13 +23,6 @@ DEPTHS = (0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3)
 LAGS = (1, 2, 3, 4, 8)
 # The budget of the fine structure: relative, and per optical depth of the gases.
 RELATIVE, PER_OPTICAL_DEPTH = 0.0015, 0.06
-
-
-def smoothed(wavelength_nm: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Gaussian mean over SMOOTH_NM of the values that there are."""
-    finite = np.isfinite(values)
-    weights = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm) / SMOOTH_NM) ** 2) * finite
-    return (weights @ np.where(finite, values, 0.0)) / weights.sum(axis=1)
 
 
 def residuals(pairs: list[Pair]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -43,7 +36,7 @@ def residuals(pairs: list[Pair]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         here = (w >= RANGE_NM[0]) & (w <= RANGE_NM[1]) & (tau < DEPTHS[-1])
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.where(here, total_radiance(ours, RHO) / total_radiance(pair.theirs, RHO) - 1.0, np.nan)
-        smooth.append(np.where(here, smoothed(w, error), np.nan))
+        smooth.append(np.where(here, smoothed(w, error, SMOOTH_NM), np.nan))
         rest.append(error - smooth[-1])
         depth.append(tau)
     return np.array(smooth), np.array(rest), np.array(depth)
@@ -60,13 +53,12 @@ def main() -> None:
     """Print the figures."""
     pairs = pairs_of(data_file)
     smooth, rest, depth = residuals(pairs)
-    print("| optical depth of gases | channels | smooth [%] | rest [%] | budget of the rest [%] |")
-    print("| --- | --- | --- | --- | --- |")
+    rows = []
     for low, high in pairwise(DEPTHS):
         here = np.isfinite(rest) & (depth >= low) & (depth < high)
-        parts = [100 * np.sqrt(np.mean(x[here] ** 2)) for x in (smooth, rest)]
-        budget = 100 * np.sqrt(np.mean(RELATIVE**2 + (PER_OPTICAL_DEPTH * depth[here]) ** 2))
-        print(f"| {low:g} - {high:g} | {here.sum()} | {parts[0]:.2f} | {parts[1]:.2f} | {budget:.2f} |")
+        of = (smooth[here], rest[here], np.hypot(RELATIVE, PER_OPTICAL_DEPTH * depth[here]))
+        rows.append([f"{low:g} - {high:g}", str(here.sum()), *(f"{100 * np.sqrt(np.mean(x**2)):.2f}" for x in of)])
+    print(markdown(["optical depth of gases", "channels", "smooth [%]", "rest [%]", "budget of the rest [%]"], rows))
     step = float(np.median(np.diff(pairs[0].theirs.wavelength_nm)))
     for lag, value in correlations(rest, depth).items():
         print(f"correlation at {lag * step:.0f} nm: {value:+.2f}")

@@ -1,10 +1,10 @@
-"""MODTRAN 6 channel files of airborne states, and the same states for hyperval."""
+"""MODTRAN 6 channel files of airborne states, the same states for hyperval, and what the scripts beside share."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,13 +24,16 @@ def data_file(relative: str) -> Path:
     return Path(root) / relative
 
 
-def put_between_marks(document: Path, script: str, text: str) -> None:
-    """Write what a script made between its marks in a document."""
-    begin, end = f"<!-- {script}: begin -->", f"<!-- {script}: end -->"
-    whole = document.read_text("utf-8")
-    if whole.count(begin) != 1 or whole.count(end) != 1:
-        sys.exit(f"{document} lacks the marks {begin} and {end}")
-    document.write_text(f"{whole.split(begin)[0]}{begin}\n{text}\n{end}{whole.split(end)[1]}", "utf-8")
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, ["---"] * len(head), *rows))
+
+
+def smoothed(wavelength_nm: np.ndarray, values: np.ndarray, sigma_nm: float) -> np.ndarray:
+    """Gaussian mean of the values that there are."""
+    finite = np.isfinite(values)
+    weights = np.exp(-0.5 * ((wavelength_nm[:, None] - wavelength_nm) / sigma_nm) ** 2) * finite
+    return (weights @ np.where(finite, values, 0.0)) / weights.sum(axis=1)
 
 
 @dataclass(frozen=True)

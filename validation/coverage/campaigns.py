@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -36,26 +35,17 @@ TWIN = Path(__file__).parents[2] / "campaigns" / "share2012-twin"
 PANELS = ("white-panel", "black-panel")
 CLASSES = {"grass": "grass-field", "asphalt": "asphalt-court"}
 PLANKS = {"yellow": "asphalt", "green": "grass"}
-LAYOUTS = ("lines", "samples", "unequal", "stripes", "quarters")
+# Rectangles of the two classes in parts of 24 of the lines and of the samples, the greatest of each class first.
+GRASS, ASPHALT = CLASSES
+LAYOUTS = {
+    "lines": ((GRASS, 0, 12, 0, 24), (ASPHALT, 12, 24, 0, 24)),
+    "samples": ((GRASS, 0, 24, 0, 12), (ASPHALT, 0, 24, 12, 24)),
+    "unequal": ((GRASS, 0, 8, 0, 24), (ASPHALT, 8, 24, 0, 24)),
+    "stripes": ((GRASS, 0, 9, 0, 24), (ASPHALT, 9, 18, 0, 24), (GRASS, 18, 21, 0, 24), (ASPHALT, 21, 24, 0, 24)),
+    "quarters": ((GRASS, 0, 12, 0, 12), (ASPHALT, 0, 12, 12, 24), (ASPHALT, 12, 24, 0, 12), (GRASS, 12, 24, 12, 24)),
+}
 MEANS = "score_mean_difference"
 BANDS = (12, 16, 24, 32, 48)
-
-
-def painted(layout: str, lines: int, samples: int) -> list[tuple[str, list[int], list[int]]]:
-    """Rectangles of the two classes, the greatest grass and the greatest asphalt first."""
-    whole_lines, whole_samples = [0, lines], [0, samples]
-    if layout == "lines":
-        return [("grass", [0, lines // 2], whole_samples), ("asphalt", [lines // 2, lines], whole_samples)]
-    if layout == "samples":
-        return [("grass", whole_lines, [0, samples // 2]), ("asphalt", whole_lines, [samples // 2, samples])]
-    if layout == "unequal":
-        return [("grass", [0, lines // 3], whole_samples), ("asphalt", [lines // 3, lines], whole_samples)]
-    if layout == "stripes":
-        cut = [0, lines * 3 // 8, lines * 3 // 4, lines * 7 // 8, lines]
-        rows = [[a, b] for a, b in pairwise(cut)]
-        return [(("grass", "asphalt")[i % 2], row, whole_samples) for i, row in enumerate(rows)]
-    half = [[0, lines // 2], [lines // 2, lines]], [[0, samples // 2], [samples // 2, samples]]
-    return [(("grass", "asphalt")[(i + j) % 2], half[0][i], half[1][j]) for i in (0, 1) for j in (0, 1)]
 
 
 def world(number: int, seed: int) -> dict[str, dict[str, Any]]:
@@ -65,8 +55,10 @@ def world(number: int, seed: int) -> dict[str, dict[str, Any]]:
     usable = usable[in_window(usable)]
     centres = usable[np.linspace(0, usable.size - 1, int(rng.choice(BANDS))).astype(int)]
     lines, samples = int(rng.integers(72, 121)), int(rng.integers(72, 121))
-    layout = LAYOUTS[number % len(LAYOUTS)]
-    areas = painted(layout, lines, samples)
+    areas = [
+        (surface, [lines * a // 24, lines * b // 24], [samples * c // 24, samples * d // 24])
+        for surface, a, b, c, d in list(LAYOUTS.values())[number % len(LAYOUTS)]
+    ]
     noise = float(rng.uniform(0.5, 3.0))
     sensor = data_of("small_sensor")
     sensor["bands"]["table"] = [[float(c), 10.0, 1] for c in centres]

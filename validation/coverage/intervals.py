@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import numpy.typing as npt
+from counts import Key
 from scipy import optimize, stats
 from world import AXIS
 
@@ -101,7 +102,7 @@ def areas(rng: np.random.Generator, clustered: bool) -> Intervals:
     near = all_pixels([target], (side, side))
     place = SimpleNamespace(
         pixel_area_m2=AREA_M2, targets=[target], cube=SimpleNamespace(shape=(side, side)), near_targets=near,
-        background=lambda names: np.ones((side, side), bool),
+        pixels_of=lambda *names: np.ones((side, side), bool),
     )  # fmt: skip
     asked = Detection.model_validate(
         {"targets": [{"name": "t", "material": "paint", "spectrum": {"constant": 0.5}}],
@@ -187,9 +188,10 @@ KINDS: tuple[Callable[[np.random.Generator, bool], Intervals], ...] = (
 )  # fmt: skip
 
 
-def intervals_of(world: int, seed: int) -> Iterator[tuple[str, bool, bool]]:
+def counted(world: int, seed: int) -> Iterator[tuple[Key, list[float]]]:
     """Every interval of one world: what of, whether the background is in clusters, whether it holds the truth."""
     for number, kind in enumerate(KINDS):
-        for clustered in (False, True):
+        for clustered, where in enumerate(("independent", "clusters")):
             rng = np.random.default_rng([seed, world, number, clustered])
-            yield from ((what, clustered, inside) for what, inside in kind(rng, clustered))
+            for what, inside in kind(rng, bool(clustered)):
+                yield ("interval", where, what, "pixels"), [float(inside)]

@@ -15,24 +15,26 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
 import campaigns
+import intervals
 import numpy as np
 import numpy.typing as npt
-from counts import Counts, Key, Tally, outcomes
-from intervals import intervals_of
+import pandas as pd
+from counts import Key, Tally, outcomes
 from world import AXIS, HIGH, LOW, PANEL_SIDE, SITE, Collection, collect, engine, scenario, tilt, truth
 from world import B as BANDS
 
 import hyperval
 from hyperval.compare import compare_products, detection
 from hyperval.executors import in_order, worker_count, workers
-from hyperval.model import Origins, predict
+from hyperval.model import Origins, matched_filter_weights, predict
 from hyperval.observe import spectral_estimate
 from hyperval.pixels import (
     MeasuredPanel,
@@ -59,6 +61,7 @@ TILT = 0.03
 ALPHA = 0.05
 FALSE_ALARMS = (1e-2, 1e-3)
 METHODS = ("linear", "monte-carlo")
+SPECTRA = (("radiance", "field"), ("radiance", "bright"), ("reflectance", "field"), ("snr", "bright"))
 BATCH = {"campaigns": 5, "collections": 50, "maps": 50}  # worlds
 LOOKED_FOR = builtin_class("yellow-paint-plank", AXIS).mean
 
@@ -98,7 +101,9 @@ def observed(c: Collection) -> ObservedProducts:
     }
     roc, objects = {}, {}
     if c.background.size:
-        scores = [_scores(line.reflectance(x), line.reflectance(c.background)) for x in (c.targets, c.background)]
+        around = line.reflectance(c.background)
+        detector = matched_filter_weights(LOOKED_FOR, around.mean(axis=0), np.cov(around.T))
+        scores = [detector.score(x) for x in (line.reflectance(c.targets), around)]
         curve = empirical_roc(*scores)
         roc["plank", "cem", "pixel"] = with_summary(curve, *scores)
         objects["plank", "cem"] = ObjectScores(scores[0], tuple(str(i) for i in range(scores[0].size)))
@@ -120,14 +125,6 @@ def _field_error(field: Array, mean: Array, covariance: Array) -> EstimatedPart:
     return EstimatedPart(widened, float(np.median(of_variance)) - 1.0, plain)
 
 
-def _scores(x: Array, background: Array) -> Array:
-    """Unit-response matched filter (3.22-3.25) on the spectrum that the library states."""
-    mean, covariance = background.mean(axis=0), np.cov(background.T)
-    d = LOOKED_FOR - mean
-    w = np.linalg.solve(covariance, d)
-    return np.asarray((x - mean) @ w / (d @ w))
-
-
 @dataclass(frozen=True)
 class Batch:
     """Worlds ``first`` to ``last`` - 1: campaigns, score maps, or collections, with pixels to detect or without."""
@@ -142,21 +139,19 @@ class Batch:
 
     def tally(self) -> Tally:
         """Count the worlds of the batch."""
-        out: Tally = {}
+        out: dict[Key, list[tuple[float, int]]] = defaultdict(list)
         for i in range(self.first, self.last):
             for key, values in self._of(i):
-                out.setdefault(key, Counts()).add(values)
-        return out
+                if finite := [
+                    v for v in values if np.isfinite(v)
+                ]:  # 1 where an interval holds, NaN where there is none
+                    out[key].append((sum(finite), len(finite)))
+        return dict(out)
 
     def _of(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
         if self.of == "campaigns":
             return campaigns.counted(campaigns.rows_of(i, self.seed))
-        return self._of_map(i) if self.of == "maps" else self._of_collection(i)
-
-    def _of_map(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
-        """Intervals of the background, of curves, areas and eigenvalues: :mod:`intervals`."""
-        for what, clustered, inside in intervals_of(i, self.seed):
-            yield ("interval", "clusters" if clustered else "independent", what, "pixels"), [float(inside)]
+        return intervals.counted(i, self.seed) if self.of == "maps" else self._of_collection(i)
 
     def _of_collection(self, i: int) -> Iterator[tuple[Key, Iterable[float]]]:
         p = predictions(self.draws)
@@ -165,14 +160,9 @@ class Batch:
         o = observed(collect(t, rng, detection=self.detection))
         for method in self.methods:
             rows = _compared(p[method], o, method)
-            for product, subject in (
-                ("radiance", "field"),
-                ("radiance", "bright"),
-                ("reflectance", "field"),
-                ("snr", "bright"),
-            ):
+            for product, subject in SPECTRA:
                 selected = [r for r in rows if (r.product, r.subject) == (product, subject)]
-                yield (product, subject, "95 % interval", method), _ratio_held(selected)
+                yield (product, subject, "95 % interval", method), _held(selected, "difference_ratio")
                 if product != "snr":
                     yield (product, subject, "full test rejects", method), _rejected(selected)
             if self.detection:
@@ -181,7 +171,7 @@ class Batch:
                     label = f"@{pfa:.0e}".replace("e-0", "e-")
                     inside = [r.value for r in selected if r.metric == f"pd_inside_interval{label}"]
                     yield ("P_D", "plank", f"95 % interval at {pfa:g}", method), inside
-                yield ("AUC", "plank", "95 % interval", method), _area_held(selected)
+                yield ("AUC", "plank", "95 % interval", method), _held(selected, "auc_difference", "lower")
                 together = [r for r in rows if (r.subject, r.metric) == ("plank", "objects_inside_95")]
                 inside = [float(i < round(r.value * (r.n or 0))) for r in together for i in range(r.n or 0)]
                 yield ("scores", "plank", "object inside its 95 % interval", method), inside
@@ -204,17 +194,14 @@ def batches(whole: Batch) -> list[Batch]:
     return [replace(whole, first=i, last=min(i + size, whole.last)) for i in starts]
 
 
-def _ratio_held(rows: list[Result]) -> list[float]:
-    """Whether 0 lies in the interval of the difference ratio, band by band."""
-    return [float(r.lower <= 0.0 <= r.upper) for r in rows if r.metric == "difference_ratio" and np.isfinite(r.value)]
+def _held(rows: list[Result], metric: str, known: str = "value") -> list[float]:
+    """Whether 0 lies in the interval of a difference, row by row, where it is known."""
+    rows = [r for r in rows if r.metric == metric and np.isfinite(getattr(r, known))]
+    return [float(r.lower <= 0.0 <= r.upper) for r in rows]
 
 
 def _rejected(rows: list[Result]) -> list[float]:
     return [float(r.value < ALPHA) for r in rows if r.metric == "p_value_full"]
-
-
-def _area_held(rows: list[Result]) -> list[float]:
-    return [float(r.lower <= 0.0 <= r.upper) for r in rows if r.metric == "auc_difference" and np.isfinite(r.lower)]
 
 
 def _digest_of_code() -> str:
@@ -235,9 +222,8 @@ class Kept:
         name = hashlib.sha256(repr((batch, self.code)).encode()).hexdigest()[:16]
         path = self.folder / f"{batch.of}-{batch.first:05d}-{name}.json"
         if not path.exists():
-            rows = [[*key, asdict(counts)] for key, counts in batch.tally().items()]
-            write_text(path, json.dumps(rows) + "\n")
-        return {tuple(key): Counts(**counts) for *key, counts in json.loads(path.read_text())}
+            write_text(path, json.dumps([[*key, worlds] for key, worlds in batch.tally().items()]) + "\n")
+        return {tuple(key): worlds for *key, worlds in json.loads(path.read_text())}
 
 
 def main() -> int:
@@ -261,14 +247,11 @@ def main() -> int:
     with workers(worker_count(len(pieces))) as where:
         tallies = track(in_order(where, kept.tally, pieces), "batches of worlds", total=len(pieces))
         result = outcomes(tallies)
-    names = [*asdict(result[0]), "outcome"]
-    lines = [",".join(names)]
     for o in result:
-        values = {**asdict(o), "wanted": f"{o.wanted[0]:g} to {o.wanted[1]:g}", "outcome": o.outcome}
-        lines.append(",".join(f"{v:.4f}" if isinstance(v, float) else str(v) for v in values.values()))
         interval = f"{o.share:.3f} ({o.lower:.3f} to {o.upper:.3f})"
         print(f"{o.product:12} {o.subject:11} {o.what:32} {o.method:12} {interval} {o.worlds:5} {o.outcome}")
-    write_text(args.output / "coverage.csv", "\n".join(lines) + "\n")
+    table = pd.DataFrame(o._replace(wanted="{:g} to {:g}".format(*o.wanted)) for o in result)
+    write_text(args.output / "coverage.csv", table.to_csv(index=False, float_format="%.4f"))
     return 1 if any(o.outcome == "outside" for o in result) else 0
 
 

@@ -15,7 +15,7 @@ from hyperval.model import clopper_pearson
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from counts import COVERED, FOUND, Counts, outcomes
+from counts import COVERED, FOUND, outcomes, share_of
 
 import study
 
@@ -71,17 +71,21 @@ def test_whole_campaigns_without_error_meet_their_criteria_and_stand_first():
 @pytest.mark.parametrize("together", [1, 40])
 def test_intervals_that_move_together_count_as_one(together):
     """Bands of a world that all hold or all miss say no more of the share than one of them."""
-    counts = Counts()
-    for world in range(100):
-        counts.add([float(world >= 6)] * together)
-    assert (counts.share, counts.worlds) == (0.94, 100)
-    assert counts.limits() == pytest.approx(tuple(float(x) for x in clopper_pearson(94, 100)))
+    share, *limits = share_of([(float(world >= 6) * together, together) for world in range(100)])
+    assert share == 0.94
+    assert limits == pytest.approx([float(x) for x in clopper_pearson(94, 100)])
+
+
+def test_every_kind_of_map_has_its_intervals():
+    found = set(study.Batch("maps", 0, 1, seed=3).tally())
+    assert {"area of an object", "P_D at 0.01, rare clusters", "eigenvalue 1"} <= {what for _, _, what, _ in found}
+    assert {where for _, where, _, _ in found} == {"independent", "clusters"}
 
 
 def test_counts_of_a_batch_are_read_where_they_are_kept(tmp_path, monkeypatch):
     batch, kept = study.Batch("maps", 0, 1, seed=3), study.Kept(tmp_path, "code")
-    one = Counts(1.0, 1.0, 1.0, 1.0, 1.0, 1)
-    monkeypatch.setattr(study.Batch, "tally", lambda self: {("interval", "independent", "auc", "pixels"): one})
+    one = {("interval", "independent", "auc", "pixels"): [(1.0, 1)]}
+    monkeypatch.setattr(study.Batch, "tally", lambda self: one)
     first = kept.tally(batch)
     monkeypatch.setattr(study.Batch, "tally", lambda self: pytest.fail("made anew"))
     assert kept.tally(batch) == first

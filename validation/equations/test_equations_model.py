@@ -1,7 +1,7 @@
 """Equations 3.21-3.29 on the arrays that the forward model runs through, against matrices written out.
 
 Two truths of light, noise, area fractions and surroundings go through the model together; each is worked out by
-itself here, with diagonal matrices and inverses as the equations are printed.
+itself (``plain_scene.py``).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from plain_scene import PlainScene
 
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_values
@@ -93,62 +94,10 @@ def both(**more: np.ndarray) -> World:
     return with_values(world, moved | more)
 
 
-def scene(fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    classes = [SURFACES[n] for n in ("soil", "grass")]
-    average = fractions @ np.array([s.mean for s in classes])  # (3.8)
-    each = [s.covariance + np.outer(s.mean - average, s.mean - average) for s in classes]
-    return average, np.tensordot(fractions, each, 1)
-
-
-class Plain:
-    """One truth, by the equations one after the other."""
-
-    def __init__(self, u: int):
-        self.t, self.noise, self.kappa, self.g = TERMS[u], NOISE[u], KAPPA[u], GAINS[u]
-        self.beam, self.sky = BEAM[u], SKY[u]
-        self.f = FRACTIONS[u]
-        self.average, self.surroundings = scene(self.f)
-        low, high = self.level(np.full(B, 0.1)), self.level(np.full(B, 0.6))
-        self.k = (high - low) / 0.5
-        self.b = low - 0.1 * self.k
-
-    def level(self, rho: np.ndarray) -> np.ndarray:
-        t = self.t
-        return t.path_radiance + (t.direct * rho + t.adjacency * self.average) / (1 - t.spherical_albedo * self.average)
-
-    def seen(self, rho: np.ndarray, under: np.ndarray, covariance: np.ndarray, gain: float):
-        t, trapping = self.t, 1 - self.t.spherical_albedo * self.average
-        d_a, d_b = t.direct / trapping, (t.direct * t.spherical_albedo * under + t.adjacency) / trapping**2
-        sigma = np.diag(d_a) @ covariance @ np.diag(d_a)
-        sigma = sigma + self.kappa * gain * np.diag(d_b) @ self.surroundings @ np.diag(d_b)  # (3.11)
-        sigma = sigma + np.diag(self.noise.variance(self.level(rho)))  # (3.16)-(3.19)
-        return (self.level(rho) - self.b) / self.k, np.diag(1 / self.k) @ sigma @ np.diag(1 / self.k)
-
-    def classes(self):
-        found = [(SURFACES[n], g) for n, g in zip(("soil", "grass"), self.g, strict=True)]
-        return [self.seen(s.mean, s.mean, g * s.covariance, g) for s, g in found]
-
-    def filter(self) -> tuple[np.ndarray, np.ndarray]:
-        classes = self.classes()
-        mu = sum(f * m for f, (m, _) in zip(self.f, classes, strict=True))
-        sigma = sum(f * (c + np.outer(m - mu, m - mu)) for f, (m, c) in zip(self.f, classes, strict=True))
-        d = (self.level(SURFACES["plank"].mean) - self.b) / self.k - mu  # (3.22)
-        w = np.linalg.inv(sigma) @ d / (d @ np.linalg.inv(sigma) @ d)  # (3.23)-(3.25)
-        return w, mu
-
-    def light(self) -> np.ndarray:
-        back, q = self.t.spherical_albedo * self.average, self.t.diffuse_fraction
-        return (1 - back) * ((1 - q) * self.beam + q * self.sky) + back * self.sky
-
-    def within(self, f: float, gain: float) -> np.ndarray:
-        """Of target pixels of a fill (3.12)."""
-        own, host = (SURFACES[n].covariance for n in ("plank", "grass"))
-        return f**2 * gain * own * np.outer(self.light(), self.light()) + (1 - f) ** 2 * self.g[1] * host
-
-    def pixel(self, f: float, gain: float = 1.0):
-        own, host = (SURFACES[n].mean for n in ("plank", "grass"))
-        rho, under = (f * part * own + (1 - f) * host for part in (self.light(), self.sky))  # (3.10)
-        return self.seen(rho, under, self.within(f, gain), self.g[1])
+def plain(u: int, fractions: np.ndarray = FRACTIONS) -> PlainScene:
+    """One of the truths."""
+    shares, gains = (dict(zip(("soil", "grass"), each[u], strict=True)) for each in (fractions, GAINS))
+    return PlainScene(TERMS[u], NOISE[u], SURFACES, shares, "plank", "grass", gains, KAPPA[u], BEAM[u], SKY[u])
 
 
 def designed():
@@ -161,7 +110,7 @@ def designed():
 def test_3_22_to_3_25_filters_of_two_truths():
     _, filters = designed()
     for u in (0, 1):
-        w, mu = Plain(u).filter()
+        w, mu = plain(u).filter
         assert filters.weights[u] == pytest.approx(w, rel=1e-9)
         assert filters.offset[u] == pytest.approx(w @ mu, rel=1e-9)
 
@@ -170,10 +119,10 @@ def test_3_27_and_3_29_scores_of_the_classes():
     e, filters = designed()
     means, sds = class_scores(e.seen, filters)
     for u in (0, 1):
-        w, mu = Plain(u).filter()
-        for m, (mean, covariance) in enumerate(Plain(u).classes()):
-            assert means[u, m] == pytest.approx(w @ (mean - mu), abs=1e-10)  # (3.27)
-            assert sds[u, m] ** 2 == pytest.approx(w @ covariance @ w, rel=1e-9)  # (3.29)
+        for m, of_class in enumerate(plain(u).classes.values()):
+            mean, variance = plain(u).scores(of_class)
+            assert means[u, m] == pytest.approx(mean, abs=1e-10)  # (3.27)
+            assert sds[u, m] ** 2 == pytest.approx(variance, rel=1e-9)  # (3.29)
 
 
 @pytest.mark.parametrize("alike", [True, False])
@@ -186,8 +135,8 @@ def test_3_11_surroundings_by_their_matrix_and_by_the_classes(alike):
     e = Evaluation(both(**moved))
     assert e.bands.size == B
     found = surroundings_variance(e.seen.of, v)
-    for u, f in enumerate(fractions):
-        _, sigma = scene(f)
+    for u in (0, 1):
+        sigma = plain(u, fractions).surroundings
         assert found[u] == pytest.approx(np.diag(v[u] @ sigma @ v[u].T), rel=1e-11)
         assert np.diag(e.seen.of.covariance(u)) == pytest.approx(np.diag(sigma), rel=1e-11)
         around = e.seen.of.around()
@@ -200,25 +149,24 @@ def test_3_26_and_3_28_scores_of_target_pixels_in_their_own_light():
     fills, gains = np.array([[0.0, 0.3, 1.0]]), np.array([1.0, 3.0])
     means, sds = found.at(fills, gains, np.arange(2))
     for u in (0, 1):
-        w, mu = Plain(u).filter()
         for i, f in enumerate(fills[0]):
-            mean, covariance = Plain(u).pixel(f, gains[u])
-            assert means[u, i] == pytest.approx(w @ (mean - mu), abs=1e-10)  # (3.26)
-            assert sds[u, i] ** 2 == pytest.approx(w @ covariance @ w, rel=1e-9)  # (3.28)
+            mean, variance = plain(u).scores(plain(u).pixel(f, gains[u]))
+            assert means[u, i] == pytest.approx(mean, abs=1e-10)  # (3.26)
+            assert sds[u, i] ** 2 == pytest.approx(variance, rel=1e-9)  # (3.28)
 
 
 def test_3_7_light_on_a_target_in_the_shade():
     e = Evaluation(both())
     target = e.material(0, e.world)
     lit, under, factor = e.seen.light.surface(target.mean, target.beam, target.sky)
-    light = Plain(1).light()
+    light = plain(1).light()
     assert np.asarray(factor)[:, 0] == pytest.approx(np.array([np.ones(B), light]))
     assert lit[1, 0] == pytest.approx(light * SURFACES["plank"].mean)
     assert under[1, 0] == pytest.approx(0.8 * SURFACES["plank"].mean)
 
 
 def test_3_12_target_pixels_of_a_fill():
-    e, f, one = Evaluation(both()), 0.3, Plain(1)
+    e, f, one = Evaluation(both()), 0.3, plain(1)
     means, noise, sides, _ = target_pixels(e.seen, e.material(0, e.world), np.array([f]))
     d_b, (mean, covariance) = (1 - f) * sides[0][-1, 0] + f * sides[1][-1, 0], one.pixel(f)
     slope, around = e.seen.slope[1], e.seen.of.covariance(1)
@@ -227,20 +175,20 @@ def test_3_12_target_pixels_of_a_fill():
     assert whole == pytest.approx(covariance, rel=1e-9)
     levels = {n: one.level(s.mean) for n, s in SURFACES.items()} | {"plank": one.b + one.k * mean}
     spreads = pixel_spreads(e, 1, levels)
-    for name, (_, own) in zip(SURFACES, [*one.classes(), one.pixel(f)], strict=True):
+    for name, (_, own) in zip(SURFACES, [*one.classes.values(), one.pixel(f)], strict=True):
         assert spreads["reflectance", name][0] == pytest.approx(own, rel=1e-9)
 
 
 def test_3_26_and_3_28_drawn_scores_of_objects():
     drawn = object_scores(Evaluation(both()), np.array([1]), 40_000)["plank", "cem"].values
-    (w, mu), (mean, covariance) = Plain(1).filter(), Plain(1).pixel(0.3)
-    z = (drawn - w @ (mean - mu)) / np.sqrt(w @ covariance @ w)
+    mean, variance = plain(1).scores(plain(1).pixel(0.3))
+    z = (drawn - mean) / np.sqrt(variance)
     assert abs(z.mean()) < 5.0 / np.sqrt(z.size)  # (3.26)
     assert abs(z.var() - 1.0) < 5.0 * np.sqrt(2.0 / z.size)  # (3.28)
 
 
 def test_3_16_to_3_19_noise_at_a_retrieved_reflectance():
-    e, one = Evaluation(both()), Plain(1)
+    e, one = Evaluation(both()), plain(1)
     rho = np.array([0.1, 0.2, 0.4, 0.6])
     expected = one.noise.variance(one.b + one.k * rho) / one.k**2
     assert noise_of(e.seen, 1, rho) == pytest.approx(expected, rel=1e-10)
@@ -251,19 +199,17 @@ def test_3_28_by_monte_carlo():
     rng, n = np.random.default_rng(3281), 200_000
     e, filters = designed()
     found = target_scores(e.seen, filters, e.material(0, e.world), np.arange(2))
-    fill, one = beta_fill(0.3, 0.1), Plain(1)
+    fill, one = beta_fill(0.3, 0.1), plain(1)
     means, sds = found.at(fill.values[None], np.full(1, 1.0), np.array([1]))
     mean = float(fill.weights @ means[0])
     variance = float(fill.weights @ (sds[0] ** 2 + (means[0] - mean) ** 2))
     own, host, light = SURFACES["plank"], SURFACES["grass"], one.light()
     f = rng.choice(fill.values, n, p=fill.weights)[:, None]
     target = light * rng.multivariate_normal(own.mean, own.covariance, n)
-    background = rng.multivariate_normal(host.mean, one.g[1] * host.covariance, n)
+    background = rng.multivariate_normal(host.mean, one.gains["grass"] * host.covariance, n)
     under = f * 0.8 * own.mean + (1 - f) * host.mean
-    trapping = 1 - one.t.spherical_albedo * one.average
-    d_b = (one.t.direct * one.t.spherical_albedo * under + one.t.adjacency) / trapping**2
-    away = rng.multivariate_normal(np.zeros(B), one.kappa * one.g[1] * one.surroundings, n)
-    level = one.level(f * target + (1 - f) * background) + d_b * away
+    away = rng.multivariate_normal(np.zeros(B), one.kappa * one.gains["grass"] * one.surroundings, n)
+    level = one.level(f * target + (1 - f) * background) + one.slope_around(under) * away
     typical = one.level(f * light * own.mean + (1 - f) * host.mean)
     level = level + rng.standard_normal((n, B)) * np.sqrt(one.noise.variance(typical))
     score = ((level - one.b) / one.k) @ filters.weights[1] - filters.offset[1]

@@ -6,18 +6,17 @@ Each model is fitted to the pixels outside the targets, class by class as in the
 one half of the image's blocks (drawn at random, SPLITS times, each half in turn), the filters being those of the
 campaign.  Printed are predicted over measured P_FA at the threshold that the pixels themselves set: in sample,
 and on the other half as geometric means, with the share of pairs of filter and half within a factor of two.
-The last line is the yardstick: one half of the pixels in the place of a model.  Lines that begin with "sd" have the
-standard deviation of ln P_FA at the fixed threshold, of the model by the pixels that it was fitted to and of the
-measured share: a jackknife over GROUPS groups of blocks.
+The last line is the yardstick: one half of the pixels in the place of a model.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from law_coverage import parts_of, scored
 
 from hyperval.campaign import jobs_of
 from hyperval.datasets import InputLog
@@ -29,7 +28,6 @@ CAMPAIGN = Path(__file__).parents[2] / "campaigns" / "hysu-2018" / "campaign.yam
 MATERIALS = ("bitumen", "red_metal", "blue_fabric", "red_fabric", "green_fabric")
 LEVELS = (1e-2, 1e-3)
 SIDE = 10  # pixels of a block, 7 m
-GROUPS = 8  # of blocks, each left out once
 
 Pixels = np.ndarray
 
@@ -57,54 +55,36 @@ class Image:
 
 def laws(image: Image, rows: Pixels, count: object, tails: bool) -> list[ClassScores]:
     """Scores of the laws of all classes, for each filter, of the pixels ``rows``."""
-    parts, means, covariances, dofs = [], [], [], []
+    parts = []
     for kind in np.unique(image.kind):
         members = rows[image.kind[rows] == kind]
         x = image.spectra[members]
+        mean, covariance = x.mean(axis=0), np.cov(x.T)
         fit = class_mixture(x, image.block[members], count, tails=tails)
         mixture = None if fit is None else fit.components(x)
-        share = members.size / rows.size
-        if mixture is None:
-            parts += [share]
-            means += [x.mean(axis=0)]
-            fit = leading_tails(x, x.mean(axis=0), np.cov(x.T))
-            covariances += [fit.scale * np.cov(x.T) if tails else np.cov(x.T)]
-            dofs += [fit.dof if tails else np.inf]
-            continue
-        parts += list(share * mixture.weights)
-        means += list(x.mean(axis=0) + mixture.offsets)
-        covariances += list(mixture.covariances)
-        dofs += [mixture.dof] * len(mixture)
-    out = []
-    for w, offset in zip(image.weights, image.offsets, strict=True):
-        sd = np.sqrt([w @ c @ w for c in covariances])
-        theta = np.array(means) @ w - offset
-        out.append(ClassScores(*(np.array(a)[None] for a in (parts, theta, sd, dofs))))
-    return out
+        tail = leading_tails(x, mean, covariance) if tails and mixture is None else None
+        parts += [(members.size / rows.size * f, *rest) for f, *rest in parts_of(mean, covariance, tail, mixture)]
+    return [scored(w, offset, parts) for w, offset in zip(image.weights, image.offsets, strict=True)]
 
 
-def ratios(image: Image, models: Sequence[ClassScores], rows: Pixels) -> np.ndarray:
-    """(levels, filters) predicted over measured P_FA of the pixels ``rows``."""
-    out = np.empty((len(LEVELS), len(models)))
-    for f, model in enumerate(models):
-        ordered = np.sort(image.scores[f][rows])[::-1]
-        for i, level in enumerate(LEVELS):
-            alarms = max(round(level * rows.size), 1)
-            predicted = np.exp(log_false_alarm(np.array([ordered[alarms]]), model)[0][0])
-            out[i, f] = predicted / (alarms / rows.size)
-    return out
-
-
-def repeated(image: Image, told: Pixels, rows: Pixels) -> np.ndarray:
-    """The same with the pixels ``told`` in the place of a model; half an alarm where they have none."""
+def ratios(image: Image, share: Callable[[int, float], float], rows: Pixels) -> np.ndarray:
+    """(levels, filters) ``share`` above a threshold of a filter over that of the pixels ``rows``, who set it."""
     out = np.empty((len(LEVELS), len(MATERIALS)))
     for f in range(len(MATERIALS)):
         ordered = np.sort(image.scores[f][rows])[::-1]
         for i, level in enumerate(LEVELS):
             alarms = max(round(level * rows.size), 1)
-            share = max(np.count_nonzero(image.scores[f][told] > ordered[alarms]), 0.5) / told.size
-            out[i, f] = share / (alarms / rows.size)
+            out[i, f] = share(f, ordered[alarms]) / (alarms / rows.size)
     return out
+
+
+def by_laws(models: list[ClassScores]) -> Callable[[int, float], float]:
+    return lambda f, x: float(np.exp(log_false_alarm(np.array([x]), models[f])[0][0]))
+
+
+def by_pixels(image: Image, told: Pixels) -> Callable[[int, float], float]:
+    """The pixels ``told`` in the place of a model; half an alarm where they have none."""
+    return lambda f, x: max(np.count_nonzero(image.scores[f][told] > x), 0.5) / told.size
 
 
 def halves(image: Image, splits: int) -> list[tuple[Pixels, Pixels]]:
@@ -115,23 +95,6 @@ def halves(image: Image, splits: int) -> list[tuple[Pixels, Pixels]]:
         one, other = np.flatnonzero(first), np.flatnonzero(~first)
         out += [(one, other), (other, one)]
     return out
-
-
-def jackknife(image: Image, count: object, tails: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(levels, filters) standard deviation of ln P_FA: of the model, and of the measured share (Miller 1974)."""
-    every = np.arange(image.kind.size)
-    ordered = np.sort(image.scores, axis=1)[:, ::-1]
-    thresholds = [ordered[:, max(round(level * every.size), 1)] for level in LEVELS]
-    blocks, block_of = np.unique(image.block, return_inverse=True)
-    group = (np.random.default_rng(0).permutation(blocks.size) % GROUPS)[block_of]
-    modelled, measured = [], []
-    for g in range(GROUPS):
-        rows = every[group != g]
-        models = laws(image, rows, count, tails)
-        modelled.append([[log_false_alarm(t[[f]], m)[0][0] for f, m in enumerate(models)] for t in thresholds])
-        shares = [(image.scores[:, rows] > t[:, None]).mean(axis=1) for t in thresholds]
-        measured.append(np.log(np.maximum(shares, 0.5 / rows.size)))
-    return tuple(np.sqrt((GROUPS - 1) * np.var(x, axis=0)) for x in (modelled, measured))  # type: ignore[return-value]
 
 
 def line(name: str, inside: np.ndarray | None, outside: np.ndarray) -> str:
@@ -155,13 +118,10 @@ def main() -> None:
         ("three classes, normal", 1, False), ("three classes, t", 1, True),
         ("mixtures, normal", "auto", False), ("mixtures, t", "auto", True),
     ):  # fmt: skip
-        inside = ratios(image, laws(image, every, count, tails), every)
-        outside = np.array([ratios(image, laws(image, told, count, tails), rows) for told, rows in pairs])
+        inside = ratios(image, by_laws(laws(image, every, count, tails)), every)
+        outside = np.array([ratios(image, by_laws(laws(image, told, count, tails)), rows) for told, rows in pairs])
         print(line(name, inside, outside), flush=True)
-        for side, sd in zip(("model", "image"), jackknife(image, count, tails) if tails else (), strict=False):
-            cells = [" ".join(f"{v:.2g}" for v in at) for at in sd]
-            print(f"| sd of ln P_FA, {side}, {name} | " + " | ".join(cells) + " | | |", flush=True)
-    yardstick = np.array([repeated(image, told, rows) for told, rows in pairs])
+    yardstick = np.array([ratios(image, by_pixels(image, told), rows) for told, rows in pairs])
     print(line("the other half of the image", None, yardstick), flush=True)
 
 

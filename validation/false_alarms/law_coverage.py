@@ -15,6 +15,8 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from scipy import ndimage, special
@@ -39,6 +41,7 @@ AWAY = np.array([2.5, 2.0, -2.0, 1.0])
 CASES = {"normal": "normal", "t": "t", "two clusters": "mixture", "two clusters as one t": "t"}
 PART = px.compact_parts(*np.divmod(np.arange(SIDE**2), SIDE))
 BLOCK = 11  # pixels; of the choice of components, which is not asked for here
+Part = tuple[float, np.ndarray, np.ndarray, float]
 
 
 def field(rng: np.random.Generator, count: int, blur: float) -> np.ndarray:
@@ -76,16 +79,24 @@ def truth(case: str) -> ClassScores:
     return laws((1.0 - SHARE, 0.0, sd, np.inf), (SHARE, float(WEIGHTS @ AWAY), other, np.inf))
 
 
-def of_moments(
+def parts_of(
     mean: np.ndarray, covariance: np.ndarray, tails: px.TailFit | None, parts: Components | None
-) -> ClassScores:
+) -> list[Part]:
+    """(fraction, mean, covariance, dof) of each law of a class with these moments: one, or those of a mixture."""
     if parts is None:
         scale, dof = (1.0, np.inf) if tails is None else (tails.scale, tails.dof)
-        return laws((1.0, float(WEIGHTS @ mean), float(np.sqrt(scale * WEIGHTS @ covariance @ WEIGHTS)), dof))
-    return laws(*(
-        (float(w), float(WEIGHTS @ (mean + o)), float(np.sqrt(WEIGHTS @ c @ WEIGHTS)), parts.dof)
-        for w, o, c in zip(parts.weights, parts.offsets, parts.covariances, strict=True)
-    ))  # fmt: skip
+        return [(1.0, mean, scale * covariance, dof)]
+    each = zip(parts.weights, parts.offsets, parts.covariances, strict=True)
+    return [(weight, mean + offset, own, parts.dof) for weight, offset, own in each]
+
+
+def scored(weights: np.ndarray, offset: float, parts: Iterable[Part]) -> ClassScores:
+    """The laws behind a filter."""
+    return laws(*((f, float(m @ weights) - offset, float(np.sqrt(weights @ c @ weights)), n) for f, m, c, n in parts))
+
+
+def of_moments(*known: Any) -> ClassScores:
+    return scored(WEIGHTS, 0.0, parts_of(*known))
 
 
 def fitted(kind: str, pixels: np.ndarray) -> list[ClassScores]:

@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import mmap
+import multiprocessing
 import os
 import resource
 import signal
-import struct
 import sys
 import tempfile
-import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +37,7 @@ HANG_SECONDS = 60  # in a library that no signal ends
 READ, REFUSED, UNFORESEEN = "read", "refused", "refused by the wrapper alone"
 DEFECTS = ("internal error", "implausible", "out of memory", "too long", "crash", "hang")
 OUTCOMES = (READ, REFUSED, UNFORESEEN, *DEFECTS)
+ENDED = ("hang", "crash")  # of these the process ends
 _EXAMPLES = 20
 
 
@@ -49,7 +48,7 @@ class TooLong(BaseException):
 def outcome(sample: Sample, folder: Path) -> tuple[str, str]:
     """What comes of reading the folder as it stands, and words on it."""
     try:
-        sample.read(folder)
+        sample.read_in(folder)
         return READ, ""
     except HypervalError as error:
         if isinstance(error.__cause__, MemoryError):
@@ -69,106 +68,73 @@ def outcome(sample: Sample, folder: Path) -> tuple[str, str]:
         return "internal error", f"{type(error).__name__}: {error} ({Path(place.filename).name}:{place.lineno})"
 
 
-def run_batch(sample: Sample, numbers: Sequence[int], folder: Path, started: Any = None) -> dict[str, Any]:
-    """Outcomes of the mutants of these numbers, in this process; ``started`` learns the number at hand."""
-    counts: Counter[str] = Counter()
-    examples: list[list[Any]] = []
-    unforeseen: dict[str, int] = {}
+def nothing() -> dict[str, Any]:
+    """No outcome yet: how many of each, some defects with the mutant's number, and errors that no reader foresaw."""
+    return {"counts": {}, "examples": [], "unforeseen": {}}
+
+
+def batch(sample: Sample, numbers: range) -> dict[str, Any]:
+    """Outcomes of the mutants of these numbers, read in a process with limits, in another one behind what ended it."""
+    total, place = nothing(), "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 - memory in place of a disk
+    processes: Any = multiprocessing.get_context("fork")  # a sample holds functions, which no pipe carries
+    while numbers:
+        told, tell = processes.Pipe(duplex=False)
+        with tempfile.TemporaryDirectory(dir=place) as name, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            child = processes.Process(target=_in_child, args=(sample, numbers, Path(name), tell))
+            child.start()
+            tell.close()
+            found = READ
+            while numbers and found not in ENDED:
+                try:
+                    if not told.poll(HANG_SECONDS):
+                        child.kill()
+                    found, words = told.recv()
+                except EOFError:
+                    child.join()
+                    found, words = ENDED[child.exitcode != -signal.SIGKILL], f"exit code {child.exitcode}"
+                _count(total, numbers[0], found, words)
+                numbers = numbers[1:]
+            child.join()
+    return total
+
+
+def _in_child(sample: Sample, numbers: range, folder: Path, tell: Connection) -> None:
+    """Tell the outcome of one mutant after the other."""
+
+    def stop(*_: object) -> None:
+        raise TooLong
+
+    signal.signal(signal.SIGALRM, stop)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # HDF5 and GDAL print
+    held = int(Path("/proc/self/statm").read_text("ascii").split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (held + MEMORY_BYTES,) * 2)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     (damaged, content), *others = sample.files.items()
     for name, raw in others:
         (folder / name).write_bytes(raw)
     for number in numbers:
-        if started is not None:
-            started[:8] = struct.pack("<q", number)
         (folder / damaged).write_bytes(mutant(content, sample.name, number))
         signal.alarm(SECONDS)
         try:
-            found, words = outcome(sample, folder)
+            found = outcome(sample, folder)
         except TooLong:
-            found, words = "too long", ""
+            found = "too long", ""
         finally:
             signal.alarm(0)
-        counts[found] += 1
-        if found in DEFECTS and len(examples) < _EXAMPLES:
-            examples.append([number, found, words[:300]])
-        if found == UNFORESEEN:
-            unforeseen.setdefault(words.rpartition("(")[2][:80], number)
-    return {"counts": dict(counts), "examples": examples, "unforeseen": unforeseen}
+        tell.send(found)
 
 
-def batch(sample: Sample, numbers: range) -> dict[str, Any]:
-    """The same in a process with limits, and again behind a mutant that ended it."""
-    total: dict[str, Any] = {"counts": {}, "examples": [], "unforeseen": {}}
-    first = numbers.start
-    while first < numbers.stop:
-        first = _guarded(sample, range(first, numbers.stop), total)
-    return total
-
-
-def _guarded(sample: Sample, numbers: range, total: dict[str, Any]) -> int:
-    place = "/dev/shm" if Path("/dev/shm").is_dir() else None  # noqa: S108 - memory in place of a disk
-    with tempfile.TemporaryDirectory(dir=place) as name, mmap.mmap(-1, 8) as started:
-        folder = Path(name)
-        (folder / "in").mkdir()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            child = os.fork()
-        if child == 0:
-            _in_child(sample, numbers, folder, started)
-        status = _waited(child, started)
-        out = folder / "out.json"
-        if out.is_file():
-            _add(total, json.loads(out.read_text()))
-            return numbers.stop
-        # What came before the last mutant is counted by running it again without that one.
-        (last,) = struct.unpack("<q", started[:8])
-    if last > numbers.start:
-        _guarded(sample, range(numbers.start, last), total)
-    found = "hang" if status == signal.SIGKILL else "crash"
-    _add(total, {"counts": {found: 1}, "examples": [[last, found, f"signal {status}"]], "unforeseen": {}})
-    return last + 1
-
-
-def _in_child(sample: Sample, numbers: range, folder: Path, started: Any) -> None:
-    code = 1
-    try:
-
-        def stop(*_: object) -> None:
-            raise TooLong
-
-        signal.signal(signal.SIGALRM, stop)
-        sink = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(sink, 2)  # HDF5 and GDAL print
-        with open("/proc/self/statm", encoding="ascii") as stream:
-            held = int(stream.read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (held + MEMORY_BYTES,) * 2)
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        warnings.simplefilter("ignore")
-        text = json.dumps(run_batch(sample, numbers, folder / "in", started))
-        (folder / "half").write_text(text)
-        os.replace(folder / "half", folder / "out.json")
-        code = 0
-    finally:
-        os._exit(code)
-
-
-def _waited(child: int, started: Any) -> int:
-    """The signal that ended the child, 0 where it ended by itself; killed when one mutant takes too long."""
-    at, since = b"", time.monotonic()
-    while True:
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if ended:
-            return os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
-        if started[:8] != at:
-            at, since = started[:8], time.monotonic()
-        elif time.monotonic() - since > HANG_SECONDS:
-            os.kill(child, signal.SIGKILL)
-        time.sleep(0.02)
+def _count(total: dict[str, Any], number: int, found: str, words: str) -> None:
+    total["counts"][found] = total["counts"].get(found, 0) + 1
+    if found in DEFECTS and len(total["examples"]) < _EXAMPLES:
+        total["examples"].append([number, found, words[:300]])
+    if found == UNFORESEEN:
+        total["unforeseen"].setdefault(words.rpartition("(")[2][:80], number)
 
 
 def _add(total: dict[str, Any], more: dict[str, Any]) -> None:
-    for key, count in more["counts"].items():
-        total["counts"][key] = total["counts"].get(key, 0) + count
+    total["counts"] = dict(Counter(total["counts"]) + Counter(more["counts"]))
     total["examples"] = (total["examples"] + more["examples"])[:_EXAMPLES]
     total["unforeseen"] = {**more["unforeseen"], **total["unforeseen"]}
 
@@ -203,7 +169,7 @@ def main() -> int:
     weight = sum(s.share for s in listed)
     for sample in (s for s in listed if options.only in s.name):
         most = round(options.mutants * sample.share / weight)
-        found = done.setdefault(sample.name, {"counts": {}, "examples": [], "unforeseen": {}})
+        found = done.setdefault(sample.name, nothing())
         while (first := sum(found["counts"].values())) < most:
             _add(found, batch(sample, range(first, min(first + BATCH, most))))
             write_text(state, json.dumps(done, indent=1) + "\n")

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -50,16 +51,21 @@ class Sample:
 
     Attributes
     ----------
-    name : of the file that is damaged; files of the same start go with it
-    files : name -> content
-    read : what reads the folder and checks what came back
+    files : name -> content; the first is damaged, the others lie beside it
+    read : what reads a file and checks what came back
     share : how many of all mutants it gets, relative to the others
+    opened : the file that is read, where it is not the first
     """
 
     name: str
     files: dict[str, bytes]
     read: Callable[[Path], Any]
     share: float = 1.0
+    opened: str = ""
+
+    def read_in(self, folder: Path) -> None:
+        """Read the file where it lies."""
+        self.read(folder / (self.opened or next(iter(self.files))))
 
 
 class ImplausibleError(AssertionError):
@@ -77,6 +83,12 @@ def finite(values: Any, name: str) -> None:
     """Refuse numbers that are not finite."""
     if not np.all(np.isfinite(np.asarray(values, dtype=float))):
         raise ImplausibleError(f"{name} is not finite")
+
+
+def region(name: str, mask: Any) -> None:
+    """Refuse a region of another size than the image, or without a pixel."""
+    if mask.shape != SHAPE or not mask.any():
+        raise ImplausibleError(f"region {name!r} of shape {mask.shape}")
 
 
 def _spectra(path: Path) -> None:
@@ -112,9 +124,8 @@ def _truth(path: Path) -> None:
     """Truth of a simulation, in the size of a cube that has nothing else to do with it."""
     size = cast("Cube", SimpleNamespace(lines=SHAPE[0], samples=SHAPE[1], shape=SHAPE, transform=None, crs=None))
     source = RegionSource(file=path.name, band="material*", classes={"grass": 3, "asphalt": 12})
-    for region in material_regions(source, size, path).values():
-        if region.mask.shape != SHAPE or not region.mask.any():
-            raise ImplausibleError(f"region {region.name!r} of shape {region.mask.shape}")
+    for found in material_regions(source, size, path).values():
+        region(found.name, found.mask)
     truth = AbundanceTruth(image=path.name, materials={"panel": "*panel*"})
     for target in image_targets(truth, size, 4.0, lambda name: path)[0]:
         finite(target.area_m2, "area_m2")
@@ -123,9 +134,8 @@ def _truth(path: Path) -> None:
 
 
 def _regions(path: Path) -> None:
-    for region in read_regions(path, SHAPE, transform=MAP, crs=UTM).values():
-        if region.mask.shape != SHAPE or not region.mask.any():
-            raise ImplausibleError(f"region {region.name!r} of shape {region.mask.shape}")
+    for found in read_regions(path, SHAPE, transform=MAP, crs=UTM).values():
+        region(found.name, found.mask)
 
 
 def _targets(path: Path) -> None:
@@ -151,32 +161,34 @@ def _header(path: Path) -> None:
         raise ImplausibleError(f"{header.lines} x {header.samples} x {header.bands}")
 
 
-def _yaml() -> dict[str, tuple[Path, Callable[[Path], Any], float]]:
-    """A committed file of every kind, its reader, and its share."""
+_radiance, _numbers = partial(_cube, quantity="radiance"), partial(_cube, quantity="counts", axis="numbers")
+
+
+def _yaml() -> list[Sample]:
+    """A committed file of every kind."""
     campaign = ROOT / "campaigns" / "share2012-twin"
-    return {
-        "yaml": (ROOT / "studies" / "tornado.yaml", load_yaml, 0.1),
-        "campaign": (campaign / "campaign.yaml", lambda path: [job.campaign for job in read_jobs(path)], 0.06),
-        "campaign texts": (ROOT / "campaigns" / "share2012-avon" / "campaign.yaml", read_jobs, 0.06),
-        "scenario": (campaign / "scenario.yaml", load_scenario, 0.06),
-        "scene": (campaign / "scene.yaml", load_scene, 0.06),
-        "sensor": (ROOT / "src" / "hyperval" / "sensor" / "library" / "hydice.yaml", load_sensor, 0.06),
-        "study": (ROOT / "studies" / "tornado.yaml", load_study, 0.06),
-        "baseline": (ROOT / "validation" / "baselines" / "pasadena-2017.yaml", load_baseline, 0.06),
+    readers: dict[str, tuple[Path, Callable[[Path], Any]]] = {
+        "yaml": (ROOT / "studies" / "tornado.yaml", load_yaml),
+        "campaign": (campaign / "campaign.yaml", lambda path: [job.campaign for job in read_jobs(path)]),
+        "campaign texts": (ROOT / "campaigns" / "share2012-avon" / "campaign.yaml", read_jobs),
+        "scenario": (campaign / "scenario.yaml", load_scenario),
+        "scene": (campaign / "scene.yaml", load_scene),
+        "sensor": (ROOT / "src" / "hyperval" / "sensor" / "library" / "hydice.yaml", load_sensor),
+        "study": (ROOT / "studies" / "tornado.yaml", load_study),
+        "baseline": (ROOT / "validation" / "baselines" / "pasadena-2017.yaml", load_baseline),
     }
+    return [
+        Sample(f"yaml: {kind}", {"a.yaml": path.read_bytes()}, read, 0.1 if kind == "yaml" else 0.06)
+        for kind, (path, read) in readers.items()
+    ]
 
 
 def samples(folder: Path) -> list[Sample]:
     """Every sample; ``folder`` is where files are made that need writers."""
-    out = [
-        Sample(f"spectra: text {i}", {"a.txt": text.encode()}, lambda f: _spectra(f / "a.txt"), 0.3)
-        for i, text in enumerate(TEXTS)
-    ]
+    out = [Sample(f"spectra: text {i}", {"a.txt": text.encode()}, _spectra, 0.3) for i, text in enumerate(TEXTS)]
     for version, code in ((b"as7", 2), (b"as6", 0), (b"as8", 1)):
-        raw = {"a.asd": asd(version=version, code=code)}
-        out.append(Sample(f"spectra: asd {code}", raw, lambda f: _spectra(f / "a.asd")))
-    for kind, (file, content) in drawn().items():
-        out.append(Sample(f"regions: {kind}", {file: content}, lambda f, n=file: _regions(f / n)))
+        out.append(Sample(f"spectra: asd {code}", {"a.asd": asd(version=version, code=code)}, _spectra))
+    out += [Sample(f"regions: {kind}", dict([named]), _regions) for kind, named in drawn().items()]
     targets = "name,material,easting,northing,side_m\np1,plank,300010,4699990,1.5\np2,plank,300016,4699986,0.5\n"
     bands = "# centre,fwhm\n" + "".join(f"{nm:g},20\n" for nm in NM)
     three = "".join(channels(rho=rho) for rho in (0.5, 0.0, 0.1))
@@ -184,61 +196,50 @@ def samples(folder: Path) -> list[Sample]:
             "AEROSOLS": {"IHAZE": "AER_RURAL", "VIS": -0.1}, "SURFACE": {"SURREF": 0.1, "GNDALT": 0.3},
             "GEOMETRY": {"H1ALT": 3.0, "IDAY": 100, "IPARM": 12, "PARM1": 30.0, "PARM2": 40.0}}}]}  # fmt: skip
     compared = [Result("c", "radiance", "s", "m", "bias_ratio", value=1.0 + i, reason="r") for i in range(3)]
-    packed = gzip.compress(three.encode(), mtime=0)
-    out += [
-        Sample("targets", {"t.csv": targets.encode()}, lambda f: _targets(f / "t.csv")),
-        Sample("band table", {"b.csv": bands.encode()}, lambda f: _band_table(f / "b.csv")),
-        Sample("chn", {"a.chn": channels(rho=0.2).encode()}, lambda f: _terms(f / "a.chn")),
-        Sample("chn, three runs", {"a.chn.gz": packed}, lambda f: _terms(f / "a.chn.gz")),
-        Sample("chn, three runs unpacked", {"a.chn": three.encode()}, lambda f: _terms(f / "a.chn"), 0.5),
-        Sample("tape7", {"tape7": tape7([0.0], terms=spectrum(8)).encode()}, lambda f: read_tape7(f / "tape7")),
-        Sample(
-            "modtran json",
-            {"a.json": json.dumps(deck, indent=1).encode()},
-            lambda f: read_modtran_json(f / "a.json"),
-        ),
-        Sample("results", {"results.json": results_json(compared).encode()}, lambda f: list(read_rows(f))),
-    ]
     made = written(folder)
-    header, cube = made["envi cube"]["a.hdr"], made["envi cube"]["a.img"]
+    header, library = made["envi cube"]["a.hdr"], made["envi library"]
+    headers = {name: dict(reversed(files.items())) for name, files in made.items()}  # the other file first
     out += [
-        Sample("envi header", {"a.hdr": header}, lambda f: _header(f / "a.hdr")),
-        Sample("envi cube: header", {"a.hdr": header, "a.img": cube}, lambda f: _cube(f / "a.img"), 0.5),
-        Sample("envi cube: data", {"a.img": cube, "a.hdr": header}, lambda f: _cube(f / "a.img"), 0.3),
-        Sample("lookup table", dict(reversed(made["lookup table"].items())),
-               lambda f: open_lookup_table(f / "glt.dat", SHAPE), 0.3),
-        Sample("envi library: header", dict(reversed(made["envi library"].items())),
-               lambda f: _spectra(f / "b.sli")),
-        Sample("envi library: data", made["envi library"], lambda f: _spectra(f / "b.sli")),
-        Sample("geotiff", made["geotiff"], lambda f: _cube(f / "a.tif"), 0.2),
-        Sample("matlab 5", made["matlab 5"], lambda f: _cube(f / "a.mat", "counts", "numbers"), 0.3),
-        Sample("matlab 7.3", made["matlab 7.3"], lambda f: _cube(f / "b.mat", "counts", "numbers"), 0.06),
-        Sample("numpy", made["numpy"], lambda f: _cube(f / "a.npy", "counts", "numbers"), 0.3),
-        Sample("region raster", made["region raster"], lambda f: _regions(f / "mask.tif"), 0.2),
-        Sample("netcdf cube", made["netcdf cube"], lambda f: _cube(f / "a.nc"), 0.06),
-        Sample("hdf5 tree", made["hdf5 tree"], lambda f: _cube(f / "a.h5"), 0.06),
-        Sample("table", made["table"], lambda f: _table(f / "table.nc"), 0.06),
-        Sample("statistics library", made["statistics library"], lambda f: _library(f / "library.nc"), 0.06),
-    ]  # fmt: skip
+        Sample("targets", {"t.csv": targets.encode()}, _targets),
+        Sample("band table", {"b.csv": bands.encode()}, _band_table),
+        Sample("chn", {"a.chn": channels(rho=0.2).encode()}, _terms),
+        Sample("chn, three runs", {"a.chn.gz": gzip.compress(three.encode(), mtime=0)}, _terms),
+        Sample("chn, three runs unpacked", {"a.chn": three.encode()}, _terms, 0.5),
+        Sample("tape7", {"tape7": tape7([0.0], terms=spectrum(8)).encode()}, read_tape7),
+        Sample("modtran json", {"a.json": json.dumps(deck, indent=1).encode()}, read_modtran_json),
+        Sample("results", {"results.json": results_json(compared).encode()}, lambda path: list(read_rows(path.parent))),
+        Sample("envi header", {"a.hdr": header}, _header),
+        Sample("envi cube: header", headers["envi cube"], _cube, 0.5, "a.img"),
+        Sample("envi cube: data", made["envi cube"], _cube, 0.3),
+        Sample("lookup table", headers["lookup table"], lambda path: open_lookup_table(path, SHAPE), 0.3, "glt.dat"),
+        Sample("envi library: header", headers["envi library"], _spectra, opened="b.sli"),
+        Sample("envi library: data", library, _spectra),
+        Sample("geotiff", made["geotiff"], _cube, 0.2),
+        Sample("matlab 5", made["matlab 5"], _numbers, 0.3),
+        Sample("matlab 7.3", made["matlab 7.3"], _numbers, 0.06),
+        Sample("numpy", made["numpy"], _numbers, 0.3),
+        Sample("region raster", made["region raster"], _regions, 0.2),
+        Sample("netcdf cube", made["netcdf cube"], _cube, 0.06),
+        Sample("hdf5 tree", made["hdf5 tree"], _cube, 0.06),
+        Sample("table", made["table"], _table, 0.06),
+        Sample("statistics library", made["statistics library"], _library, 0.06),
+    ]
     for kind, content in products_of_imagers(folder).items():
         image = next(name for name in content if not name.endswith(".XML"))
         share = 0.3 if kind == "enmap metadata" else 0.03
         holds = "reflectance" if kind in ("neon reflectance", "prisma l2d", "oci") else "radiance"
-        out.append(Sample(f"product: {kind}", content, lambda f, n=image, q=holds: _cube(f / n, q), share))
+        out.append(Sample(f"product: {kind}", content, partial(_cube, quantity=holds), share, image))
     beside = with_text_beside(folder)
     sequence = {"sequence.nc": hypernets(folder / "sequence.nc").read_bytes()}
-    out += [
-        Sample("spectra: specpr", {"splib": specpr()}, lambda f: _spectra(f / "splib"), 0.5),
-        Sample("spectra: hypernets", sequence, lambda f: _spectra(f / "sequence.nc"), 0.03),
-        Sample("aviris gain", beside["aviris gain"], lambda f: _cube(f / "f1rdn_img.dat", "radiance"), 0.5),
-        Sample("stac item", beside["stac item"],
-               lambda f, n=list(beside["stac item"])[1]: _cube(f / n, "radiance"), 0.3),
-        Sample("dirsig header", beside["dirsig header"], lambda f: _truth(f / "truth.img"), 0.5),
-        Sample("dirsig truth", beside["dirsig truth"], lambda f: _truth(f / "truth.img"), 0.3),
-        Sample("radcalnet", {"a.input": RADCALNET.encode()}, lambda f: _spectra(f / "a.input")),
-        Sample("products.nc", run_products(folder), read_products, 0.03),
-    ]  # fmt: skip
-    for kind, (path, read, share) in _yaml().items():
-        content = {"a.yaml": path.read_bytes()}
-        out.append(Sample(f"yaml: {kind}", content, lambda f, r=read: r(f / "a.yaml"), share))
-    return out
+    return [
+        *out,
+        Sample("spectra: specpr", {"splib": specpr()}, _spectra, 0.5),
+        Sample("spectra: hypernets", sequence, _spectra, 0.03),
+        Sample("aviris gain", beside["aviris gain"], _radiance, 0.5, "f1rdn_img.dat"),
+        Sample("stac item", beside["stac item"], _radiance, 0.3, list(beside["stac item"])[1]),
+        Sample("dirsig header", beside["dirsig header"], _truth, 0.5, "truth.img"),
+        Sample("dirsig truth", beside["dirsig truth"], _truth, 0.3),
+        Sample("radcalnet", {"a.input": RADCALNET.encode()}, _spectra),
+        Sample("products.nc", run_products(folder), lambda path: read_products(path.parent), 0.03),
+        *_yaml(),
+    ]

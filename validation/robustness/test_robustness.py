@@ -59,10 +59,7 @@ def test_the_same_number_is_the_same_damage():
 
 
 def harmful(path: Path) -> None:
-    number = int((path / "a").read_bytes() == b"x")
-    if number:
-        return
-    kind = len((path / "a").read_bytes()) % 6
+    kind = len(path.read_bytes()) % 6
     if kind == 0:
         raise InputError("clear")
     if kind == 1:
@@ -90,7 +87,7 @@ def test_what_takes_too_long_is_ended(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("mutation_study.SECONDS", 1)
 
     def waits(path: Path) -> None:
-        if len((path / "a").read_bytes()) != 3:
+        if len(path.read_bytes()) != 3:
             time.sleep(30)
 
     found = batch(Sample("waits", {"a": b"abc"}, waits), range(2))

@@ -20,6 +20,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -90,25 +92,35 @@ def main() -> int:
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        campaigns = [] if options.campaign is None else ["--campaigns", str(options.campaign.resolve().parent)]
-        words = ["serve", "--port", str(options.port), "--folder", str(folder / "web"), "--queue", "1000", *campaigns]
-        server = subprocess.Popen([sys.executable, "-m", "hyperval", *words])  # noqa: S603 - our own
-        try:
+        words = [] if options.campaign is None else ["--campaigns", str(options.campaign.resolve().parent)]
+        with served(options.port, folder / "web", "--queue", "1000", *words):
             return run(f"http://127.0.0.1:{options.port}/api/v1", folder, options)
-        finally:
-            server.terminate()
-            server.wait()
+
+
+@contextmanager
+def served(port: int, folder: Path, *words: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A server of this machine that answers, in a session of its own, which ends behind its use."""
+    command = [sys.executable, "-m", "hyperval", "serve", "--port", str(port), "--folder", str(folder), *words]
+    server = subprocess.Popen(command, start_new_session=True)  # noqa: S603 - our own
+    try:
+        for _ in range(300):
+            try:
+                requests.get(f"http://127.0.0.1:{port}", timeout=60)
+                break
+            except requests.ConnectionError:
+                time.sleep(0.2)
+        if server.poll() is not None:
+            sys.exit("the server ended")
+        yield server
+    finally:
+        server.terminate()
+        server.wait()
 
 
 def run(api: str, folder: Path, options: argparse.Namespace) -> int:
     """Run the cases against a server."""
     session = requests.Session()
-    for _ in range(300):
-        try:
-            session.get(f"{api}/sensors", timeout=60)
-            break
-        except requests.ConnectionError:
-            time.sleep(0.3)
+    session.get(f"{api}/sensors", timeout=60)
     cookie = "; ".join(f"{c.name}={c.value}" for c in session.cookies)
     headers = {"Cookie": cookie}
     order = session.post(f"{api}/predictions?wait=60", json={"name": "yellow-planks-asphalt"}, timeout=90).json()
@@ -122,14 +134,7 @@ def run(api: str, folder: Path, options: argparse.Namespace) -> int:
     words = [part for name, value in headers.items() for part in ("-H", f"{name}: {value}")]
     words += ["--max-examples", str(options.examples), "--seed", "18", "--continue-on-failure", "--no-color"]
     # A body may be of its form and be refused for what it says: a scenario whose fractions sum to 2.
-    words += [
-        "--request-timeout",
-        "60",
-        "--phases",
-        options.phases,
-        "--exclude-checks",
-        "positive_data_acceptance",
-    ]
+    words += ["--request-timeout", "60", "--phases", options.phases, "--exclude-checks", "positive_data_acceptance"]
     start = [sys.executable, "-m", "schemathesis.cli", "run", f"{api}/openapi.json", *words]
     code = subprocess.run(start, env=os.environ | environment, check=False, cwd=folder).returncode  # noqa: S603 - our own
     counts = json.loads((folder / "counts.json").read_text())
