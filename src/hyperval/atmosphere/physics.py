@@ -17,7 +17,7 @@ The band model of 6S is off by a pattern that is the same in every state, so it 
 with a the air on the light's way [atm, slanted] and u the water on it [g cm-2, slanted].  Two further
 patterns belong to the rural aerosol: how much of it 6S sees in the path radiance, and its part in the spherical
 albedo, which the aerosol of the free troposphere does not share.
-The numbers (``engine_ratio.csv``) and their errors come from ``validation/atmosphere/engine_ratio.py``;
+The numbers (``engine_ratio.csv``) come from ``validation/atmosphere/engine_ratio.py``;
 validation/atmosphere/README.md tells how well they predict states that they were not made from.
 """
 

@@ -153,7 +153,9 @@ class Sampled:
     kurtosis: float
 
 
-def sampled(predicted: Products, observed: Products, subject: str, quantity: str, most: int) -> Sampled | list[Result] | None:
+def sampled(
+    predicted: Products, observed: Products, subject: str, quantity: str, most: int
+) -> Sampled | list[Result] | None:
     """The measured covariance and what chance alone makes of the predicted one, for at most ``most`` eigenvalues.
 
     None where a side has no spread; a row that says why where the two cannot be compared.
