@@ -567,10 +567,7 @@ def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
     Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
     has it.
     """
-    try:
-        data = json.loads(read_text(path), object_pairs_hook=_once)
-    except (ValueError, RecursionError) as error:
-        raise refusal("geojson.text", path, why=error) from error
+    data = json.loads(read_text(path), object_pairs_hook=_once)
     kind = data.get("type") if isinstance(data, dict) else None
     items = data.get("features") if kind == "FeatureCollection" else [data]
     if kind is None or not isinstance(items, list):
@@ -653,32 +650,27 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
     """
     try:
         import pyogrio
-        from pyogrio.errors import DataLayerError, DataSourceError
     except ImportError:
         raise refusal("vector.package", path) from None
     _check_files(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            for layer in [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]:
-                where = f"{path}: layer {layer!r}"
-                count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
-                refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
-                meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
-                own = named_crs(meta["crs"], where) if meta["crs"] else None
-                refuse(own is None and grid.coordinates is None, "vector.no_system", where)
-                if own is not None and grid.coordinates == "pixel":
-                    raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
-                fields = [str(f) for f in meta["fields"]]
-                texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
-                nameless = grid.name_field is None and not {f.lower() for f in fields} & {*REGION_COLUMNS}
-                refuse(nameless and texts and len(shapes) > 1, "vector.attribute", where, known=", ".join(fields))
-                rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
-                names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
-                features = zip(shapes, rows, names, strict=True)
-                yield from _named(features, own, grid, f"{where}, ")
-    except (DataLayerError, DataSourceError) as error:
-        raise refusal("vector.unreadable", path, why=error) from error
+    with warnings.catch_warnings(action="ignore"):
+        for layer in [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]:
+            where = f"{path}: layer {layer!r}"
+            count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
+            refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
+            meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
+            own = named_crs(meta["crs"], where) if meta["crs"] else None
+            refuse(own is None and grid.coordinates is None, "vector.no_system", where)
+            if own is not None and grid.coordinates == "pixel":
+                raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
+            fields = [str(f) for f in meta["fields"]]
+            texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
+            nameless = grid.name_field is None and not {f.lower() for f in fields} & {*REGION_COLUMNS}
+            refuse(nameless and texts and len(shapes) > 1, "vector.attribute", where, known=", ".join(fields))
+            rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
+            names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
+            features = zip(shapes, rows, names, strict=True)
+            yield from _named(features, own, grid, f"{where}, ")
 
 
 def _check_files(path: Path) -> None:

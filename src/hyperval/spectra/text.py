@@ -419,17 +419,14 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     delimiter = _delimiter(text.split("\n", 1)[0])
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     rows: list[tuple[str, list[str]]] = []
-    try:
-        titles = _without_end([t.strip() for t in next(reader)])
-        first = _first_band(titles) or 0
-        for cells in reader:
-            where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
-            if any(cells):
-                refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
-                rows.append((where, cells))
-                refuse(len(rows) > MAX_ROWS, "text.large", where, rows=MAX_ROWS)
-    except csv.Error as error:
-        raise refusal("text.csv", f"{path}:{reader.line_num}", why=error) from error
+    titles = _without_end([t.strip() for t in next(reader)])
+    first = _first_band(titles) or 0
+    for cells in reader:
+        where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
+        if any(cells):
+            refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
+            rows.append((where, cells))
+            refuse(len(rows) > MAX_ROWS, "text.large", where, rows=MAX_ROWS)
     refuse(not rows, "text.no_spectrum", path)
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
