@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any, TypeAlias
 from xml.etree import ElementTree
@@ -290,7 +290,7 @@ def _checked_part(part: Part, shape: tuple[int, int], where: str) -> Part:
     return part
 
 
-def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path, *, touched: bool) -> Region:
+def _drawn(name: str, parts: Iterable[Part], shape: tuple[int, int], path: Path, *, touched: bool) -> Region:
     """The region of the pixels whose centres its parts hold, and what is to be said of it.
 
     ``touched`` : of all pixels that its polygons touch.  What leaves the image (lines, samples) is cut off and counted.
@@ -338,7 +338,7 @@ def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> 
 # A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, (n,) their places among all of the
 # image, how many pixels the region has as its file says, or what else is to be said of it.
 Part: TypeAlias = BaseGeometry | npt.NDArray[Any] | int | str
-Drawn = Iterator[tuple[str, Iterable[Part]]]  # what a file draws: a name and the parts
+Drawn = Iterator[tuple[str, Iterable[Part]]]  # what a file draws: a name and the parts, placed when they are asked for
 Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
@@ -373,23 +373,24 @@ def xml_regions(path: Path, grid: ImageGrid) -> Drawn:
         name = region.get("name") or str(number)
         where, definitions = f"{path}: region {name!r}", list(region.iter("GeometryDef"))
         refuse(not definitions, "roi.no_geometry", where)
-        yield name, [part for definition in definitions for part in _xml_parts(definition, grid, where)]
+        yield name, _xml_parts(definitions, grid, where)
 
 
-def _xml_parts(definition: ElementTree.Element, grid: ImageGrid, where: str) -> Iterator[BaseGeometry]:
-    """The polygons and points of a definition, which states their coordinate system, in pixel coordinates."""
-    system = " ".join((definition.findtext("CoordSysStr") or "none").split())
-    in_pixels = system.lower() == "none"
-    source = None if in_pixels else crs_of_wkt(system)
-    refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
-    grid = replace(grid, coordinates="pixel" if in_pixels else None)
-    for child in (child for child in definition if child.tag != "CoordSysStr"):
-        made: list[dict[str, Any]] = [{"type": child.tag}]
-        if child.tag in _POINTS:
-            made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
-        elif child.tag in _AREAS:
-            made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
-        yield from (grid.place(geometry_of(one, where), source, where) for one in made)
+def _xml_parts(definitions: list[ElementTree.Element], grid: ImageGrid, where: str) -> Iterator[BaseGeometry]:
+    """The polygons and points of definitions, each of which states its coordinate system, in pixel coordinates."""
+    for definition in definitions:
+        system = " ".join((definition.findtext("CoordSysStr") or "none").split())
+        in_pixels = system.lower() == "none"
+        source = None if in_pixels else crs_of_wkt(system)
+        refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
+        grid = replace(grid, coordinates="pixel" if in_pixels else None)
+        for child in (child for child in definition if child.tag != "CoordSysStr"):
+            made: list[dict[str, Any]] = [{"type": child.tag}]
+            if child.tag in _POINTS:
+                made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
+            elif child.tag in _AREAS:
+                made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
+            yield from (grid.place(geometry_of(one, where), source, where) for one in made)
 
 
 def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
@@ -597,7 +598,7 @@ def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, whe
     >>> half = {"type": "Polygon", "coordinates": [[[0, 0], [2, 0], [2, 2], [0, 0]]]}
     >>> grid = ImageGrid((3, 3), coordinates="pixel")
     >>> drawn = _named([(None, {}, "a"), (half, {}, "b")], None, grid, "")
-    >>> [(name, parts[1:]) for name, parts in drawn]
+    >>> [(name, list(parts)[1:]) for name, parts in drawn]
     [('b', ['warning: is of a file of 2 features, of which 1 have no geometry'])]
 
     Raises
@@ -617,9 +618,12 @@ def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, whe
             raise refusal("region.property", at, name=grid.name_field, known=", ".join(known) or "none")
         named = next((lower[c] for c in columns if lower.get(c) is not None), None)
         name = ("" if named is None or named != named else str(named).strip()) or fallback
-        at = f"{at} ({name})"
-        yield name, [grid.place(geometry_of(geometry, at), stated, at), *note]
+        yield name, _placed(geometry, stated, grid, f"{at} ({name})", note)
         note = []
+
+
+def _placed(geometry: Any, stated: CRS | None, grid: ImageGrid, where: str, note: list[str]) -> Iterator[Part]:
+    yield from (grid.place(geometry_of(geometry, where), stated, where), *note)
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -770,25 +774,32 @@ def read_regions(
     name_field : attribute of a vector file that names the regions
 
     >>> from tempfile import TemporaryDirectory
+    >>> features = [
+    ...     {"type": "Feature", "id": kind, "geometry": {"type": kind, "coordinates": at}}
+    ...     for kind, at in (("Point", [3, 3]), ("LineString", [[1, 1], [2, 2]]))]
+    >>> collection = {"type": "FeatureCollection", "features": features}
+    >>> texts = "region,line,sample\\nPoint,1,1\\nb,50,50\\n", json.dumps(collection)
     >>> with TemporaryDirectory() as folder:
-    ...     _ = Path(path := f"{folder}/a.csv").write_text("region,line,sample\\na,1,1\\nb,50,50\\n")
-    ...     list(read_regions(path, (9, 9), patterns=["a"]))
-    ['a']
+    ...     for name, text in zip(("a.csv", "a.json"), texts):
+    ...         _ = Path(path := f"{folder}/{name}").write_text(text)
+    ...         list(read_regions(path, (9, 9), patterns=["Point"], coordinates="pixel"))
+    ['Point']
+    ['Point']
 
     Raises
     ------
     InputError : missing, unreadable, empty, wholly outside the image, or made for an image of another size.
     UsageError : unknown format, or ``coordinates`` not stated.
     """
-    path, drawn = checked_file(path, what="region file"), dict[str, list[Part]]()
+    path, drawn = checked_file(path, what="region file"), dict[str, list[Iterable[Part]]]()
     regions = _reader_of(path)
     for name, parts in regions(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field)):
         twice = name in drawn and regions not in (geojson_regions, vector_regions)  # whose features may share a name
         refuse(twice, "roi.twice", f"{path}: region {name!r}", name=name)
-        drawn.setdefault(name, []).extend(parts)
+        drawn.setdefault(name, []).append(parts)
     refuse(not drawn, "region.none", path)
     wanted = {n: made for n, made in drawn.items() if any(n == p or fnmatchcase(n, p) for p in patterns)} or drawn
-    return {name: _drawn(name, parts, cube_shape, path, touched=touched) for name, parts in wanted.items()}
+    return {name: _drawn(name, chain(*parts), cube_shape, path, touched=touched) for name, parts in wanted.items()}
 
 
 def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int], shape: tuple[int, int]) -> Region:
