@@ -237,13 +237,14 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
     notes: list[str] = []
 
     def add(key: str, value: str, number: int) -> None:
-        if key not in entries:
-            line_of[key], entries[key] = number, value
-        elif _squeezed(entries[key]) == _squeezed(value):
+        if key in entries:
+            a, b = _squeezed(entries[key]), _squeezed(value)
+            differ = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+            told = " against ".join(repr(of[max(0, differ - 20) : differ + 30]) for of in (a, b))
+            refuse(a != b, "header.twice", f"{name}:{number}", key=key, first=line_of[key], told=told)
             notes.append(f"header: {key!r} occurs twice with the same value (lines {line_of[key]} and {number})")
         else:
-            told = _difference(entries[key], value)
-            raise refusal("header.twice", f"{name}:{number}", key=key, first=line_of[key], told=told)
+            line_of[key], entries[key] = number, value
         refuse(len(entries) > MAX_KEYS, "header.keys", f"{name}:{number}", most=MAX_KEYS)
 
     lines = text.rstrip("\0\x1a \t\r\n").splitlines()  # some programs fill up a block, or mark the end of the text
@@ -280,14 +281,6 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
 def _squeezed(value: str) -> str:
     """A value without the blanks that programs set in one way or another."""
     return re.sub(r"\s*([{}\[\](),=])\s*", r"\1", " ".join(value.split()))
-
-
-def _difference(first: str, second: str) -> str:
-    """Where two values of one key first differ, in words."""
-    a, b = _squeezed(first), _squeezed(second)
-    at = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
-    begin = max(0, at - 20)
-    return f"{a[begin : at + 30]!r} against {b[begin : at + 30]!r}"
 
 
 def _bare(value: str) -> str:

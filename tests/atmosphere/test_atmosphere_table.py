@@ -260,7 +260,7 @@ def test_files_that_are_no_table_are_refused(tmp_path, monkeypatch):
     harmed = {
         "neg.nc": (loaded.assign(direct=-loaded["direct"]), "not a valid table: direct has values"),
         "axis.nc": (loaded.rename({"aot550": "height"}), "not a valid table: .*height"),
-        "json.nc": (loaded.assign_attrs(fixed="{"), "not a table"),
+        "json.nc": (loaded.assign_attrs(fixed="{"), "damaged"),
         "format.nc": (loaded.assign_attrs(format="2"), "another format"),
         "other.nc": (loaded.drop_vars("path"), "not a table: lacks path"),
         "text.nc": (None, "not a table"), "absent.nc": (None, "no such file"),
@@ -276,7 +276,7 @@ def test_files_that_are_no_table_are_refused(tmp_path, monkeypatch):
         block = file["gas"].id.get_chunk_info(0)
     for at in np.linspace(block.byte_offset, block.byte_offset + block.size - 1, 6).astype(int):
         (tmp_path / f"{at}.nc").write_bytes(raw[:at] + bytes([raw[at] ^ 4]) + raw[at + 1 :])
-        with pytest.raises(InputError, match="not a table"):
+        with pytest.raises(InputError, match="damaged"):
             air.read_table(tmp_path / f"{at}.nc")
     monkeypatch.setattr("hyperval.atmosphere.table._MAX_VALUES", 100)
     with pytest.raises(InputError, match="732 values"):

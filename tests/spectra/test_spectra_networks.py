@@ -94,7 +94,7 @@ def test_errors_go_into_bands_as_the_mean_does(tmp_path):
         ({"wavelength": NM[::-1].copy()}, "do not increase"),
         ({"u_rel_random_reflectance": np.full((NM.size, 2), -1.0)}, "below 0"),
         ({"err_corr_systematic_reflectance": 2.0 * CORRELATION}, "beyond -1 to 1"),
-        (None, "not a HYPERNETS file"),  # cut
+        (None, "damaged"),  # cut
     ],
 )
 def test_a_sequence_that_cannot_be_is_refused(tmp_path, changes, words):

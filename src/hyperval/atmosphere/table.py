@@ -33,6 +33,7 @@ from hyperval.data import Array
 from hyperval.datasets import cache_root
 from hyperval.errors import InputError, UsageError, needed, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
+from hyperval.paths import checked_file
 from hyperval.progress import bars, track
 from hyperval.storage import sha256_of, whole_file
 from hyperval.units import PLAUSIBLE_NM
@@ -277,10 +278,7 @@ _Stamp = tuple[str, int, int]
 
 def _stamp(path: Path) -> _Stamp:
     """Name, time of change and size: what tells whether a file is still the one that was read."""
-    try:
-        status = path.stat()
-    except OSError as error:
-        raise refusal("table.none", path) from error
+    status = checked_file(path).stat()
     return str(path), status.st_mtime_ns, status.st_size
 
 

@@ -108,11 +108,11 @@ class Store:
 
     def read(self, name: str, selection: Selection) -> Numbers:
         """A part of a named array; InputError where it cannot be read."""
-        with self.kept_open() as opened:
-            try:
+        try:
+            with self.kept_open() as opened:
                 return np.asarray(opened[name][selection])
-            except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
-                raise refusal("array.unreadable", self.path, name=name, why=error) from error
+        except (OSError, KeyError, ValueError, RuntimeError, TypeError) as error:
+            raise refusal("array.unreadable", self.path, name=name, why=error) from error
 
 
 def hdf5(path: Path) -> h5py.File:
@@ -160,12 +160,11 @@ def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
     ...     _shapes(path, "MATLAB 5"), _matrix(path, "MATLAB 5", "map")["map"].tolist()
     ({'map': (1, 2)}, [[0.0, 2.0]])
     """
-    with _readable(path, kind):
-        if kind == "NumPy":
-            return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False)}
-        variables = {name.split("/")[0] for name in names}
-        held = scipy.io.loadmat(path, variable_names=variables)
-        return {name: array for variable in variables for name, array in _fields(variable, held[variable])}
+    if kind == "NumPy":
+        return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False)}
+    variables = {name.split("/")[0] for name in names}
+    held = scipy.io.loadmat(path, variable_names=variables)
+    return {name: array for variable in variables for name, array in _fields(variable, held[variable])}
 
 
 def _fields(name: str, value: Any) -> Iterator[tuple[str, Numbers]]:
@@ -183,16 +182,6 @@ def at_hand(path: Path, name: str, array: Any) -> dict[str, Any]:
     return {name: array}
 
 
-@contextmanager
-def _readable(path: Path, kind: str) -> Iterator[None]:
-    """Whatever a library stumbles over inside is an InputError."""
-    try:
-        yield
-    except Exception as error:  # each library has errors of its own
-        why = str(error).split("\n", 1)[0][:200] or type(error).__name__
-        raise refusal("array.matrix", path, kind=kind, why=why) from error
-
-
 def check_own_values(path: Path) -> None:
     """Raise InputError where an HDF5 file leads to others: external links, external or virtual arrays."""
 
@@ -200,7 +189,7 @@ def check_own_values(path: Path) -> None:
         elsewhere = isinstance(item, h5py.Dataset) and (item.external or item.is_virtual)
         return name if elsewhere or isinstance(item, h5py.ExternalLink) else None
 
-    with Store(path, hdf5).kept_open() as file, _readable(path, "HDF5"):
+    with Store(path, hdf5).kept_open() as file:
         found = file.visititems_links(foreign) or file.visititems(foreign)
     refuse(found, "array.foreign", path, name=found)
 
@@ -623,15 +612,14 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
     if kind == "NumPy":
         shapes[path.stem] = _matrix(path, kind)[path.stem].shape
     elif kind == "MATLAB 5":
-        with _readable(path, kind):
-            for name, shape, what in scipy.io.whosmat(path):
-                if re.match("u?int|single|double|logical|sparse", what):
-                    shapes[name] = shape
-                elif what == "struct":  # whose size is known when it is read
-                    if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
-                        raise ValueError(why)
-                    fields = _matrix(path, kind, name).items()
-                    shapes |= {field: value.shape for field, value in fields if value.dtype.kind != "U"}
+        for name, shape, what in scipy.io.whosmat(path):
+            if re.match("u?int|single|double|logical|sparse", what):
+                shapes[name] = shape
+            elif what == "struct":  # whose size is known when it is read
+                if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
+                    raise ValueError(why)
+                fields = _matrix(path, kind, name).items()
+                shapes |= {field: value.shape for field, value in fields if value.dtype.kind != "U"}
     else:
         check_own_values(path)
 

@@ -528,13 +528,11 @@ def _lazy_cube(cube: Any) -> Any:
 
         def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
             lines = np.arange(self.cube.lines)[key[0]]
-            if not np.size(lines):
-                return np.empty((0, *self.shape[1:]))[:, key[1], key[2]]
-            if np.ptp(lines) >= 4 * np.size(lines):  # far apart: what lies between is not read
-                return np.concatenate([self.cube.handed_out(int(n), 1) for n in lines])[:, key[1], key[2]]
-            first = int(np.min(lines))
-            values = self.cube.handed_out(first, int(np.ptp(lines)) + 1)
-            return np.asarray(values[lines - first][..., key[1], key[2]])
+            apart = np.flatnonzero(np.abs(np.diff(np.ravel(lines))) > 4) + 1  # what lies between is not read
+            parts = [part for part in np.split(np.ravel(lines), apart) if part.size]
+            read = [self.cube.handed_out(int(part.min()), int(np.ptp(part)) + 1)[part - part.min()] for part in parts]
+            values = np.concatenate([np.empty((0, *self.shape[1:])), *read])
+            return np.asarray(values.reshape(*lines.shape, *self.shape[1:])[..., key[1], key[2]])
 
     return LazyCube(cube)
 

@@ -235,8 +235,9 @@ def metres_per_degree(latitude: float) -> tuple[float, float]:
 def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> LocationTable:
     """The places of the pixels of an image of ``shape`` (lines, samples) by a file, or its raster; all is checked.
 
-    Whole numbers are a GLT, in the system of its header.  Others are x and y of every pixel: where they all lie within
-    180 and 90, longitude and latitude on WGS 84, else in the system that the header names, which may be unknown.
+    Whole numbers are a GLT, in the system of its header; so are floats that are whole, of an image on a map.  Others
+    are x and y of every pixel: where they all lie within 180 and 90, longitude and latitude on WGS 84, else in the
+    system that the header names, which may be unknown.
 
     A GLT of cells five pixels wide, on a map near its origin in a system that is not known:
 
@@ -256,7 +257,8 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loc
         the image, fewer than two bands, or no pixel with a place.
     """
     raster = open_raster(table) if isinstance(table, Path | str) else table
-    if is_table := raster.dtype.kind in "iu":
+    seen = np.nan_to_num(raster.some_pixels()) if raster.dtype.kind == "f" and raster.transform is not None else 0.5
+    if is_table := raster.dtype.kind in "iu" or not np.any((seen % 1.0 > 0.0) | (seen > max(shape))):
         raster = _places_of_cells(raster, shape)
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     places = LocationTable(raster, None)
@@ -276,8 +278,10 @@ def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
     >>> line, sample = np.indices((20, 20)) + 1
     >>> at = Affine(2, 0, 500, 0, -2, 900)
     >>> with TemporaryDirectory() as folder:
-    ...     glt = write_cube(f"{folder}/glt", np.stack([sample, line], -1), data_type=3, transform=at)
-    ...     open_lookup_table(glt, (20, 20)).to_pixel([[480.0, 890.0]], where="", beyond=True).round(6).tolist()
+    ...     for kind in (3, 4):  # whole numbers, and floats as some producers write them
+    ...         glt = write_cube(f"{folder}/glt", np.stack([sample, line], -1), data_type=kind, transform=at)
+    ...         open_lookup_table(glt, (20, 20)).to_pixel([[480.0, 890.0]], where="", beyond=True).round(6).tolist()
+    [[-10.0, 5.0]]
     [[-10.0, 5.0]]
     """
     where, names = str(table.path), table.description.band_names
@@ -287,7 +291,7 @@ def _places_of_cells(table: Raster, shape: tuple[int, int]) -> Raster:
     total = np.zeros((3, math.prod(shape)))  # weights, and the coordinates times these
     greatest = np.zeros(2, np.int64)
     for first in range(0, table.lines, _BLOCK):
-        stored = table.read_bands(first, min(_BLOCK, table.lines - first)).astype(np.int64)
+        stored = np.nan_to_num(table.read_bands(first, min(_BLOCK, table.lines - first))).astype(np.int64)
         stored[stored == fill] = 0
         sample, line = stored[::-1] if swapped else stored
         if np.any((sample == 0) != (line == 0)) or np.any((sample < 0) != (line < 0)):

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from itertools import combinations
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any, TypeAlias
 from xml.etree import ElementTree
@@ -269,7 +269,7 @@ def outside_error(
 
 
 def _checked_part(part: Part, shape: tuple[int, int], where: str) -> Part:
-    """A part of a region of an image (lines, samples); pixels as their places among all of the image.
+    """A part of a region of an image (lines, samples); pixels (line, sample) as their places among all of the image.
 
     Of a geometry that leaves the image only the numbers are looked at.
 
@@ -281,9 +281,7 @@ def _checked_part(part: Part, shape: tuple[int, int], where: str) -> Part:
         xy = shapely.get_coordinates(part)
         if not np.abs(xy).max() <= FARTHEST:
             raise outside_error(xy, shape, where)
-    elif isinstance(part, np.ndarray) and part.dtype == bool:
-        return np.flatnonzero(part)
-    elif isinstance(part, np.ndarray):
+    elif isinstance(part, np.ndarray) and part.ndim == 2:
         lines, samples = part.T
         out = np.flatnonzero((lines < 0) | (lines >= shape[0]) | (samples < 0) | (samples >= shape[1]))
         if out.size:
@@ -292,16 +290,18 @@ def _checked_part(part: Part, shape: tuple[int, int], where: str) -> Part:
     return part
 
 
-def _drawn(name: str, parts: Sequence[Part], shape: tuple[int, int], path: Path, *, touched: bool) -> Region:
+def _drawn(name: str, parts: Iterable[Part], shape: tuple[int, int], path: Path, *, touched: bool) -> Region:
     """The region of the pixels whose centres its parts hold, and what is to be said of it.
 
     ``touched`` : of all pixels that its polygons touch.  What leaves the image (lines, samples) is cut off and counted.
 
     Raises
     ------
-    InputError : nothing of it lies in the image.
+    InputError : nothing of it lies in the image, or as :func:`_checked_part`.
     """
-    drawings, where = [p for p in parts if isinstance(p, BaseGeometry)], f"{path}: region {name!r}"
+    where = f"{path}: region {name!r}"
+    parts = [_checked_part(part, shape, where) for part in parts]
+    drawings = [p for p in parts if isinstance(p, BaseGeometry)]
     polygons = [p for p in drawings if p.geom_type in _AREAS]
     points = shapely.get_coordinates([p for p in drawings if p.geom_type in _POINTS])
     inside = inside_image(points, shape)
@@ -335,10 +335,10 @@ def _share_outside(polygons: Sequence[BaseGeometry], shape: tuple[int, int]) -> 
     return 1.0 - float(np.sum(shapely.area(inside))) / area if area > 0.0 else 0.0
 
 
-# A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, a mask of the image, how many pixels
-# the region has as its file says, or what else is to be said of it.
+# A geometry in pixel coordinates, (n, 2) numbers of pixels (line, sample) from 0, (n,) their places among all of the
+# image, how many pixels the region has as its file says, or what else is to be said of it.
 Part: TypeAlias = BaseGeometry | npt.NDArray[Any] | int | str
-Drawn = Iterator[tuple[str, str, Iterable[Part]]]  # what a file draws: a name, its place for messages, and the parts
+Drawn = Iterator[tuple[str, Iterable[Part]]]  # what a file draws: a name and the parts, placed when they are asked for
 Feature = tuple[Any, Mapping[str, Any], str]  # geometry of GeoJSON or WKB, attributes, name where none of them gives it
 MAX_XML_BYTES = 8 << 20
 MAX_BINARY_BYTES = 64 << 20
@@ -373,23 +373,24 @@ def xml_regions(path: Path, grid: ImageGrid) -> Drawn:
         name = region.get("name") or str(number)
         where, definitions = f"{path}: region {name!r}", list(region.iter("GeometryDef"))
         refuse(not definitions, "roi.no_geometry", where)
-        yield name, where, [part for definition in definitions for part in _xml_parts(definition, grid, where)]
+        yield name, _xml_parts(definitions, grid, where)
 
 
-def _xml_parts(definition: ElementTree.Element, grid: ImageGrid, where: str) -> Iterator[BaseGeometry]:
-    """The polygons and points of a definition, which states their coordinate system, in pixel coordinates."""
-    system = " ".join((definition.findtext("CoordSysStr") or "none").split())
-    in_pixels = system.lower() == "none"
-    source = None if in_pixels else crs_of_wkt(system)
-    refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
-    grid = replace(grid, coordinates="pixel" if in_pixels else None)
-    for child in (child for child in definition if child.tag != "CoordSysStr"):
-        made: list[dict[str, Any]] = [{"type": child.tag}]
-        if child.tag in _POINTS:
-            made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
-        elif child.tag in _AREAS:
-            made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
-        yield from (grid.place(geometry_of(one, where), source, where) for one in made)
+def _xml_parts(definitions: list[ElementTree.Element], grid: ImageGrid, where: str) -> Iterator[BaseGeometry]:
+    """The polygons and points of definitions, each of which states its coordinate system, in pixel coordinates."""
+    for definition in definitions:
+        system = " ".join((definition.findtext("CoordSysStr") or "none").split())
+        in_pixels = system.lower() == "none"
+        source = None if in_pixels else crs_of_wkt(system)
+        refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
+        grid = replace(grid, coordinates="pixel" if in_pixels else None)
+        for child in (child for child in definition if child.tag != "CoordSysStr"):
+            made: list[dict[str, Any]] = [{"type": child.tag}]
+            if child.tag in _POINTS:
+                made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
+            elif child.tag in _AREAS:
+                made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
+            yield from (grid.place(geometry_of(one, where), source, where) for one in made)
 
 
 def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
@@ -440,8 +441,7 @@ def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
     if len(names) != len(counts) or announced != len(names) or sum(counts) != len(rows):
         raise refusal("roi.counts", path, said=announced, names=len(names), points=sum(counts), rows=len(rows))
     parts = np.split(np.array(rows, np.int64).reshape(-1, 2), np.cumsum(counts[:-1], dtype=int))
-    for name, part in zip(names, parts, strict=False):
-        yield name, f"{path}: region {name!r}", [part]
+    yield from ((name, [part]) for name, part in zip(names, parts, strict=False))
 
 
 def binary_regions(path: Path, grid: ImageGrid) -> Drawn:
@@ -477,7 +477,7 @@ def binary_regions(path: Path, grid: ImageGrid) -> Drawn:
             vertices = words(2)[0]
             ring = list(zip(words(vertices, "f"), words(vertices, "f"), strict=True))
             parts.append(geometry_of({"type": "Polygon", "coordinates": [ring]}, where))
-        yield name, where, parts
+        yield name, parts
 
 
 def _whole(text: str, where: str) -> int:
@@ -503,8 +503,7 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
         name = row[column] if column else path.stem
         refuse(not name, "region.no_name", f"{path}:{number}", column=column)
         pixels.setdefault(name, []).append([int(row[key]) - _COLUMNS[pair] for key in pair])
-    for name, listed in pixels.items():
-        yield name, f"{path}: region {name!r}", [np.array(listed, np.int64)]
+    yield from ((name, [np.array(listed, np.int64)]) for name, listed in pixels.items())
 
 
 def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
@@ -518,11 +517,11 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     >>> with TemporaryDirectory() as folder:
     ...     np.save(f"{folder}/gt.npy", [[-1, -1, 1], [2, 0, 1]])
     ...     drawn = list(raster_regions(Path(folder) / "gt.npy", ImageGrid((2, 3))))
-    >>> [(name, int(parts[0].sum())) for name, _, parts in drawn]
+    >>> [(name, parts[0].size) for name, parts in drawn]
     [('gt-1', 2), ('gt-2', 1)]
     """
     raster = raster_of_size(path, grid, grid.name_field)
-    stored, about, where = raster.read_bands(0, raster.lines), raster.description, str(path)
+    stored, about = raster.read_bands(0, raster.lines), raster.description
     ignore = about.no_data()
     valid = np.isfinite(stored) if ignore is None else np.isfinite(stored) & ~equals(stored, ignore)
     if raster.bands > 1:
@@ -531,7 +530,7 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
         if all(map(_NO_NAME.match, names)):
             several = any(np.unique(band[mask]).size > 1 for band, mask in zip(stored, masks, strict=True))
             refuse(several, "region.colours", path, bands=raster.bands, name=path.name)
-        yield from ((name, where, [mask]) for name, mask in zip(names, masks, strict=True))
+        yield from ((name, [np.flatnonzero(mask)]) for name, mask in zip(names, masks, strict=True))
         return
     values = np.unique(stored[valid])
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
@@ -546,7 +545,8 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
         # ENVI writes "Name [Red] 67 points" for a class image made from regions.
         name = listed[value] if 0 <= value < len(listed) else ""
         name = re.sub(r"\s{0,9}\[[^\]]{0,99}\]\s{0,9}[0-9]{1,12} points$", "", name)
-        yield name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}"), where, [stored[0] == value, *note]
+        name = name or (path.stem if len(numbers) == 1 else f"{path.stem}-{value}")
+        yield name, [np.flatnonzero(stored[0] == value), *note]
 
 
 def _classes(values: Array, names: Sequence[str]) -> list[int]:
@@ -567,10 +567,7 @@ def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
     Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
     has it.
     """
-    try:
-        data = json.loads(read_text(path), object_pairs_hook=_once)
-    except (ValueError, RecursionError) as error:
-        raise refusal("geojson.text", path, why=error) from error
+    data = json.loads(read_text(path), object_pairs_hook=_once)
     kind = data.get("type") if isinstance(data, dict) else None
     items = data.get("features") if kind == "FeatureCollection" else [data]
     if kind is None or not isinstance(items, list):
@@ -601,7 +598,7 @@ def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, whe
     >>> half = {"type": "Polygon", "coordinates": [[[0, 0], [2, 0], [2, 2], [0, 0]]]}
     >>> grid = ImageGrid((3, 3), coordinates="pixel")
     >>> drawn = _named([(None, {}, "a"), (half, {}, "b")], None, grid, "")
-    >>> [(name, parts[1:]) for name, _, parts in drawn]
+    >>> [(name, list(parts)[1:]) for name, parts in drawn]
     [('b', ['warning: is of a file of 2 features, of which 1 have no geometry'])]
 
     Raises
@@ -621,9 +618,12 @@ def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, whe
             raise refusal("region.property", at, name=grid.name_field, known=", ".join(known) or "none")
         named = next((lower[c] for c in columns if lower.get(c) is not None), None)
         name = ("" if named is None or named != named else str(named).strip()) or fallback
-        at = f"{at} ({name})"
-        yield name, at, [grid.place(geometry_of(geometry, at), stated, at), *note]
+        yield name, _placed(geometry, stated, grid, f"{at} ({name})", note)
         note = []
+
+
+def _placed(geometry: Any, stated: CRS | None, grid: ImageGrid, where: str, note: list[str]) -> Iterator[Part]:
+    yield from (grid.place(geometry_of(geometry, where), stated, where), *note)
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -653,32 +653,27 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
     """
     try:
         import pyogrio
-        from pyogrio.errors import DataLayerError, DataSourceError
     except ImportError:
         raise refusal("vector.package", path) from None
     _check_files(path)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            for layer in [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]:
-                where = f"{path}: layer {layer!r}"
-                count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
-                refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
-                meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
-                own = named_crs(meta["crs"], where) if meta["crs"] else None
-                refuse(own is None and grid.coordinates is None, "vector.no_system", where)
-                if own is not None and grid.coordinates == "pixel":
-                    raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
-                fields = [str(f) for f in meta["fields"]]
-                texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
-                nameless = grid.name_field is None and not {f.lower() for f in fields} & {*REGION_COLUMNS}
-                refuse(nameless and texts and len(shapes) > 1, "vector.attribute", where, known=", ".join(fields))
-                rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
-                names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
-                features = zip(shapes, rows, names, strict=True)
-                yield from _named(features, own, grid, f"{where}, ")
-    except (DataLayerError, DataSourceError) as error:
-        raise refusal("vector.unreadable", path, why=error) from error
+    with warnings.catch_warnings(action="ignore"):
+        for layer in [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]:
+            where = f"{path}: layer {layer!r}"
+            count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
+            refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
+            meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
+            own = named_crs(meta["crs"], where) if meta["crs"] else None
+            refuse(own is None and grid.coordinates is None, "vector.no_system", where)
+            if own is not None and grid.coordinates == "pixel":
+                raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
+            fields = [str(f) for f in meta["fields"]]
+            texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
+            nameless = grid.name_field is None and not {f.lower() for f in fields} & {*REGION_COLUMNS}
+            refuse(nameless and texts and len(shapes) > 1, "vector.attribute", where, known=", ".join(fields))
+            rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
+            names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
+            features = zip(shapes, rows, names, strict=True)
+            yield from _named(features, own, grid, f"{where}, ")
 
 
 def _check_files(path: Path) -> None:
@@ -778,20 +773,33 @@ def read_regions(
     touched : take every pixel that a polygon touches, for targets smaller than a pixel
     name_field : attribute of a vector file that names the regions
 
+    >>> from tempfile import TemporaryDirectory
+    >>> features = [
+    ...     {"type": "Feature", "id": kind, "geometry": {"type": kind, "coordinates": at}}
+    ...     for kind, at in (("Point", [3, 3]), ("LineString", [[1, 1], [2, 2]]))]
+    >>> collection = {"type": "FeatureCollection", "features": features}
+    >>> texts = "region,line,sample\\nPoint,1,1\\nb,50,50\\n", json.dumps(collection)
+    >>> with TemporaryDirectory() as folder:
+    ...     for name, text in zip(("a.csv", "a.json"), texts):
+    ...         _ = Path(path := f"{folder}/{name}").write_text(text)
+    ...         list(read_regions(path, (9, 9), patterns=["Point"], coordinates="pixel"))
+    ['Point']
+    ['Point']
+
     Raises
     ------
     InputError : missing, unreadable, empty, wholly outside the image, or made for an image of another size.
     UsageError : unknown format, or ``coordinates`` not stated.
     """
-    path, drawn = checked_file(path, what="region file"), dict[str, list[Part]]()
+    path, drawn = checked_file(path, what="region file"), dict[str, list[Iterable[Part]]]()
     regions = _reader_of(path)
-    for name, where, parts in regions(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field)):
-        # Features of one name are one region.
-        refuse(name in drawn and regions not in (geojson_regions, vector_regions), "roi.twice", where, name=name)
-        drawn.setdefault(name, []).extend(_checked_part(part, cube_shape, where) for part in parts)
+    for name, parts in regions(path, ImageGrid(cube_shape, transform, crs, coordinates, name_field)):
+        twice = name in drawn and regions not in (geojson_regions, vector_regions)  # whose features may share a name
+        refuse(twice, "roi.twice", f"{path}: region {name!r}", name=name)
+        drawn.setdefault(name, []).append(parts)
     refuse(not drawn, "region.none", path)
     wanted = {n: made for n, made in drawn.items() if any(n == p or fnmatchcase(n, p) for p in patterns)} or drawn
-    return {name: _drawn(name, parts, cube_shape, path, touched=touched) for name, parts in wanted.items()}
+    return {name: _drawn(name, chain(*parts), cube_shape, path, touched=touched) for name, parts in wanted.items()}
 
 
 def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int], shape: tuple[int, int]) -> Region:

@@ -32,6 +32,7 @@ MOST_COMPRESSED = 20_000  # times; a plain mask reaches a thousand
 MAX_TILE_BYTES = 1 << 30
 TIFF_SUFFIXES = (".tif", ".tiff", ".gtif", ".gtiff", ".geotiff")
 TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_FACTOR = "reflectance_scale_factor"  # in the domain ENVI
 _ROUNDED_NM = 0.51  # half of the last digit that GDAL writes into its own domain
 _OPENING = threading.Lock()
 
@@ -61,6 +62,14 @@ class TiffRaster(Raster):
 def open_tiff(path: Path, header: Path | str | None) -> Raster:
     """Open a GeoTIFF with the header or the metadata that lie beside it.
 
+    >>> from tempfile import TemporaryDirectory
+    >>> made = {"driver": "GTiff", "height": 9, "width": 9, "count": 1, "dtype": "int16", "transform": Affine.scale(2)}
+    >>> with TemporaryDirectory() as folder, rasterio.open(f"{folder}/x.tif", "w", **made) as x:
+    ...     x.update_tags(ns="ENVI", reflectance_scale_factor="10000")
+    ...     x.close()
+    ...     open_tiff(Path(x.name), None).description.scales("reflectance")[0].gain
+    0.0001
+
     Raises
     ------
     InputError : not readable, mixed or complex types, a mask inside, blocks too large, or metadata that do not fit.
@@ -71,9 +80,11 @@ def open_tiff(path: Path, header: Path | str | None) -> Raster:
         scale = Scale(np.array(dataset.scales), np.array(dataset.offsets), "scale and offset tags of the GeoTIFF")
         units = set(dataset.units)
         quantity, unit, said = quantity_of(units.pop() if len(units) == 1 else None, "", "")
-        bands = _bands_in_tags(dataset, path)
-        about = Description("", bands, scale, quantity, unit, dataset.nodata, notes=said)
-        size = dataset.height, dataset.width, dataset.count
+        size, factor = (dataset.height, dataset.width, dataset.count), dataset.tags(ns="ENVI").get(_FACTOR)
+        entries = {_FACTOR.replace("_", " "): factor} if factor and not scale.changes else {}  # and no more than that
+        tagged = EnviHeader(path, dataset.width, dataset.height, dataset.count, 0, "tif", 0, 0, entries=entries)
+        bands = _bands_in_tags(dataset, tagged)
+        about = Description("", bands, scale, quantity, unit, dataset.nodata, notes=said, header=tagged)
         raster = TiffRaster(path, *size, dtype, about, transform, dataset.crs)
     sidecar = Path(header) if header is not None else header_beside(path)
     described = described_beside(path, raster.bands, about.ignore_value) if header is None else None
@@ -110,7 +121,7 @@ def _checked_type(dataset: Any, path: Path) -> np.dtype:
     return dtype
 
 
-def _bands_in_tags(dataset: Any, path: Path) -> ListedBands | None:
+def _bands_in_tags(dataset: Any, header: EnviHeader) -> ListedBands | None:
     """What the tags say of the bands, as the entries of an ENVI header; those of each band, or lists of the data set.
 
     ``wavelength`` and ``wavelength_units``, at times with ``fwhm``, as GDAL's ENVI driver hands them on, among the
@@ -137,14 +148,13 @@ def _bands_in_tags(dataset: Any, path: Path) -> ListedBands | None:
     texts["wavelength units"] = [*units] if len(units) == 1 else []
     texts["band names"] = [name or "" for name in dataset.descriptions]
     texts["bbl"] = texts.get("good_band") or texts.get("bbl", ())
-    entries = {key: ", ".join(values) for key, values in texts.items()}
-    header = EnviHeader(path, dataset.width, dataset.height, dataset.count, 0, "tif", 0, 0, entries=entries)
+    header = replace(header, entries={key: ", ".join(values) for key, values in texts.items()})
     listed, to_nm = Description(header=header).listed(), in_nm(header.text("wavelength units"))
     rounded, width = (header.numbers(key) for key in ("central_wavelength_um", "fwhm_um"))
     if listed is None or to_nm is None:
         return listed
     apart = 0.0 if rounded is None else np.max(np.abs(listed.wavelength * to_nm - rounded * 1e3))
-    refuse(apart > _ROUNDED_NM, "tiff.two_wavelengths", path)
+    refuse(apart > _ROUNDED_NM, "tiff.two_wavelengths", header.path)
     if listed.fwhm is not None or width is None:
         return listed
     is_whole = np.all(np.abs(1e3 * width - np.round(1e3 * width)) < 1e-6)

@@ -100,9 +100,7 @@ def all_pixels(targets: Sequence[TargetObject], shape: tuple[int, int]) -> Mask:
 
 
 def cut_out(mask: Mask) -> Placed:
-    """The window of a mask (lines, samples) that holds all that is True in it; one pixel where nothing is."""
-    if not mask.any():
-        return (0, 0), np.zeros((1, 1), bool)
+    """The window of a mask (lines, samples) that holds all that is True in it, of one pixel at least."""
     window = roi.window_of(mask)
     return (window[0].start, window[1].start), mask[window].copy()
 
@@ -135,12 +133,13 @@ def read_targets(
     >>> from tempfile import NamedTemporaryFile
     >>> utm, at = CRS.from_epsg(32618), Affine(1.0, 0.0, 500000.0, 0.0, -1.0, 4427800.0)
     >>> for row in ("lon,lat,material,side_m\\n-75,40,felt,2", "targets_utmx,targets_utmy,targets_type,targets_size,"
-    ...             "\\n500000.5,4427757,felt,2,"):
+    ...             "\\n500000.5,4427757,felt,2,", "line,sample,material,position_uncertainty_m\\n5,9,felt,1"):
     ...     with NamedTemporaryFile("w", suffix=".csv") as file:
     ...         print(row, file=file, flush=True)
     ...         read_targets(file.name, (90, 9), transform=at @ Affine.translation(-4, 0), crs=utm)[0].centre_pixel
     (42, 4)
     (43, 4)
+    (5, 8)
 
     Raises
     ------
@@ -184,12 +183,11 @@ def read_targets(
         if not roi.inside_image(corners, shape).all():
             mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
             raise roi.outside_error(corners, shape, where, f"the target {name!r}", mend)
-        drawn = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else None
-        mask = roi.point_mask([centre], shape) if drawn is None else drawn
+        at = roi.point_mask([centre], shape)
+        mask = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else at
         placed = cut_out(roi.guard(mask, doubt / pixel_m) if doubt > 0 else mask)
         side = width if width == length and width > 0 and figure is _SQUARE else math.nan
-        pixel = (math.floor(centre[1]), math.floor(centre[0]))
-        out[name] = TargetObject(name, material, side, area, shape, *placed, pixel, dict(row))
+        out[name] = TargetObject(name, material, side, area, shape, *placed, cut_out(at)[0], dict(row))
     refuse(not out, "target.none", path)
     return list(out.values())
 

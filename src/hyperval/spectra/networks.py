@@ -29,6 +29,7 @@ from hyperval.errors import reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile, SpectrumErrors
+from hyperval.storage import number_of
 
 _MOST = {"wavelength": 5000, "series": 2000}
 _AXES = {
@@ -220,11 +221,8 @@ class _Row(NamedTuple):
 
     def numbers(self, count: int) -> Array:
         """The same as numbers, NaN where there is no value."""
-        try:
-            values = np.array(self.cells(count), dtype=float)
-        except ValueError as error:
-            raise refusal("radcalnet.numbers", self.where) from error
-        refuse(not np.all(np.isfinite(values)), "radcalnet.none", self.where, least=NO_VALUE)
+        values = np.array([number_of(cell) for cell in self.cells(count)])
+        refuse(not np.all(np.isfinite(values)), "radcalnet.numbers", self.where, least=NO_VALUE)
         return np.where(values >= NO_VALUE, np.nan, values)
 
     def time(self, year: float, day: float, clock: str) -> datetime:

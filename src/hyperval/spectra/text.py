@@ -38,6 +38,7 @@ _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
 _SPREAD = re.compile(
     r"\b(st(d|and|andard)? dev[a-z]*|std(d?ev|v)?( err(or)?)?|sd|(1 )?sigma|(standard )?uncertaint(y|ies))\b"
 )
+_SUM = re.compile(rf"(\w\s*\+|\b(mean|av\w*)\s*[-−–])\s*[0-9]?\s*{_SPREAD.pattern}", re.IGNORECASE)  # of a mean and it
 _NOTHING = re.compile(r"\b(mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent|n \d+|k 1)\b")
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
@@ -122,7 +123,13 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
 
 
 def title_words(title: str) -> tuple[str, bool]:
-    """What a title names beside what any column might be called, and whether it says standard deviation."""
+    """What a title names beside what any column might be called, and whether it says standard deviation.
+
+    >>> [title_words(title) for title in ("Mean + Stdev", "mean-sd", "grass, +/- SD")]
+    [('mean + stdev', False), ('mean-sd', False), ('grass', True)]
+    """
+    if _SUM.search(title):
+        return title.lower(), False
     bare = _POWER.sub(lambda m: "" if power_unit(m.group().strip()) else m.group(), title)
     words = " ".join(re.findall(r"[^\W\d_]+|\d+", re.sub("(?<=[a-z])(?=[A-Z])", " ", bare))).lower()
     return " ".join(_NOTHING.sub("", _SPREAD.sub("", words)).split()), _SPREAD.search(words) is not None
@@ -133,12 +140,14 @@ def _deviations(titles: list[str]) -> dict[int, int]:
 
     >>> _deviations(["nm", "grass", "soil", "SD_grass", "Soil (std)"]), _deviations(["nm", "tile", "StdDev: N = 68"])
     ({1: 3, 2: 4}, {1: 2})
-    >>> [_deviations(["nm", *two]) for two in (("NY_grass", "SD_grass"), ("train", "testdata"), ("a", "Westdale"))]
-    [{}, {}, {}]
+    >>> others = ("NY_grass", "SD_grass"), ("train", "testdata"), ("a", "Westdale"), ("turf", "turf+sd", "turf-sd")
+    >>> [_deviations(["nm", *each]) for each in others]
+    [{}, {}, {}, {}]
     """
     found, means, is_spread = dict[int, int](), dict[str, int](), True
     for i, title in enumerate(titles[1:], start=1):
-        behind, (name, is_spread) = 0 if is_spread else i - 1, title_words(title)
+        limit = re.sub("[-−–]", "+", title)  # "grass-sd" beside "grass+sd" is no deviation
+        behind, (name, is_spread) = 0 if is_spread else i - 1, title_words(limit if limit in titles else title)
         if not is_spread:
             means[name] = i
         elif mean := means.pop(name, behind * (not name)):
@@ -410,17 +419,14 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     delimiter = _delimiter(text.split("\n", 1)[0])
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     rows: list[tuple[str, list[str]]] = []
-    try:
-        titles = _without_end([t.strip() for t in next(reader)])
-        first = _first_band(titles) or 0
-        for cells in reader:
-            where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
-            if any(cells):
-                refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
-                rows.append((where, cells))
-                refuse(len(rows) > MAX_ROWS, "text.large", where, rows=MAX_ROWS)
-    except csv.Error as error:
-        raise refusal("text.csv", f"{path}:{reader.line_num}", why=error) from error
+    titles = _without_end([t.strip() for t in next(reader)])
+    first = _first_band(titles) or 0
+    for cells in reader:
+        where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
+        if any(cells):
+            refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
+            rows.append((where, cells))
+            refuse(len(rows) > MAX_ROWS, "text.large", where, rows=MAX_ROWS)
     refuse(not rows, "text.no_spectrum", path)
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
@@ -490,62 +496,59 @@ SVC_UNITS = {"radiance": "W cm-2 sr-1 nm-1", "irradiance": "W cm-2 nm-1"}
 SVC_SCALE = 1e-10
 
 
-def svc_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """A spectrum of an SVC .sig file: columns wavelength [nm], reference, target, reflectance [percent].
-
-    The quantity "radiance" or "irradiance" takes the target's column where ``units=`` says so; otherwise the
-    reflectance.  The three detectors follow one another and overlap unless the file was matched.
+def _below(file: SpectraFile, mark: str, sign: str, titles: int = 0) -> tuple[dict[str, str], list[str], Array, int]:
+    """What the lines above a mark state by key, the lines of titles below it, the numbers, and the line of the first.
 
     Raises
     ------
-    InputError : not such a file, or a target in counts where radiance is asked for.
+    InputError : no such line, text among the numbers, a last line that is cut off, or an entry of .sig that is none.
     """
-    record, table, entries = _signature(file, (4,), "wavelength, reference, target, reflectance in percent")
-    units = entries.get("units", "").split(",")[-1].strip().lower()
+    lines, path = file.text.splitlines(), file.path
+    begin = next((i for i, line in enumerate(lines) if "".join(line.split()).lower() == mark.lower()), -1)
+    refuse(begin < 0, "instrument.data", path, mark=mark)
+    odd = next((i for i, line in enumerate(lines[1:begin], start=2) if line.strip() and sign not in line), 0)
+    refuse(odd and sign == "=", "sig.form", f"{path}:{odd}", text=lines[odd - 1][:60])
+    parts, first = (line.partition(sign) for line in lines[:begin]), begin + 1 + titles
+    header, table, start = number_table("\n".join(lines[first:]), path, first=first + 1)
+    refuse(header, "text.row", f"{path}:{first + 1}", text=" ".join(header)[:60])
+    check_last_line(file.text, str(path))
+    return {key.strip().lower(): value.strip() for key, _, value in parts}, lines[begin + 1 : first], table, start
+
+
+def sig_records(file: SpectraFile) -> list[FieldSpectrum]:
+    """A spectrum of a .sig file of SVC or GER.
+
+    SVC: columns wavelength [nm], reference, target, reflectance [percent].  The quantity "radiance" or "irradiance"
+    takes the target's column where ``units=`` says so; otherwise the reflectance.  The three detectors follow one
+    another and overlap unless the file was matched.
+
+    GER: wavelength [nm], target, reference, and perhaps reflectance [percent].  Where the fourth column is missing,
+    target over reference is the reflectance.
+
+    Raises
+    ------
+    InputError : not such a file, a target in counts where radiance is asked for, or another quantity than a
+        reflectance of GER.
+    """
+    path, of_ger = file.path, file.head.startswith(b"///GER")
+    entries, _, table, start = _below(file, "data=", "=")
+    count, units = table.shape[1], entries.get("units", "").split(",")[-1].strip().lower()
+    wanted = ("target, reference, perhaps" if of_ger else "reference, target,") + " reflectance in percent"
+    unlike = count != 4 and (count != 3 or not of_ger)
+    refuse(unlike, "sig.columns", f"{path}:{start}", count=count, wanted=f"wavelength, {wanted}")
+    name = entries.get("name", "").removesuffix(".sig") or path.stem
+    nm, percent = table[:, 0], table[:, -1]
+    if count == 3:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            percent = np.where(table[:, 2] > 0, 100.0 * (table[:, 1] / table[:, 2]), np.nan)
+    record = FieldSpectrum(name, nm, percent, quantity="reflectance", wavelength_unit="nm", unit="percent")
     if file.quantity in SVC_UNITS:
-        refuse(units not in SVC_UNITS, "svc.unit", file.path, unit=units or "an unknown unit", quantity=file.quantity)
+        refuse(of_ger, "ger.unit", path, quantity=file.quantity)
+        refuse(units not in SVC_UNITS, "svc.unit", path, unit=units or "an unknown unit", quantity=file.quantity)
         notes = (f"{units} taken as {SVC_SCALE:g} {SVC_UNITS[units]}, the maker's unit",)
         return [replace(record, values=SVC_SCALE * table[:, 2], quantity=units, unit=SVC_UNITS[units], notes=notes)]
-    refuse(not table[:, 3].any(), "svc.single", file.path, unit=units or "an unknown quantity")
+    refuse(not (of_ger or table[:, 3].any()), "svc.single", path, unit=units or "an unknown quantity")
     return [record]
-
-
-def ger_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """A spectrum of a GER .sig file: wavelength [nm], target, reference, and perhaps reflectance [percent].
-
-    Where the fourth column is missing, target over reference is the reflectance.
-
-    Raises
-    ------
-    InputError : not such a file, or another quantity than a reflectance.
-    """
-    refuse(file.quantity in SVC_UNITS, "ger.unit", file.path, quantity=file.quantity)
-    record, table, _ = _signature(file, (3, 4), "wavelength, target, reference, perhaps reflectance in percent")
-    with np.errstate(divide="ignore", invalid="ignore"):
-        percent = np.where(table[:, 2] > 0, 100.0 * (table[:, 1] / table[:, 2]), np.nan)
-    return [record if table.shape[1] == 4 else replace(record, values=percent)]
-
-
-def _signature(
-    file: SpectraFile, columns: tuple[int, ...], expected: str
-) -> tuple[FieldSpectrum, Array, dict[str, str]]:
-    """The last column of a .sig file in percent, all numbers below ``data=``, and the entries ``key= value`` above."""
-    text, path = file.text, file.path
-    entries, lines = dict[str, str](), text.splitlines()
-    for number, line in enumerate(lines[1:], start=2):
-        key, equals, value = line.partition("=")
-        refuse(line.strip() and not equals, "sig.form", f"{path}:{number}", text=line[:60])
-        entries[key.strip().lower()] = value.strip()
-        if "data" in entries:
-            break
-    refuse("data" not in entries, "sig.data", path)
-    header, table, start = number_table("\n".join(lines[number:]), path, first=number + 1)
-    unlike = header or table.shape[1] not in columns
-    refuse(unlike, "sig.columns", f"{path}:{start}", count=table.shape[1], wanted=expected)
-    check_last_line(text, str(path))
-    name = entries.get("name", "").removesuffix(".sig") or path.stem
-    record = FieldSpectrum(name, table[:, 0], table[:, -1], quantity="reflectance")
-    return replace(record, wavelength_unit="nm", unit="percent"), table, entries
 
 
 def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -559,12 +562,9 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     >>> [(r.wavelength_nm.tolist(), r.values.tolist(), r.unit) for r in sed_records(file)]
     [([350.0, 351.0], [4.0, 5.0], 'percent')]
     """
-    text, path, where = file.text, file.path, str(file.path)
-    lines = text.splitlines()
-    begin = next((i for i, line in enumerate(lines[:-1]) if line.strip().lower() == "data:"), -1)
-    refuse(begin < 0, "sed.data", where)
-    titles, there = [t.strip() for t in lines[begin + 1].split("\t")], f"{path}:{begin + 2}"
-    stated = {key.strip().lower(): value.strip() for key, _, value in (x.partition(":") for x in lines[:begin])}
+    path, where = file.path, str(file.path)
+    stated, below, table, start = _below(file, "Data:", ":", titles=1)
+    titles, there = [t.strip() for t in below[0].split("\t")], f"{path}:{start - 1}"
     wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
     pattern = r"reflect|tgt\.?\s*/\s*ref" if wanted == "reflectance" else rf"{wanted[:3]}\w*\.?\s*\(target"
     # Behind a column of wavelengths, which numbers of channels may precede.
@@ -576,14 +576,12 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     title = titles[columns[0]]
     unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
     refuse(unit is None and wanted == "reflectance", "sed.unit", there, title=title)
-    header, table, start = number_table("\n".join(lines[begin + 2 :]), path, first=begin + 3)
     named = [int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))] or [len(titles)]
-    count, unlike = table.shape[1], header or len({table.shape[1], len(titles), named[0]}) > 1
+    count, unlike = table.shape[1], len({table.shape[1], len(titles), named[0]}) > 1
     refuse(unlike, "sed.titles", f"{path}:{start}", count=count, titles=len(titles), stated=named[0])
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
     nm, values = table[:, waves[0]], table[:, columns[0]]
     check_stated(nm, where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
-    check_last_line(text, where)
     return [FieldSpectrum(path.stem, nm, values, quantity=wanted, wavelength_unit="nm", unit=unit)]
 
 
