@@ -145,7 +145,8 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     write_draft(place / "campaign.yaml", "campaign", text)
     with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
-    told = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": "\ncomparisons:" in text}
+    compares = "comparisons" in parse_yaml(text)[0]
+    told = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": compares}
     return summary_of("pipeline", place / "results") | told
 
 
