@@ -78,22 +78,27 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def options(
-    data_dir: Annotated[
-        Path | None, Option(help="Folder with local copies of data sets, before the cache (HYPERVAL_DATA).")
-    ] = None,
-    quiet: Annotated[bool, Option("--quiet", "-q", help="No progress, no notes; errors only.")] = False,
-    debug: Annotated[bool, Option("--debug", help="Show the traceback of any error.")] = False,
-    version: Annotated[
-        bool, Option("--version", help="Show the version and stop.", callback=_show_version, is_eager=True)
-    ] = False,
-) -> None:
-    """Options that stand before the command."""
+    *, data_dir: Path | None = None, quiet: Annotated[bool, Option("--quiet", "-q")] = False, debug: bool = False,
+    version: Annotated[bool, Option("--version", callback=_show_version, is_eager=True)] = False,
+) -> None:  # fmt: skip
+    """Options that stand before the command.
+
+    Parameters
+    ----------
+    data_dir : Folder with local copies of data sets, before the cache (HYPERVAL_DATA).
+    quiet : No progress, no notes; errors only.
+    debug : Show the traceback of any error.
+    version : Show the version and stop.
+    """
     settings.quiet, settings.debug = quiet, debug
     set_listener((lambda *_: None) if quiet else None)  # who is quiet is told nothing
     if data_dir is not None:
         hyperval.datasets.set_data_dir(data_dir)
+
+
+_described(options)
+app.callback()(options)
 
 
 def finished(code: int, output: Path | None) -> int:

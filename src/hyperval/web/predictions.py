@@ -224,7 +224,6 @@ def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> 
 
 _MOST_STATES = 40
 _LISTS = ("subject", "background", "sensor")
-_UNMOVED = 2e-6  # part by which a slider's number may miss the scenario's: it has six digits
 _NOTE = "# The emulator of 6S stands in for the engine; without its line each state is a run of 6S.\n"
 
 
@@ -275,11 +274,7 @@ def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, T
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
         p = prepared(source, trade)
-        # The six digits of a slider that nobody moved are no other value.
-        still = {key for key, offer in p.inputs.items()
-                 if math.isclose(trade.moved.get(key, math.nan), offer.now, rel_tol=_UNMOVED)}  # fmt: skip
-        moved = {key: value for key, value in trade.moved.items() if key not in still}
-        return source, completed(trade.model_copy(update={"moved": moved}), p), p
+        return source, completed(trade, p), p
     except ValidationError as error:
         mistakes = mistakes_of(error, data)
         raise Refused(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error

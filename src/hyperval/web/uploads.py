@@ -123,9 +123,9 @@ class Uploads:
         deny(is_large, 422, f"{name}: larger than {largest:,} bytes", field)
         if field == "sensors":
             try:
-                self._state.runs.ask("sensor", path=str(path))
+                self._state.runs.ask("sensor", field, path=str(path))
             except Refused as refusal:
-                words = refusal.mistakes[0].message.replace(path.name, name)
+                words = to_show(refusal)[0].message.replace(path.name, name)
                 raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
 
     def _named(self, field: str, name: str) -> Path:
@@ -221,13 +221,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         return list(own.names())
     about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
     sent = {part: [str(path) for of, path in files.values() if of == part] for part in PARTS}
-    try:
-        asked = state.runs.ask("draft", files=sent, **about)
-    except Refused as refusal:
-        if refusal.status_code != 409:
-            raise
-        raise Refused(422, [FieldMistake("cube", mistake.message) for mistake in refusal.mistakes]) from refusal
-    for key, what in asked:
+    for key, what in state.runs.ask("draft", "cube", files=sent, **about):
         field, words = key.rpartition(".")[2], for_pages(f"the files do not say it: {what}")
         if key.startswith("collection."):
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
