@@ -795,7 +795,8 @@ def _check_date() -> None:
 def _usage(error: TyperException) -> int:
     context = getattr(error, "ctx", None)
     text = error.format_message().strip()
-    if not text:  # no command given: typer raises with the help already printed
+    if text.startswith("Usage: "):  # no command given: the help
+        print(text)
         return 2
     command = context.command_path if context is not None else "hyperval"
     if context is not None and hasattr(error, "param_type"):  # one is missing: the first of perhaps several

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -130,7 +131,32 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
     return FieldMistake(name[:200], for_pages(_WORDS.get(kind, words))[:500])
 
 
+def fitting(items: Sequence[Mapping[str, Any]], data: Any) -> list[Mapping[str, Any]]:
+    """What is wrong in ``data``; where it may be one of several things, as the one that it is nearest to.
+
+    >>> wrong = [{"type": "literal_error", "loc": ("mix", "literal")}, {"type": "float_type", "loc": ("mix", "M", "a")}]
+    >>> wrong += [{"type": "missing", "loc": ("mix", "N", key)} for key in "bc"]
+    >>> [item["loc"] for item in fitting(wrong, {"mix": {"a": "x"}})]
+    [('mix', 'M', 'a')]
+    """
+    members, costs = list[tuple[Any, ...]](), Counter[tuple[Any, ...]]()
+    for item in items:
+        kind, loc, at, held = item["type"], tuple(item["loc"]), data, 0
+        with suppress(LookupError, TypeError):
+            for held, part in enumerate(loc):  # noqa: B007 - how far it is held
+                at = at[part]
+            held = len(loc)
+        is_member = held < len(loc) and (kind != "missing" or held < len(loc) - 1)
+        members.append(loc[: held + 1] if is_member else ())
+        is_other = held == len(loc) - 1 and kind.endswith(("_type", "literal_error"))  # a thing of another kind
+        costs[members[-1]] += 9 if is_other else 2 if kind in ("missing", "extra_forbidden") else 1
+    least = dict[tuple[Any, ...], int]()
+    for member, cost in costs.items():
+        least[member[:-1]] = min(cost, least.get(member[:-1], cost))
+    return [i for i, m in zip(items, members, strict=True) if not m or costs[m] == least[m[:-1]]]
+
+
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     """Every mistake of ``data`` with its field, each once."""
-    every = error.errors(include_url=False)
+    every = fitting(error.errors(include_url=False), data)
     return list(dict.fromkeys(mistake_of(item, field_name(item["loc"], data)) for item in every))[:MOST_MISTAKES]
