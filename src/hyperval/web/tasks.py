@@ -159,8 +159,9 @@ def _drafted(
     beside = None if given == header_beside(cube) else given
     raster = open_raster(cube, header=beside)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
-    told = {key: about[key] for key in ("quantity", "unit") if key in about}
-    known = replace(raster, description=replace(raster.description, **told))
+    own = raster.description
+    quantity = about.get("quantity") or ("radiance" if "unit" in about else own.quantity)
+    known = replace(raster, description=replace(own, quantity=quantity, unit=about.get("unit", own.unit)))
     header = {what: value for what, value, _ in record(known) if what != "assumed"}
     if "scale" in about:
         header |= {what: f"x {about['scale']:g}" for what in header if what.startswith("scale of ")}

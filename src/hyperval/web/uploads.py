@@ -21,6 +21,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
 from hyperval.atmosphere.state import AtmosphericState
+from hyperval.config import RadianceUnit
 from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
@@ -142,13 +143,14 @@ class Uploads:
 class StatedCollection(BaseModel):
     """What a person says of a collection; blank entries are left out.
 
-    >>> with suppress(ValidationError):
-    ...     StatedCollection(time_utc="4.6.2018 10:00").time_utc
+    >>> for wrong in ({"time_utc": "4.6.2018 10:00"}, {"unit": "furlongs"}):
+    ...     with suppress(ValidationError):
+    ...         StatedCollection(**wrong)
     """
 
     name: str = Field("mine", max_length=60, pattern="^[a-z0-9][a-z0-9-]*$")
     quantity: Literal["radiance", "reflectance"] | None = None
-    unit: str | None = Field(None, max_length=60)
+    unit: RadianceUnit | None = Field(None, max_length=60)
     sensor: Literal[library_names()] | None = None  # type: ignore[valid-type]
     time_utc: Annotated[str | None, AfterValidator(AtmosphericState._is_a_time)] = Field(None, max_length=60)
     altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
