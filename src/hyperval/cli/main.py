@@ -794,7 +794,7 @@ def _check_date() -> None:
 
 def _usage(error: TyperException) -> int:
     context = getattr(error, "ctx", None)
-    text = error.format_message().strip()
+    text = error.format_message().strip().replace("Value error, ", "")
     if text.startswith("Usage: "):  # no command given: the help
         print(text)
         return 2

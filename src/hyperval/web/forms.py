@@ -465,7 +465,10 @@ def _of_names(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Fie
 
 
 def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:
+    """What this server cannot compute, or not for everybody."""
     scene = scenario.scene
+    if scenario.sensor is None:
+        yield FieldMistake("sensor", "a sensor is needed, which gives the bands")
     subjects = [*scene.classes, *scene.panels, *scene.sites, *(p for t in scene.targets for p in t.populations)]
     if len(subjects) > 60:
         yield FieldMistake("scene", f"{len(subjects)} subjects; at most 60")
