@@ -82,7 +82,7 @@ def _told(request: Request, error: Exception) -> Response:
     if isinstance(error, Refused):
         mistakes = list(error.mistakes)
     elif isinstance(error, RequestValidationError):
-        status, items = 422, fitting(error.errors(), {"body": error.body})
+        status, items = 422, fitting(error.errors())
         mistakes = [_of_field(item, error.body) for item in items[:MOST_MISTAKES]]
     elif isinstance(error, HypervalError):
         status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))]

@@ -17,6 +17,7 @@ from hyperval.config import spelled
 from hyperval.errors import HypervalError
 
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
+_MEMBER = re.compile(r"[a-z-]+\[.*|float|int|str|bool")  # of a union, as a mistake is told to be in it
 MOST_MISTAKES = 40  # of one request
 _WORDS = {
     "finite_number": "is not a finite number",
@@ -131,32 +132,27 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
     return FieldMistake(name[:200], for_pages(_WORDS.get(kind, words))[:500])
 
 
-def fitting(items: Sequence[Mapping[str, Any]], data: Any) -> list[Mapping[str, Any]]:
-    """What is wrong in ``data``; where it may be one of several things, as the one that it is nearest to.
+def fitting(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """What models found wrong; where something may be one of several, as that which it is nearest to.
 
-    >>> wrong = [{"type": "literal_error", "loc": ("mix", "literal")}, {"type": "float_type", "loc": ("mix", "M", "a")}]
-    >>> wrong += [{"type": "missing", "loc": ("mix", "N", key)} for key in "bc"]
-    >>> [item["loc"] for item in fitting(wrong, {"mix": {"a": "x"}})]
-    [('mix', 'M', 'a')]
+    >>> wrong = [{"type": "literal_error", "loc": ("mix", "literal['a']")}]
+    >>> wrong += [{"type": "float_type", "loc": ("mix", "function-after[f(), M]", "a")}]
+    >>> wrong += [{"type": "missing", "loc": ("mix", "function-after[f(), N]", key)} for key in "bc"]
+    >>> [item["loc"][-1] for item in fitting(wrong)]
+    ['a']
     """
     members, costs = list[tuple[Any, ...]](), Counter[tuple[Any, ...]]()
     for item in items:
-        kind, loc, at, held = item["type"], tuple(item["loc"]), data, 0
-        with suppress(LookupError, TypeError):
-            for held, part in enumerate(loc):  # noqa: B007 - how far it is held
-                at = at[part]
-            held = len(loc)
-        is_member = held < len(loc) and (kind != "missing" or held < len(loc) - 1)
-        members.append(loc[: held + 1] if is_member else ())
-        is_other = held == len(loc) - 1 and kind.endswith(("_type", "literal_error"))  # a thing of another kind
-        costs[members[-1]] += 9 if is_other else 2 if kind in ("missing", "extra_forbidden") else 1
-    least = dict[tuple[Any, ...], int]()
-    for member, cost in costs.items():
-        least[member[:-1]] = min(cost, least.get(member[:-1], cost))
+        kind, place = item["type"], tuple(item["loc"])
+        number = next((i for i, part in enumerate(place) if _MEMBER.fullmatch(str(part))), -1)
+        members.append(place[: number + 1])
+        is_of_kind = number < len(place) - 1 or not kind.endswith(("_type", "_parsing", "literal_error"))
+        costs[members[-1]] += 9 if not is_of_kind else 2 if kind in ("missing", "extra_forbidden") else 1
+    least = {member[:-1]: costs[member] for member in sorted(costs, key=costs.__getitem__, reverse=True)}
     return [i for i, m in zip(items, members, strict=True) if not m or costs[m] == least[m[:-1]]]
 
 
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     """Every mistake of ``data`` with its field, each once."""
-    every = fitting(error.errors(include_url=False), data)
+    every = fitting(error.errors(include_url=False))
     return list(dict.fromkeys(mistake_of(item, field_name(item["loc"], data)) for item in every))[:MOST_MISTAKES]
