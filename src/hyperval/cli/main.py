@@ -57,7 +57,7 @@ def _described(function: Callable[..., Any]) -> str:
         kind, *stated = get_args(one.annotation) if get_origin(one.annotation) is Annotated else [one.annotation]
         option = [f"--{name.strip('_').replace('_', '-')}"] if kind is bool or name.endswith("_") else []
         own = stated[0] if stated else Option(*option) if one.kind is one.KEYWORD_ONLY else Argument()
-        own.help = own.help or words[name]
+        own.help = own.help or words.get(name)
         function.__annotations__[name] = Annotated[kind, own]
     return head
 
