@@ -506,7 +506,6 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
     return rows
 
 
-MOST_VALUES = 50_000_000  # of the image in the bands of the filters: SPy works on all of it in memory
 PEER = "spy"
 
 
@@ -528,8 +527,8 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     if detection is None or place is None or detected is None:
         return []
     cube, bands = place.cube, np.flatnonzero(detected.bank.bands)
-    if cube.lines * cube.samples * bands.size > MOST_VALUES:
-        why = f"SPy holds the image in memory, and it has more than {MOST_VALUES:.0e} values"
+    if cube.lines * cube.samples * bands.size > detect.MOST_VALUES:
+        why = f"SPy holds the image in memory, and it has more than {detect.MOST_VALUES:.0e} values"
         return list(named(skipped(Cause.REFUSED, why, "auc"), PRODUCT, EVERY_OBJECT, PEER))
     image = np.concatenate([block.values[..., bands] for block in cube.blocks()])
     if place.line is not None:

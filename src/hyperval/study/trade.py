@@ -241,7 +241,7 @@ def completed(trade: Trade, p: Prepared) -> Trade:
         ("moved", trade.moved, [key for key in p.inputs if in_file(key)]),  # which the study can set
     ):  # fmt: skip
         wrong = [name for name in names if name not in known]
-        refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(known))
+        refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(filter(None, known)))
     refuse(trade.y == x, "trade.same", "y")
     refuse(not trade.from_nm < trade.to_nm, "trade.bands", "to_nm", to_nm=trade.to_nm, from_nm=trade.from_nm)
     filled: dict[str, Any] = {"output": output, "x": x, "subject": subject}

@@ -21,7 +21,7 @@ from hyperval.executors import TaskPool
 from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes)
 from hyperval.web.guard import Guard
 from hyperval.web.pages import api, page, pages
-from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, field_name, mistake_of, problems, said
+from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, field_name, fitting, mistake_of, problems, said
 from hyperval.web.store import Runs, ServerSettings
 
 _THREADS = 128  # requests that wait for a worker hold one each
@@ -82,7 +82,8 @@ def _told(request: Request, error: Exception) -> Response:
     if isinstance(error, Refused):
         mistakes = list(error.mistakes)
     elif isinstance(error, RequestValidationError):
-        status, mistakes = 422, [_of_field(item, error.body) for item in error.errors()[:MOST_MISTAKES]]
+        status, items = 422, fitting(error.errors())
+        mistakes = [_of_field(item, error.body) for item in items[:MOST_MISTAKES]]
     elif isinstance(error, HypervalError):
         status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))]
     if request.url.path.startswith("/api/"):

@@ -34,8 +34,8 @@ Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
 _GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
 SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
-_ENGINES = ("sixs", "emulator")  # of which the server needs no file
-_NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS, "atmosphere.engine": _ENGINES}
+# Names that may stand at a path; engines are those of which the server needs no file.
+_NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS, "atmosphere.engine": ("sixs", "emulator")}
 _LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
 # What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
 # behind the fold, whose line tells it.
@@ -173,44 +173,36 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
     return tuple(nodes)
 
 
-def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool) -> Node:
-    """The part of an entry.
+def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = False, title: str = "") -> Node:
+    """The part of an entry: a group, variants of which one counts, rows, or a field, with what is given.
 
-    >>> _node({"title": "a", "description": "with relative_sd; None: not aot550"}, "a", None, None, False).hint
+    >>> _node({"title": "a", "description": "with relative_sd; None: not aot550"}, "a", None, None).hint
     'with relative standard deviation; blank: not aerosol optical depth'
     """
     members = _members(schema)
     kinds = [_kind(m, path) for m in members]
-    hint = re.sub(r"\b(?:null|None)(?=:| or )", "blank", str(schema.get("description", "")))
+    about = schema.get("description") or (members[0].get("description") if kinds == ["group"] else "")
+    hint = re.sub(r"\b(?:null|None)(?=:| or )", "blank", str(about or "").split("\n\n", 1)[0].replace("\n", " "))
     hint = re.sub(r"\w+", lambda word: _TITLES.get(word[0], word[0]), hint)
     is_main = bool(is_needed or _MAIN.fullmatch(path) or (value and not _ASIDE.fullmatch(path)))
-    node = Node("group", path, schema["title"], hint, is_needed=is_needed, is_shown=is_main)
-    if len(kinds) == 1 or "group" not in kinds:
-        return _filled(node, schema, members, value, begun)
-    chosen, first = (_chosen(members, kinds, one) for one in (value, begun))
-    children = []
-    for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
-        title = _CAPITAL.sub(" ", str(member["title"])).lower() if kind == "group" else node.title
-        own, was = value if number == chosen else None, begun if number == first else None
-        children.append(_filled(replace(node, title=title, hint=""), member, [member], own, was))
-    return replace(node, kind="variants", children=tuple(children), chosen=chosen, is_changed=chosen != first)
-
-
-def _filled(node: Node, schema: Schema, members: list[Schema], value: Any, begun: Any) -> Node:
-    """What stands under a title: the entries of a group, rows, or a field, with what is given."""
-    path = node.path
-    kinds = [_kind(m, path) for m in members]
+    node = Node("group", path, title or schema["title"], hint, is_needed=is_needed, is_shown=is_main)
     if kinds == ["group"]:
         children = _group(members[0], path, value, begun)
-        is_shown = node.is_shown or any(child.is_shown for child in children)
-        is_open = (bool(value) or node.is_needed) and _is_open(path)
-        hint = node.hint or str(members[0].get("description", "")).split("\n\n", 1)[0].replace("\n", " ")
-        return replace(node, hint=hint, children=children, is_shown=is_shown, is_open=is_open)
+        is_shown = is_main or any(child.is_shown for child in children)
+        return replace(node, children=children, is_shown=is_shown, is_open=bool(value or is_needed) and _is_open(path))
+    if "group" in kinds:
+        chosen, earlier = (_chosen(members, kinds, one) for one in (value, begun))
+        variants = list[Node]()
+        for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
+            own, was = value if number == chosen else None, begun if number == earlier else None
+            called = _CAPITAL.sub(" ", str(member["title"])).lower() if kind == "group" else node.title
+            variants.append(_node(member, path, own, was, title=called))
+        return replace(node, kind="variants", children=tuple(variants), chosen=chosen, is_changed=chosen != earlier)
     if kinds == ["rows"]:
         rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
-        item, few = _members(members[0]["items"])[0], len(rows) <= _MOST_OPEN
-        each = enumerate(zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)]))
-        children = tuple(_row(item, f"{path}.{i}", row, was, few) for i, (row, was) in each)
+        pairs = zip_longest(rows[:MOST_ROWS], first[: min(len(rows), MOST_ROWS)])
+        few, item = len(rows) <= _MOST_OPEN, members[0]["items"]
+        children = tuple(_row(item, f"{path}.{i}", row, was, few) for i, (row, was) in enumerate(pairs))
         return replace(node, kind="rows", children=children, is_changed=len(rows) < len(first))
     kind = kinds[0] if len(kinds) == 1 else "yaml" if "yaml" in kinds else "text"
     stated = (str(c) for m in members for c in m.get("enum", [m["const"]] if "const" in m else []))
@@ -231,10 +223,9 @@ def _filled(node: Node, schema: Schema, members: list[Schema], value: Any, begun
 
 
 def _row(item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
-    given = row if isinstance(row, Mapping) else {}
-    title = str(given.get("name") or int(path.rsplit(".", 1)[-1]) + 1)
-    is_open = (is_few and _is_open(path)) or not given
-    return Node("group", path, title, children=_group(item, path, given, begun), is_open=is_open)
+    name = row.get("name") if isinstance(row, Mapping) else None
+    title = str(name or int(path.rpartition(".")[2]) + 1)
+    return replace(_node(item, path, row, begun, title=title), is_open=not row or (is_few and _is_open(path)))
 
 
 # From a filled form to data.
@@ -458,17 +449,13 @@ def _excess(at: tuple[str, ...], value: Any) -> str:
 
 def _of_names(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
     """Names that this server does not have, and files of its own."""
-    sensors = (*library_names(), *uploads)
     # What the predefined scenarios name of data sets, anybody may name.
     known = [target.spectrum.file for one in predefined().values() for target in one.scene.targets]
     for at, value in _values(data):
         path, key = ".".join(at), at[-1] if at else ""
-        if path == "sensor" and value not in (None, *sensors):
-            yield FieldMistake(path, f"no such sensor; one of {', '.join(sensors)}")
-        elif path == "atmosphere.engine" and value not in _ENGINES:
-            yield FieldMistake(path, "this server has the engines sixs and emulator alone")
-        elif key == "builtin" and value not in SURFACES and not _GREY.fullmatch(str(value)):
-            yield FieldMistake(path, f"no such surface; one of {', '.join(SURFACES)}")
+        names = (*_choices(path), *(uploads if path == "sensor" else ()))
+        if names and isinstance(value, str) and value not in names and not _GREY.fullmatch(value):
+            yield FieldMistake(path, f"this server has nothing of that name; one of {', '.join(names)}")
         elif key == "file" and value in known:
             yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
         elif key == "file" and value not in (None, *uploads):
@@ -478,7 +465,10 @@ def _of_names(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[Fie
 
 
 def _of_cost(scenario: Scenario) -> Iterator[FieldMistake]:
+    """What this server cannot compute, or not for everybody."""
     scene = scenario.scene
+    if scenario.sensor is None:
+        yield FieldMistake("sensor", "a sensor is needed, which gives the bands")
     subjects = [*scene.classes, *scene.panels, *scene.sites, *(p for t in scene.targets for p in t.populations)]
     if len(subjects) > 60:
         yield FieldMistake("scene", f"{len(subjects)} subjects; at most 60")

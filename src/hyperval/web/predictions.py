@@ -223,10 +223,7 @@ def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> 
 
 
 _MOST_STATES = 40
-_SETTABLE = ("atmosphere", "sensor_changes", "sensor_operation", "scene", "processing")
-_FIRST = "yellow-planks-asphalt"
 _LISTS = ("subject", "background", "sensor")
-_UNMOVED = 2e-6  # part by which a slider's number may miss the scenario's: it has six digits
 _NOTE = "# The emulator of 6S stands in for the engine; without its line each state is a run of 6S.\n"
 
 
@@ -244,7 +241,30 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
     ------
     Refused : every mistake with its field.
     """
+    *asked, mistakes = _right(request, given)
+    deny(mistakes, 422)
+    return tuple(asked)
+
+
+def _right(request: Request, given: QueryParams | FormData) -> tuple[Any, ...]:
+    """Source, trade and scenario of what is right in what is asked, and every mistake of the rest, left out."""
     texts = [(name, text.strip()) for name, text in given.multi_items() if isinstance(text, str) and text.strip()]
+    try:
+        return (*_checked(request, texts), [])
+    except Refused as refusal:
+        mistakes = to_show(refusal)
+        if not texts:
+            raise
+    wrong = {mistake.field for mistake in mistakes}
+    rest = [(n, t) for n, t in texts if not {n, n.partition("_")[0]} & wrong]  # with an input the ends of its axis
+    fewer = (some for some in (rest, [(n, t) for n, t in texts if n == "scenario"], []) if len(some) < len(texts))
+    *right, more = _right(request, QueryParams(next(fewer)))
+    # Of another scenario than the one that is asked for there is nothing to be told.
+    return (*right, [*mistakes, *(mistake for mistake in more if not {mistake.field, "scenario"} & wrong)])
+
+
+def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, Trade, Prepared]:
+    """What is asked, filled in from its scenario."""
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
     data["moved"] = {name[3:]: text for name, text in texts if name.startswith("at:")}
@@ -254,11 +274,7 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
         p = prepared(source, trade)
-        # The six digits of a slider that nobody moved are no other value.
-        still = {key for key, offer in p.inputs.items()
-                 if math.isclose(trade.moved.get(key, math.nan), offer.now, rel_tol=_UNMOVED)}  # fmt: skip
-        moved = {key: value for key, value in trade.moved.items() if key not in still}
-        return source, completed(trade.model_copy(update={"moved": moved}), p), p
+        return source, completed(trade, p), p
     except ValidationError as error:
         mistakes = mistakes_of(error, data)
         raise Refused(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error
@@ -269,18 +285,7 @@ def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade,
 @pages.get("/trade")
 def desk(request: Request) -> Response:
     """The desk, as its address says."""
-    mistakes = list[FieldMistake]()
-    try:
-        source, trade, offers = _asked(request, request.query_params)
-    except Refused as refusal:
-        mistakes = to_show(refusal)
-        wrong, given = {m.field for m in mistakes}, request.query_params
-        right = [(name, text) for name, text in given.multi_items() if name not in wrong]
-        try:
-            source, trade, offers = _asked(request, QueryParams(right))
-        except Refused:  # as they may be of the scenario that is wrong
-            first = {"scenario": _FIRST if "scenario" in wrong else given.get("scenario", _FIRST)}
-            source, trade, offers = _asked(request, QueryParams(first))
+    source, trade, offers, mistakes = _right(request, request.query_params)
     ordered = list(offers.inputs.values())
     shown = [
         o for o in ordered
@@ -394,9 +399,6 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
     >>> study.inputs[0].path.endswith("gsd_m"), list(_of_paths(study, load_scenario(planks), ()))
     (True, [])
     """
-    if wrong := [path for path in study.settings if path.partition(".")[0] not in _SETTABLE]:
-        yield FieldMistake("settings", f"{wrong[0]!r} cannot be set from here")
-        return
     tries: list[tuple[str, Mapping[str, Any]]] = [("settings", {})]
     asked = [(f"{kind}.{i}", one) for kind in ("inputs", "required") for i, one in enumerate(getattr(study, kind))]
     for at, item in asked:

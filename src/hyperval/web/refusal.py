@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -16,6 +17,7 @@ from hyperval.config import spelled
 from hyperval.errors import HypervalError
 
 _PATH = re.compile(r"(?<![\w./])(?:/|[A-Za-z]:\\)(?:[^\s:'\",;()<>]+)")
+_MEMBER = re.compile(r"[a-z-]+\[.*|float|int|str|bool")  # of a union, as a mistake is told to be in it
 MOST_MISTAKES = 40  # of one request
 _WORDS = {
     "finite_number": "is not a finite number",
@@ -130,7 +132,27 @@ def mistake_of(item: Mapping[str, Any], name: str) -> FieldMistake:
     return FieldMistake(name[:200], for_pages(_WORDS.get(kind, words))[:500])
 
 
+def fitting(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """What models found wrong; where something may be one of several, as that which it is nearest to.
+
+    >>> wrong = [{"type": "literal_error", "loc": ("mix", "literal['a']")}]
+    >>> wrong += [{"type": "float_type", "loc": ("mix", "function-after[f(), M]", "a")}]
+    >>> wrong += [{"type": "missing", "loc": ("mix", "function-after[f(), N]", key)} for key in "bc"]
+    >>> [item["loc"][-1] for item in fitting(wrong)]
+    ['a']
+    """
+    members, costs = list[tuple[Any, ...]](), Counter[tuple[Any, ...]]()
+    for item in items:
+        kind, place = item["type"], tuple(item["loc"])
+        number = next((i for i, part in enumerate(place) if _MEMBER.fullmatch(str(part))), -1)
+        members.append(place[: number + 1])
+        is_of_kind = number < len(place) - 1 or not kind.endswith(("_type", "_parsing", "literal_error"))
+        costs[members[-1]] += 9 if not is_of_kind else 2 if kind in ("missing", "extra_forbidden") else 1
+    least = {member[:-1]: costs[member] for member in sorted(costs, key=costs.__getitem__, reverse=True)}
+    return [i for i, m in zip(items, members, strict=True) if not m or costs[m] == least[m[:-1]]]
+
+
 def mistakes_of(error: ValidationError, data: Any) -> list[FieldMistake]:
     """Every mistake of ``data`` with its field, each once."""
-    every = error.errors(include_url=False)
+    every = fitting(error.errors(include_url=False))
     return list(dict.fromkeys(mistake_of(item, field_name(item["loc"], data)) for item in every))[:MOST_MISTAKES]

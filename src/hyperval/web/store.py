@@ -41,7 +41,7 @@ from hyperval.progress import set_listener
 from hyperval.report import first_screen
 from hyperval.run import Run, is_run, provenance_of
 from hyperval.storage import installed_file, size_of, write_text
-from hyperval.web.refusal import Refused, deny, said
+from hyperval.web.refusal import FieldMistake, Refused, deny, said
 
 MEGABYTE = 1_000_000
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -411,8 +411,12 @@ class Runs:
         self._result(own, self._settings.quick_seconds * 2)
         return place / name
 
-    def ask(self, task: str, **arguments: Any) -> Any:
+    def ask(self, task: str, of: str = "", **arguments: Any) -> Any:
         """What a quick task returns that belongs to no run.
+
+        Parameters
+        ----------
+        of : field that it is asked for, whose mistake it is where it comes to nothing
 
         Raises
         ------
@@ -420,15 +424,15 @@ class Runs:
         """
         own = WorkerTask(task, arguments)
         self._hand(("", own), self.quick, own)
-        return self._result(own, self._settings.quick_seconds)
+        return self._result(own, self._settings.quick_seconds, of)
 
-    def _result(self, task: WorkerTask, seconds: float) -> Any:
+    def _result(self, task: WorkerTask, seconds: float, field: str = "") -> Any:
         try:
             return task.future.result(seconds)
         except TimeoutError:
             raise Refused(503, "the server is busy; try again soon", wait=5) from None
         except TaskFailed as error:
-            raise Refused(409, str(error)) from error
+            raise Refused(422 if field else 409, [FieldMistake(field, str(error))]) from error
 
     def close(self) -> None:
         """End the workers."""

@@ -145,7 +145,8 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     write_draft(place / "campaign.yaml", "campaign", text)
     with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
-    told = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": "\ncomparisons:" in text}
+    compares = "comparisons" in parse_yaml(text)[0]
+    told = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": compares}
     return summary_of("pipeline", place / "results") | told
 
 
@@ -158,8 +159,9 @@ def _drafted(
     beside = None if given == header_beside(cube) else given
     raster = open_raster(cube, header=beside)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
-    told = {key: about[key] for key in ("quantity", "unit") if key in about}
-    known = replace(raster, description=replace(raster.description, **told))
+    own = raster.description
+    quantity = about.get("quantity") or ("radiance" if "unit" in about else own.quantity)
+    known = replace(raster, description=replace(own, quantity=quantity, unit=about.get("unit", own.unit)))
     header = {what: value for what, value, _ in record(known) if what != "assumed"}
     if "scale" in about:
         header |= {what: f"x {about['scale']:g}" for what in header if what.startswith("scale of ")}

@@ -21,6 +21,7 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
 from hyperval.atmosphere.state import AtmosphericState
+from hyperval.config import RadianceUnit
 from hyperval.errors import HypervalError
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
@@ -123,9 +124,9 @@ class Uploads:
         deny(is_large, 422, f"{name}: larger than {largest:,} bytes", field)
         if field == "sensors":
             try:
-                self._state.runs.ask("sensor", path=str(path))
+                self._state.runs.ask("sensor", field, path=str(path))
             except Refused as refusal:
-                words = refusal.mistakes[0].message.replace(path.name, name)
+                words = to_show(refusal)[0].message.replace(path.name, name)
                 raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
 
     def _named(self, field: str, name: str) -> Path:
@@ -142,13 +143,14 @@ class Uploads:
 class StatedCollection(BaseModel):
     """What a person says of a collection; blank entries are left out.
 
-    >>> with suppress(ValidationError):
-    ...     StatedCollection(time_utc="4.6.2018 10:00").time_utc
+    >>> for wrong in ({"time_utc": "4.6.2018 10:00"}, {"unit": "furlongs"}):
+    ...     with suppress(ValidationError):
+    ...         StatedCollection(**wrong)
     """
 
     name: str = Field("mine", max_length=60, pattern="^[a-z0-9][a-z0-9-]*$")
     quantity: Literal["radiance", "reflectance"] | None = None
-    unit: str | None = Field(None, max_length=60)
+    unit: RadianceUnit | None = Field(None, max_length=60)
     sensor: Literal[library_names()] | None = None  # type: ignore[valid-type]
     time_utc: Annotated[str | None, AfterValidator(AtmosphericState._is_a_time)] = Field(None, max_length=60)
     altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
@@ -221,13 +223,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         return list(own.names())
     about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
     sent = {part: [str(path) for of, path in files.values() if of == part] for part in PARTS}
-    try:
-        asked = state.runs.ask("draft", files=sent, **about)
-    except Refused as refusal:
-        if refusal.status_code != 409:
-            raise
-        raise Refused(422, [FieldMistake("cube", mistake.message) for mistake in refusal.mistakes]) from refusal
-    for key, what in asked:
+    for key, what in state.runs.ask("draft", "cube", files=sent, **about):
         field, words = key.rpartition(".")[2], for_pages(f"the files do not say it: {what}")
         if key.startswith("collection."):
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))

@@ -4,13 +4,15 @@ const REST_MS = 350, SLOW_MS = 400;
 const at = (id) => document.getElementById(id);
 const slides = [...form.querySelectorAll(".slide")].map((row) => row.querySelectorAll("input"));
 
-// What is chosen, as an address; sliders that stand as in the scenario are left out.
+// Sliders that stand as in the scenario are not sent: their six digits are no other value.
+form.addEventListener("formdata", ({ formData }) => {
+  for (const [, box] of slides) if (box.value === box.dataset.now) formData.delete(box.name);
+});
+
+// What is chosen, as an address.
 function query() {
   const chosen = new URLSearchParams();
-  for (const [name, value] of new FormData(form)) {
-    const box = name.startsWith("at:") ? form.elements[name] : null;
-    if (value !== "" && (box === null || value !== box.dataset.now)) chosen.append(name, value);
-  }
+  for (const [name, value] of new FormData(form)) if (value !== "") chosen.append(name, value);
   return chosen;
 }
 
