@@ -597,10 +597,8 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
     """Of target pixels of one population (3.10, 3.12) before their host, whose parts are E[f^2] and E[(1 - f)^2]."""
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
-    shade, own = radiance.target_light(world, light, t)[2], _of_surface(world, target.name)[0]
-    if np.ndim(shade):
-        factor = np.asarray(shade)[0, 0]
-        own = own * np.outer(factor, factor)
+    shade = radiance.target_light(world, light, t)[2].ravel()
+    own = _of_surface(world, target.name)[0] * np.outer(shade, shade)
     host, (behind, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
     fill, fine = float(weights @ fills), world.column("fine_texture")[0, world.surface(target.name)]  # E[f] of (3.12)
