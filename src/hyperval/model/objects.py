@@ -370,8 +370,7 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     means = {s.name: first.mean[0, first.surface(s.name), e.bands] for s in pure}
     view, light = e.seen.light.row(v), e.light.rows(np.array([v]))
     for number, (t, _, population) in enumerate(e.stated.populations):
-        lit, fills = target_light(first, light, t)[0][0, 0, e.bands], e.fills(number)
-        fill = float(fills.weights[0] @ fills.values[0])
+        lit, fill = target_light(first, light, t)[0][0, 0, e.bands], first.pixel_fills[number].mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
     seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))
     out: dict[tuple[str, str, str], float] = {}
