@@ -126,7 +126,7 @@ PATHS: Mapping[str, Path] = {
     # target's covariance that goes by its fill, not the fill's square
     "surfaces.*.mean": Path("mean", "surface", shape="vector"),
     "surfaces.*.spread": Path("spread", "surface", low=0.0),
-    "surfaces.*.tail_dof": Path("tail", "class", low=2.0),
+    "surfaces.*.tail_dof": Path("tail", "class", low=np.nextafter(2.0, 3.0)),
     "surfaces.*.fine_texture": Path("fine_texture", "surface", low=0.0, high=1.0),
     # mean fills of all targets, of one or of its subject; area fraction, the others give way in proportion; widths of
     # the blur wherever a fill follows from geometry
@@ -142,7 +142,7 @@ PATHS: Mapping[str, Path] = {
     "scene.adjacency.effective_neighbours": Path("neighbours", low=1.0),
     "scene.classes.*.fraction": Path("fraction", "class", low=0.0, high=1.0),
     "scene.classes.*.gain": Path("class_gain", "class", low=0.0),
-    "scene.classes.*.tail_dof": Path("tail", "class", low=2.0),
+    "scene.classes.*.tail_dof": Path("tail", "class", low=np.nextafter(2.0, 3.0)),
     "scene.targets.*.gain": Path("target_gain", "target", low=0.0),
     "scene.targets.*.illumination.beam": Path("beam", "target", low=0.0, high=1.0),
     "scene.targets.*.illumination.sky_view": Path("sky_view", "target", low=0.0, high=1.0),
