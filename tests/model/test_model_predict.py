@@ -30,17 +30,20 @@ def beside(folder: Path, spectrum: str) -> Scenario:
 
 @pytest.mark.parametrize("mean", ["{builtin: asphalt}", "{constant: 0.2}"], ids=["builtin", "constant"])
 def test_measured_tails_come_with_the_measured_covariance(mean):
-    """The class mean from elsewhere: `tail_dof: measured` is that of the region whose covariance the class has."""
-    measured = "spectrum: {builtin: asphalt}", f"spectrum: {mean}, covariance: {{measured: court}}, tail_dof: measured"
+    """The class mean from elsewhere: `tail_dof: measured` is that of the region whose covariance the class has.
+
+    Fitted tails count where they are asked for, whatever the spread.
+    """
     court = replace(builtin_class("soil", AXIS), tail_dof=4.5)
 
-    def dof(text):
+    def dof(words):
+        text = SCENE.replace("spectrum: {builtin: asphalt}", f"spectrum: {words}")
         p = model.predict(scenario(scene=text), replace(ORIGINS, measured={"court": court}))
         return p.distribution["asphalt"].tail_dof
 
-    text = SCENE.replace(*measured)
-    assert dof(text) == 4.5
-    assert dof(text.replace(", tail_dof: measured", "")) == np.inf  # fitted tails count where they are asked for
+    assert dof(f"{mean}, covariance: {{measured: court}}, tail_dof: measured") == 4.5
+    for unasked in (f"{mean}, covariance: {{measured: court}}", "{measured: court}, covariance: {relative_sd: 0.1}"):
+        assert dof(unasked) == np.inf
 
 
 def test_spectrum_from_a_file_is_relative_to_the_scenario(tmp_path):

@@ -154,7 +154,6 @@ def test_densities_are_the_derivatives():
     above, below = (detection_probability(x[None] + s * h, means, sds, weights)[0] for s in (-1, 1))
     target = RocScores(one, np.zeros(1, int), means, sds, weights)
     assert target.target_density(x[None])[0] == pytest.approx((above - below) / (2 * h), rel=1e-5, abs=1e-9)
-    assert target.background_density(x[None])[0] == pytest.approx(slope, rel=1e-6)
 
 
 def test_mixed_pixel_of_a_t_host_by_hand():

@@ -48,13 +48,13 @@ class FillDistribution:
 
     @property
     def mean(self) -> float:
-        """E[f]."""
-        return float(self.weights @ self.values)
+        """E[f], of one evaluation."""
+        return float(self.weights.ravel() @ self.values.ravel())
 
     @property
     def variance(self) -> float:
-        """Var f."""
-        return float(self.weights @ (self.values - self.mean) ** 2)
+        """Var f, of one evaluation."""
+        return float(self.weights.ravel() @ (self.values.ravel() - self.mean) ** 2)
 
     def binned(self, bins: int = 48) -> FillDistribution:
         """The same distribution on at most ``bins`` values: bin means, so that E[f] is kept exactly.
@@ -443,7 +443,7 @@ def fills_of_population(fill: Fill, thesis: bool) -> FillDistribution:
 def whole_object_fills(fill: Fill, thesis: bool) -> FillDistribution:
     """Fills of the pixels of its objects, one after the other; those of its pixels where an object is one pixel."""
     alone = fills_of_population(fill, thesis)
-    places = np.array([[float(alone.weights[0] @ alone.values[0])]]) if thesis else fills_of_objects(fill)
+    places = np.array([[alone.mean]]) if thesis else fills_of_objects(fill)
     if places.shape[1] == 1 and alone.values.size >= places.shape[0]:
         return alone
     weights = np.full((1, len(places)), 1.0 / len(places))

@@ -27,7 +27,7 @@ from hyperval.model.inputs import UncertainInput, drawn_truths, inputs_of, input
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
-from hyperval.model.stated import Origins, Stated, Truth, state_value
+from hyperval.model.stated import Origins, Stated, Truth, distinct, state_value
 from hyperval.model.world import World, find, read, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
@@ -449,16 +449,27 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
 def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     """The different shares of an object's pixels at its place, and which (U,) of them each truth has; None where there
     is no place, or the printed form.
+
+    What lies beside it has the fills of the same truth, whatever truths are evaluated with it:
+
+    >>> from hyperval.scenario import load_scenario
+    >>> from hyperval.model import with_values
+    >>> square = {"geometry": {"side_m": 1.0, "gsd_m": 1.0, "psf_fwhm_pixels": 1.0, "pixels": "ranked", "n": 9}}
+    >>> two = [{"name": name, "position_m": [0.0, x], "fill": square} for name, x in (("one", 0.0), ("two", 1.5))]
+    >>> world = read(load_scenario("yellow-planks-asphalt").with_values({"scene.targets.0.subjects": two}))
+    >>> (alone,), _ = shares_at(with_values(world, {"fill.two": np.array([[0.3]])}), 0)
+    >>> (_, beside), _ = shares_at(with_values(world, {"fill.two": np.array([[0.5], [0.3]])}), 0)
+    >>> bool(np.all(alone.mean == beside.mean))
+    True
     """
     stated, scenario = world.stated, world.stated.scenario
-    t, _, population = stated.populations[number]
+    population, position = stated.populations[number][2], scenario.uncertainty.position_m
     if scenario.formulation == "thesis" or population.fill.geometry is None or population.position_m is None:
         return None
-    models, which = world.fill_models(number)
-    others, position, seed = tuple(world.populations_at(0)), scenario.uncertainty.position_m, scenario.processing.seed
-    moved = [population.model_copy(update={"fill": fill}) for fill in models]
-    each = [shares_of(stated.targets[t].name, one, others, position, seed) for one in moved]
-    return each, which
+    moved = (v for p, v in world.moved.items() if find(stated, p).populations)
+    first, which = distinct((np.broadcast_to(v, (world.size, *v.shape[1:])) for v in moved), world.size)
+    each = [tuple(world.rows(np.array([u])).populations_at(0)) for u in first]
+    return [shares_of(*every[number], every, position, scenario.processing.seed) for every in each], which
 
 
 def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
@@ -597,10 +608,8 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
     """Of target pixels of one population (3.10, 3.12) before their host, whose parts are E[f^2] and E[(1 - f)^2]."""
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
-    shade, own = radiance.target_light(world, light, t)[2], _of_surface(world, target.name)[0]
-    if np.ndim(shade):
-        factor = np.asarray(shade)[0, 0]
-        own = own * np.outer(factor, factor)
+    shade = radiance.target_light(world, light, t)[2].ravel()
+    own = _of_surface(world, target.name)[0] * np.outer(shade, shade)
     host, (behind, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
     fill, fine = float(weights @ fills), world.column("fine_texture")[0, world.surface(target.name)]  # E[f] of (3.12)

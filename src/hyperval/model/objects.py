@@ -33,7 +33,7 @@ from scipy.special import ndtri
 from hyperval.data import Array, Index, Mask
 from hyperval.model.detection import Evaluation, Responses
 from hyperval.model.fill import PHASES, fills_of_objects, moments, pixels_of_object, shared_pixel_fills, widened
-from hyperval.model.radiance import of_truth, retrieved_reflectance, target_pixel_reflectance
+from hyperval.model.radiance import of_truth, retrieved_reflectance, target_light, target_pixel_reflectance
 from hyperval.model.roc import Host
 from hyperval.model.stated import correlation
 from hyperval.products import ObjectScores
@@ -368,13 +368,10 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     v, first, scene = int(e.which[0]), e.world.rows(np.array([0])), e.scenario.scene
     pure = (*scene.classes, *scene.panels, *scene.sites)
     means = {s.name: first.mean[0, first.surface(s.name), e.bands] for s in pure}
+    view, light = e.seen.light.row(v), e.light.rows(np.array([v]))
     for number, (t, _, population) in enumerate(e.stated.populations):
-        material = e.material(t, first)
-        lit = e.seen.light.rows(np.array([v])).surface(material.mean, material.beam, material.sky)[0][0, 0]
-        fills = e.fills(number)
-        fill = float(fills.weights[0] @ fills.values[0])
+        lit, fill = target_light(first, light, t)[0][0, 0, e.bands], first.pixel_fills[number].mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
-    view = e.seen.light.row(v)
     seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))
     out: dict[tuple[str, str, str], float] = {}
     for (looks_for, detector), (filters, _, _) in e.filters.items():

@@ -433,19 +433,19 @@ class Light:
         """Mean signal (..., B) of a reflectance (..., B) (3.7)."""
         return mean_radiance(self.terms, np.asarray(reflectance, dtype=float), self.average, self.formulation)
 
-    def shade(self, beam: float | Array, sky_view: float | Array) -> Array | float:
-        """(..., B) light on a target over that in the open (ground term of 3.7); 1 where nothing shades it.
+    def shade(self, beam: float | Array, sky_view: float | Array) -> Array:
+        """(..., B) light on a target over that in the open (ground term of 3.7); (1,) where nothing shades it.
 
         Raises
         ------
         UsageError : shade in the reflectance domain, or an atmosphere that does not know sky light.
         """
         if np.all(np.asarray(beam) == 1.0) and np.all(np.asarray(sky_view) == 1.0):
-            return 1.0
+            return np.ones(1)
         refuse(not self.radiant, "light.shade")
         return illumination_factor(self.terms, self.average, beam, sky_view)
 
-    def surface(self, mean: Array, beam: Array, sky_view: Array) -> tuple[Array, Array, Array | float]:
+    def surface(self, mean: Array, beam: Array, sky_view: Array) -> tuple[Array, Array, Array]:
         """A surface under its own light, as one in the open would have to be to look like it (ground term of 3.7).
 
         Parameters
@@ -455,11 +455,11 @@ class Light:
         Returns
         -------
         (U or 1, 1, F) mean of that surface, (U or 1, 1, F) reflectance times sky view, what the light from the
-        surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, 1 without shade
+        surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, (1,) without shade
         """
         own, beam, sky = mean[:, None, :], beam[:, None, None], sky_view[:, None, None]
         factor = self.shade(beam, sky)
-        return (own, own, factor) if np.ndim(factor) == 0 else (own * factor, own * sky, factor)
+        return own * factor, own * sky, factor
 
     def pixel_covariance(
         self, noise: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0
@@ -566,7 +566,7 @@ def light_of(world: World) -> Light:
     return replace(light, dark=_darkest(light, classes, elm.darkest_pixel))
 
 
-def target_light(world: World, light: Light, target: int) -> tuple[Array, Array, Array | float]:
+def target_light(world: World, light: Light, target: int) -> tuple[Array, Array, Array]:
     """A target under its own light, as :meth:`Light.surface` has it."""
     number = world.surface(world.stated.targets[target].name)
     return light.surface(world.mean[:, number], world.column("beam")[:, target], world.column("sky_view")[:, target])
@@ -821,16 +821,14 @@ class Material:
     of_pixels: bool = False
 
 
-def target_pixels(
-    seen: Seen, material: Material, fills: Array
-) -> tuple[Array, Array, tuple[Array, Array], Array | float]:
+def target_pixels(seen: Seen, material: Material, fills: Array) -> tuple[Array, Array, tuple[Array, Array], Array]:
     """Pixels of which a target fills K parts f (K,), as the detector sees them in U truths (3.7-3.12).
 
     Returns
     -------
     Retrieved reflectance and its noise variance (U or 1, K, F), less what the covariances hold of it; D_B / k
     times the root of g_m kappa (3.11) of a pixel of host, and of one full of target, (U or 1, 1, F) each; light on the
-    target over that in the open (U, 1, F), 1 without shade.
+    target over that in the open (U, 1, F), (1,) without shade.
     """
     light, of, number = seen.light, seen.of, material.host
     lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
@@ -564,16 +565,12 @@ class RocScores:
         ``thresholds`` (n, K) of these.
         """
         which, first, same = np.unique(self.which[at], return_index=True, return_inverse=True)
-        some, c, x = self.rows(at[first]), self.classes.rows(which), thresholds[first]
-        density = some.background_density if densities else None
+        c, x = self.classes.rows(which), thresholds[first]
+        density = partial(score_density, scores=c) if densities else None
         distributions = score_distributions(c.fraction, c.mean, c.sd, density)
         rows = self.classes.rows(np.repeat(which, x.shape[1]))
         preset = greatest_class_false_alarm(x.ravel(), rows).reshape(x.shape)
         return [(distributions[i], preset[i]) for i in same]
-
-    def background_density(self, score: Array) -> Array:
-        """Density of the background's score at ``score`` (n, K) (3.33) [per unit of score]."""
-        return score_density(score, self.classes.rows(self.which))
 
     def target_density(self, score: Array) -> Array:
         """Density of the target pixels' score at ``score`` (n, K), the derivative of (3.31) [per unit of score]."""

@@ -58,7 +58,7 @@ SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
 MOST_UNCOVERED = 0.1  # of the usable bands; a spectrum that lacks more is another one than was meant
-_SUN = ("solar_zenith_deg", "solar_azimuth_deg")
+_SUN, _VIEW = ("solar_zenith_deg", "solar_azimuth_deg"), ("view_zenith_deg", "view_azimuth_deg")
 MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
 # What decides which files an engine finds.
 _ENVIRONMENT = (
@@ -391,23 +391,22 @@ class Origins:
 def state_entries(state: AtmosphericState, changes: Truth) -> dict[str, Any]:
     """Entries of a state in which some stand at other values, and those that give way to them.
 
-    A sun that follows from place and time is stated by its angles; one that passes the zenith comes down on the
-    other side.
+    A sun that follows from place and time is stated by its angles; sun or sensor that passes the zenith comes down
+    on the other side:
+
+    >>> from hyperval.scenario import load_scenario
+    >>> state_entries(load_scenario("panels").atmosphere, {"view_zenith_deg": -5.0})
+    {'view_zenith_deg': 5.0, 'view_azimuth_deg': 180.0}
     """
     out = dict(changes)
     if "aot550" in out:
         out.setdefault("meteorological_range_km", None)
-    if "view_zenith_deg" in out:
-        out["view_zenith_deg"] = abs(out["view_zenith_deg"])
-    if "view_azimuth_deg" in out:
-        out["view_azimuth_deg"] = out["view_azimuth_deg"] % 360.0
-    if not out.keys() & _SUN:
-        return out
-    zenith, azimuth = (out.get(name, at) for name, at in zip(_SUN, state.sun, strict=True))
-    if zenith < 0.0:
-        zenith, azimuth = -zenith, azimuth + 180.0
-    out |= {"solar_zenith_deg": min(zenith, MAX_SOLAR_ZENITH_DEG - 0.1), "solar_azimuth_deg": azimuth % 360.0}
-    if state.time_utc is not None:
+    for names in (_SUN, _VIEW):
+        if out.keys() & names:
+            zenith, azimuth = (out.get(name, state_value(state, name)) for name in names)
+            across, most = 180.0 * (zenith < 0.0), MAX_SOLAR_ZENITH_DEG - 0.1
+            out |= dict(zip(names, (min(abs(zenith), most), (azimuth + across) % 360.0), strict=True))
+    if out.keys() & _SUN and state.time_utc is not None:
         out["earth_sun_distance_au"] = state.distance_au
         out |= dict.fromkeys(("latitude_deg", "longitude_deg", "time_utc"))
     return out
@@ -691,9 +690,12 @@ def _region_of(surface: Surface) -> str | None:
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float:
     """Degrees of freedom of a class; infinity: Gaussian.
 
-    A tail that was fitted to a region of the collection counts where the class says ``tail_dof: measured``.
+    A tail that was fitted to a region of the collection counts where the class says ``tail_dof: measured``.  It is of
+    the pixels that the covariance is of; where that is a stated one, or of field spectra, of those of the mean.
     """
-    if c.tail_dof is None and _region_of(c) is not None:
+    own = c.covariance
+    of = own if own is not None and (own.measured or own.library or own.builtin) else c.spectrum
+    if c.tail_dof is None and of.measured is not None:
         return np.inf
     return (c.tail_dof if isinstance(c.tail_dof, float) else surface.tail_dof) or np.inf
 

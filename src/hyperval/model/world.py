@@ -126,7 +126,7 @@ PATHS: Mapping[str, Path] = {
     # target's covariance that goes by its fill, not the fill's square
     "surfaces.*.mean": Path("mean", "surface", shape="vector"),
     "surfaces.*.spread": Path("spread", "surface", low=0.0),
-    "surfaces.*.tail_dof": Path("tail", "class", low=2.0),
+    "surfaces.*.tail_dof": Path("tail", "class", low=np.nextafter(2.0, 3.0)),
     "surfaces.*.fine_texture": Path("fine_texture", "surface", low=0.0, high=1.0),
     # mean fills of all targets, of one or of its subject; area fraction, the others give way in proportion; widths of
     # the blur wherever a fill follows from geometry
@@ -142,7 +142,7 @@ PATHS: Mapping[str, Path] = {
     "scene.adjacency.effective_neighbours": Path("neighbours", low=1.0),
     "scene.classes.*.fraction": Path("fraction", "class", low=0.0, high=1.0),
     "scene.classes.*.gain": Path("class_gain", "class", low=0.0),
-    "scene.classes.*.tail_dof": Path("tail", "class", low=2.0),
+    "scene.classes.*.tail_dof": Path("tail", "class", low=np.nextafter(2.0, 3.0)),
     "scene.targets.*.gain": Path("target_gain", "target", low=0.0),
     "scene.targets.*.illumination.beam": Path("beam", "target", low=0.0, high=1.0),
     "scene.targets.*.illumination.sky_view": Path("sky_view", "target", low=0.0, high=1.0),
@@ -382,15 +382,18 @@ class World:
                 columns.append(values)
         return distinct(columns, self.size)
 
-    def column(self, name: str) -> Array:
-        """(U or 1, items) of a field, or (U or 1, B or 1) where it is one for all items."""
+    def column(self, name: str, stated: Array | None = None) -> Array:
+        """(U or 1, items) of a field, or (U or 1, B or 1) where it is one for all items.
+
+        ``stated`` (1, items) : what stands where nothing is moved; None: what the scenario says
+        """
         if name in NEUTRAL:
             out = np.array([[NEUTRAL[name]]])
             for _, _, values in self.fields(name):
                 new = values if values.ndim > 1 else values[:, None]
                 out = out * new if NEUTRAL[name] else out + new
             return out
-        out = self.stated.columns[name]
+        out = self.stated.columns[name] if stated is None else stated
         for _, item, values in self.fields(name):
             new = _numbers(values)
             new = np.where(np.isnan(new), out[:, item], new)
@@ -407,9 +410,7 @@ class World:
         UsageError : they do not sum to 1.
         """
         stated = self.column("fraction")
-        named = np.full((self.size, stated.shape[1]), np.nan)
-        for _, item, values in self.fields("share"):  # NaN: gives way
-            named[:, item] = np.clip(_numbers(values), 0.0, 1.0)
+        named = np.clip(self.column("share", np.full((1, stated.shape[1]), np.nan)), 0.0, 1.0)  # NaN: gives way
         moved = np.isfinite(named)
         if moved.any():
             rest, total = np.where(moved, 0.0, stated).sum(axis=1), np.nansum(named, axis=1)
@@ -417,7 +418,7 @@ class World:
             scale = np.where(gives_way, (1.0 - total) / np.where(rest > 0.0, rest, 1.0), 1.0)
             out = np.where(moved, named, stated * scale[:, None])
             refuse(np.any(out.sum(axis=1) <= 0.0), "path.area")
-            return np.asarray(np.where(moved.any(axis=1)[:, None], out / out.sum(axis=1, keepdims=True), stated))
+            return np.asarray(np.where(moved.any(axis=1, keepdims=True), out / out.sum(axis=1, keepdims=True), stated))
         total = stated.sum(axis=1)
         if np.any(np.abs(total - 1.0) > 1e-6) or np.any(stated < 0.0):
             words = f"the area fractions are no partition: they sum to {total.min():.6g} to {total.max():.6g}"
@@ -435,12 +436,8 @@ class World:
         """(U or 1, J) degrees of freedom of the laws; infinity: Gaussian."""
         laws, tail = self.stated.laws, self.stated.columns["tail"]
         own = [tail[0, law.owner] if law.dof is None else law.dof for law in laws]
-        out = np.array([own], dtype=float)
-        for _, item, values in self.fields("tail"):
-            moved = _numbers(values)[:, None]
-            of_class = np.array([law.owner == item for law in laws])
-            out = np.where(of_class & ~np.isnan(moved), moved, out)
-        return out
+        moved = self.column("tail", np.full(tail.shape, np.nan))[:, [law.owner for law in laws]]
+        return np.where(np.isnan(moved), own, moved)
 
     @cached_property
     def kappa(self) -> Array:
