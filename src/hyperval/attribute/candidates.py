@@ -8,6 +8,7 @@ pipeline that is compared is the same.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -185,22 +186,24 @@ class Candidate:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Least and greatest size that it may have.
+        """Least and greatest size that it may have; no factor lies below 0.
 
         >>> depth = Candidate("depth", "atmosphere", "10 %", False, sizes=(-5.0, 10.0))
         >>> [replace(depth, unbounded=of_a_change).ends for of_a_change in (False, True)]
         [(-8.0, 20.0), (-9.5, 90.0)]
         >>> Candidate("scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), unbounded=True).ends
         (-12.8, 32.0)
+        >>> Candidate("light of a target", "scene", "10 %", False, sizes=(-9.0, 7.0)).ends
+        (-10.0, 14.0)
         """
         number, _, unit = self.step.partition(" ")
         low, high = _BELOW * min(0.0, *self.sizes), (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
         if self.budgeted:
             return min(low, -self.most), max(high, self.most)
-        if self.unbounded and unit == "%" and float(number) >= 1.0:
-            low = min(low, (_LEAST - 1.0) * 100.0 / float(number))
-            high = max(high, (_MOST - 1.0) * 100.0 / float(number))
-        return low, high
+        whole = 100.0 / float(number) if unit == "%" else math.inf
+        if self.unbounded and whole <= 100.0:
+            low, high = min(low, (_LEAST - 1.0) * whole), max(high, (_MOST - 1.0) * whole)
+        return max(low, -whole), high
 
     def as_far_as(self, usual: Candidate) -> Candidate:
         """A number of a small stated uncertainty, asked at the sizes of one of which nothing is stated: who mistypes it
