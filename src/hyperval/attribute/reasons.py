@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.attribute.candidates import (
+    CAUSES,
     HEIGHTS,
     SINGLE_BANDS,
     Candidate,
@@ -55,14 +56,7 @@ AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted 
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-4, 0.01, 1e-4
-# What befalls an image whose spectra are not compared: it is measured again.
 _OFFSETS = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
-_OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
-    ("gain of the data against the spectra", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
-    ("offset of the data", "0.01 of the mean", "offset", 0.01, _OFFSETS),
-    ("wavelength shift", "0.5 nm", "nm", 0.5, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
-    ("wavelength scale", "0.1 %", "scale", 0.001, (-8.0, -2.0, 2.0, 8.0)),
-)
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty"
 
@@ -338,9 +332,9 @@ class Causes:
             return entry
         if is_measured:
             steps = dict[Candidate, Array]()
-            for name, step, key, unit, at in _OF_DATA:
+            for name, step, key, unit, at in CAUSES["image"]:
                 effects = np.column_stack([self.mistaken({key: unit * z}) for z in at])
-                steps[Candidate(name, "sensor", step, False, sizes=at)] = effects
+                steps[Candidate(name, "sensor", step, False, sizes=tuple(at))] = effects
             if (by_data := self.or_displaced(moved, of, level, steps, regions=False)).first not in (NONE, NOTHING):
                 return by_data
         return self.or_rarer(moved + of_model, of, level, self.of_inputs)
