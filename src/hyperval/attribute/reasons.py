@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain, product
@@ -33,7 +34,7 @@ from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
 from hyperval.data import Array, Index
-from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, refuse
+from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, needed, refuse
 from hyperval.model import Truth, World, inputs_of
 from hyperval.products import Products, background_of
 from hyperval.progress import track
@@ -148,17 +149,26 @@ class Causes:
         ...     return Causes(stack, (), np.zeros(20), np.zeros(0), dict, dict, further, told, {}, len, None, dict)
         >>> [[f.name for f in causes(30.0 * one[i]).standing()[1].best.causes] for i in (0, 1)]
         [['gain'], ['height']]
+
+        A size that was asked for beside it stays known:
+
+        >>> gain = Candidate("gain", "scene", "1 km", False, sizes=(-2.0, 2.0), moved=lambda z: [{"km": z}])
+        >>> asked = lambda truths, title, budgeted: [(truth["km"] * one[0], 0) for (truth,) in truths]
+        >>> tried = replace(causes(0.0), evaluate=asked)
+        >>> told = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
+        >>> found = replace(tried, residuals=told).standing()[0].columns
+        >>> [len(one.sizes) == made.shape[1] > 2 for one, made in found.items()]
+        [True]
         """
         everything = np.arange(self.predicted.size)
 
-        def explained(further: Mapping[Candidate, Array]) -> tuple[Residuals, Posterior]:
-            columns = {**self.residuals.columns, **further}
+        def explained(columns: Mapping[Candidate, Array]) -> tuple[Residuals, Posterior]:
             return self.explained(self.residuals._replace(columns=columns), everything, self.predicted, True)
 
         def is_enough(found: Posterior) -> bool:
             return found.first == NOTHING or (found.enough and len(found.best.causes) == 1)
 
-        told, found = explained({})
+        told, found = explained(self.residuals.columns)
         heights = {} if is_enough(found) else self.rarer[0]()
         if heights and is_enough((wider := explained({**told.columns, **heights}))[1]):
             return wider
@@ -835,11 +845,13 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
         """Residuals over their uncertainty, summary gaps, ratios of false alarms."""
         after = stack if seen is model.observed else stacked(predicted, seen)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
-        refuse(now != before, "whatif.other", name=name)
+        told: Array | None = None
+        with suppress(KeyError):  # of a subject that is not there any more
+            told = after.predicted(predicted) if now == before else None
+        values = after.observed - needed(told, "whatif.other", name=name)
         spread = causes.residuals.covariance
         spread = spread if after is stack else spread - stack.covariance + after.covariance
-        residuals = Whitened(after.observed - after.predicted(predicted), spread)
-        return residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen)
+        return Whitened(values, spread), gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen)
 
     def tried(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         predicted = model.assuming(changed_scenarios(model.scenarios, item))
