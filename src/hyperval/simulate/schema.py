@@ -23,6 +23,9 @@ def generator(seed: int, stream: int, index: int) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(stream, index))))
 
 
+# What the cube's header says of how it is read.
+WRITTEN = "samples, lines, bands, header offset, file type, data type, interleave, byte order, map info, fwhm, bbl, "
+WRITTEN += "coordinate system string, wavelength, wavelength units, data gain values, data offset values"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
 
 
@@ -189,6 +192,7 @@ class SceneFile(Model):
             ),
             [],
         ),
+        "header: the simulation writes {!r}": lambda s: [k for k in s.header if k.lower() in WRITTEN.split(", ")],
         "two regions carry the same name": lambda s: twice(r.name for r in (*s.panels, *s.regions)),
         "two target groups carry the same name": lambda s: twice(g.name for g in s.targets),
         "the class {!r} covers no area; the layout has {}": lambda s: unknown(
