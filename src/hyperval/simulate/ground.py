@@ -57,9 +57,8 @@ def _fine_response(count: int, psf_fwhm_pixels: float) -> Array:
 
 def _coverage(u: Array, half: float, cell: float) -> Array:
     """Share of a cell of width ``cell`` at distance ``u`` from the middle of a strip that the strip covers."""
-    outer = np.minimum(u + 0.5 * cell, half)
-    inner = np.maximum(u - 0.5 * cell, -half)
-    return np.clip((outer - inner) / cell, 0.0, 1.0)
+    covered = np.minimum(u + 0.5 * cell, half) - np.maximum(u - 0.5 * cell, -half)
+    return np.clip(covered / cell, 0.0, 1.0)
 
 
 def square_footprint(
