@@ -267,8 +267,8 @@ def test_a_collection_that_is_measured_again_and_shares_of_the_variance(small):
     assert all(0.0 <= share <= 1.0 for share in shares)
 
 
-def test_an_experiment_that_compares_other_things_is_refused(small):
-    small.data["attribution"] = {"what_ifs": [
-        {"name": "fewer", "question": "?", "observe": {"collection.snr_regions": []}}]}  # fmt: skip
+@pytest.mark.parametrize("changes", [{"observe": {"collection.snr_regions": []}}, {"scenario": {"scene.panels": []}}])
+def test_an_experiment_that_compares_other_things_is_refused(small, changes):
+    small.data["attribution"] = {"what_ifs": [{"name": "fewer", "question": "?", **changes}]}
     with pytest.raises(UsageError, match="'fewer' compares other things than the campaign does"):
         _reasons(small)

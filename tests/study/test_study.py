@@ -54,10 +54,10 @@ def quick(monkeypatch):
 def test_paths_of_the_model_are_moved_within_their_limits(make_study, table_of):
     text = "inputs: [{{name: gain, path: sensor.gain, values: [1.0, 1.1]}}, {{name: haze, path: light.path,\n"
     text += " values: [0.5, {}]}}]\noutputs: [{{name: seen, kind: radiance, subject: grass, band_nm: 550}}]\n"
-    seen = table_of(text.format(1.0))["seen"].to_numpy().reshape(2, 2)
+    seen = table_of(text.format("null"))["seen"].to_numpy().reshape(2, 2)  # as it stands
     assert seen[1] == pytest.approx(1.1 * seen[0], rel=1e-12)
     assert seen[0, 0] < seen[0, 1]
-    with pytest.raises(UsageError, match=r"light\.path at -1\.0"):
+    with pytest.raises(UsageError, match=r"light\.path at -1"):
         table_of(text.format(-1.0))
 
 

@@ -8,12 +8,13 @@ pipeline that is compared is the same.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
-from itertools import combinations, permutations, product
+from itertools import combinations, filterfalse, permutations, product
 from pathlib import Path
 from typing import Any, get_args
 
@@ -24,10 +25,10 @@ from hyperval.atmosphere.solar import parse_utc
 from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.config import load_yaml
 from hyperval.data import Array
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import UsageError, package_table, refuse
 from hyperval.model import Origins, Truth, UncertainInput, inputs_of, number_input, predict, read, value_at
 from hyperval.model.inputs import Kind, directions, field_spectrum_of, form_in_words, spectral_input
-from hyperval.model.world import AEROSOL, SURROUNDINGS, WATER, World
+from hyperval.model.world import World, find, in_file
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
@@ -42,44 +43,17 @@ MOST_DIRECTIONS = 8
 MOST_UNITS, MOST_STEPS, MOST_SMOOTH = 10.0, 200.0, 16.0
 SHIFT_NM = 0.2
 SINGLE_BANDS = "single bands"
-SPREAD = 0.10
-FRACTION = 0.10
 # A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
 # the directions that hold nine tenths of its variance between 400 and 2500 nm.
 SURFACE, SURFACE_NM, SURFACE_DIRECTIONS = 0.10, 300.0, 4
 _OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
-# Name, kind, path, usual size as a part of what stands there; and where the model is asked besides one unit up and
-# down, in units: between and a little beyond it is interpolated.
-_PARTS: tuple[tuple[str, Kind, str, float, tuple[float, ...]], ...] = (
-    (SURROUNDINGS, "scene", "light.surroundings", 0.10, _OTHER_SIZES),
-    (AEROSOL, "atmosphere", "atmosphere.aot550", 0.10, (-5.0, 10.0)),
-    (WATER, "atmosphere", "atmosphere.water_vapour_g_cm2", 0.10, _OTHER_SIZES),
-    ("ozone", "atmosphere", "atmosphere.ozone_atm_cm", 0.05, _OTHER_SIZES),
-    ("sunlight", "atmosphere", "light.irradiance", 0.01, (-20.0, 25.0)),
-    ("path radiance", "atmosphere", "light.path", 0.10, (-5.0, 10.0)),
-    ("spherical albedo", "atmosphere", "light.spherical_albedo", 0.10, _OTHER_SIZES),
-    ("sensor gain", "sensor", "sensor.gain", 0.01, (-20.0, 25.0)),
-    ("sensor noise", "sensor", "sensor.noise", 0.05, (-10.0, 10.0, 25.0)),
-    ("electrons per radiance", "sensor", "sensor.electrons", 0.05, (-12.0, -6.0, 10.0, 25.0)),
-    ("fill fraction of the targets", "scene", "fill", 0.05, (-12.0, -6.0, 6.0, 20.0)),
-    ("PSF width", "scene", "blur", 0.10, (-5.0, 5.0, 10.0)),
-)
-_SIZES = {name: sizes for name, *_, sizes in _PARTS} | {
-    "noise without signal": (-10.0, 10.0, 30.0),
-    "tails": (5.0, 20.0),
-}
+# Tables of what may be wrong, and where the model is asked for it.
+CAUSES = package_table("attribute/causes.yaml")
+_SIZES: dict[str, list[float]] = {name: sizes for name, *_, sizes in CAUSES["usual"]} | CAUSES["sizes"]
 _LEAST, _MOST = 0.05, 10.0  # factors that a change may have on what is given in parts
 LIGHT = ("sunlight", "path radiance", "spherical albedo")
 # Of spectra in another unit; what the brightest bands of a reflectance are at least, and at most.
 SCALES, DARKEST, BRIGHTEST = (0.01, 0.1, 10.0, 100.0), 0.02, 1.5
-# Of the state of atmosphere and view: step, and where the model is asked.
-_OF_STATE: tuple[tuple[str, str, str, tuple[float, ...]], ...] = (
-    ("sensor_altitude_km", "sensor altitude", "10 %", (-5.0, 20.0)),
-    ("ground_altitude_km", "ground height", "0.1 km", (-12.0, -4.0, 4.0, 12.0)),
-    ("aerosol_share_below", "share of aerosol below the sensor", "10 %", (-5.0, 10.0)),
-    ("view_zenith_deg", "view zenith angle", "1 deg", (-20.0, 5.0, 20.0)),
-    ("angstrom_exponent", "Angstrom exponent", "0.1 of the exponent", (-10.0, 10.0)),
-)
 HEIGHTS = ("sensor altitude", "ground height")
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
 
@@ -93,11 +67,11 @@ def assumed_inputs(world: World) -> list[UncertainInput]:
 def usual_inputs(world: World) -> Iterator[UncertainInput]:
     """Every input of a scenario that may be off, with a usual uncertainty."""
     scene = world.stated.scenario.scene
-    yield from (_part(world, *row[:4]) for row in _PARTS if _there(world, row[2]))
+    yield from (_usual(world, *row) for *row, _ in CAUSES["usual"] if _there(world, row[2]))
     for c in scene.classes:
-        yield _part(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", SPREAD)
+        yield _usual(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", "10 %")
         if np.all(np.isfinite(np.asarray(value_at(world, f"surfaces.[{c.name}].tail_dof"), dtype=float))):
-            yield _part(world, f"tails of {c.name}", "surface", f"surfaces.[{c.name}].tail_dof", SPREAD)
+            yield _usual(world, f"tails of {c.name}", "surface", f"surfaces.[{c.name}].tail_dof", "10 %")
     # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
     # hosts they look like their fill, which is there already.
     form = SpectralForm(correlation_nm=SURFACE_NM)
@@ -109,7 +83,7 @@ def usual_inputs(world: World) -> Iterator[UncertainInput]:
             yield replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words)
     shares = [c for c in scene.classes if _there(world, f"fraction.[{c.name}]")]
     for c in shares[:1] if len(scene.classes) == 2 else shares:  # of two the other one's is the same input
-        yield _part(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", FRACTION)
+        yield _usual(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", "10 %")
 
 
 def _of_ground(world: World) -> tuple[Surface, ...]:
@@ -117,9 +91,11 @@ def _of_ground(world: World) -> tuple[Surface, ...]:
     return (*scene.classes, *scene.panels, *scene.sites)
 
 
-def _part(world: World, name: str, kind: Kind, path: str, part: float) -> UncertainInput:
-    one = number_input(world, name, kind, path, np.zeros(1), source="usual", words=f"{100 * part:g} %")
-    return replace(one, rows=part * np.atleast_1d(np.asarray(one.nominal, dtype=float))[None, :])
+def _usual(world: World, name: str, kind: Kind, path: str, step: str) -> UncertainInput:
+    """An input of which one unit is a step, in its own unit or in percent of what stands there."""
+    size = float(step.split()[0])
+    one = number_input(world, name, kind, path, size, source="usual", words=step)
+    return replace(one, rows=size / 100.0 * one.nominal[None, :]) if step.endswith("%") else one
 
 
 def _there(world: World, path: str) -> bool:
@@ -185,22 +161,24 @@ class Candidate:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Least and greatest size that it may have.
+        """Least and greatest size that it may have; no factor lies below 0.
 
         >>> depth = Candidate("depth", "atmosphere", "10 %", False, sizes=(-5.0, 10.0))
         >>> [replace(depth, unbounded=of_a_change).ends for of_a_change in (False, True)]
         [(-8.0, 20.0), (-9.5, 90.0)]
         >>> Candidate("scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), unbounded=True).ends
         (-12.8, 32.0)
+        >>> Candidate("light of a target", "scene", "10 %", False, sizes=(-9.0, 7.0)).ends
+        (-10.0, 14.0)
         """
         number, _, unit = self.step.partition(" ")
         low, high = _BELOW * min(0.0, *self.sizes), (1.0 + self.unbounded) * _ABOVE * max(0.0, *self.sizes)
         if self.budgeted:
             return min(low, -self.most), max(high, self.most)
-        if self.unbounded and unit == "%" and float(number) >= 1.0:
-            low = min(low, (_LEAST - 1.0) * 100.0 / float(number))
-            high = max(high, (_MOST - 1.0) * 100.0 / float(number))
-        return low, high
+        whole = 100.0 / float(number) if unit == "%" else math.inf
+        if self.unbounded and whole <= 100.0:
+            low, high = min(low, (_LEAST - 1.0) * whole), max(high, (_MOST - 1.0) * whole)
+        return max(low, -whole), high
 
     def as_far_as(self, usual: Candidate) -> Candidate:
         """A number of a small stated uncertainty, asked at the sizes of one of which nothing is stated: who mistypes it
@@ -328,7 +306,8 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         later = partial(_later, worlds, timedelta(hours=1))
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
     if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
-        out.append(_of_state(worlds, "solar_zenith_deg", "solar zenith angle", "1 deg", (1.0, -1.0, -5.0, 5.0)))
+        sun = "solar zenith angle", "scene", "atmosphere.solar_zenith_deg", "1 deg"
+        out.append(_of_state(worlds, sun, (1.0, -1.0, -5.0, 5.0)))
         if len(days := [s.day_of_year for s in states if s is not None and s.day_of_year]) == len(states):
             months, day = (-2.0, -1.0, 1.0, 2.0, 4.0, 6.0), partial(_on_day, days)
             out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=months, moved=day))
@@ -342,7 +321,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     for number, world in enumerate(worlds):
         scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
-            one = _part(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", 0.05)
+            one = _usual(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", "5 %")
             out.append(_in_one(one, number, len(worlds), (-10.0, 12.0)))
         if len(scene.targets) > 1 or any(_side(p) for t in scene.targets for p in t.populations):
             out += [_sized(target, number, worlds) for target in scene.targets]
@@ -398,15 +377,13 @@ def _on_day(days: Sequence[int], units: float) -> list[Truth]:
     return [{"atmosphere.day_of_year": (round(day + 30.0 * units) - 1) % 365 + 1} for day in days]
 
 
-def _noise(
-    worlds: Sequence[World], key: str, name: str, sizes: tuple[float, ...], of: Array | float = 1.0
-) -> Candidate:
+def _noise(worlds: Sequence[World], key: str, name: str, sizes: Iterable[float], of: Array | float = 1.0) -> Candidate:
     """Electrons per radiance or fixed noise of another size, in bands ``of`` (B,)."""
 
     def other(units: float) -> list[Truth]:
         return [{f"sensor.{key}": 1.0 + 0.05 * units * of}] * len(worlds)
 
-    return Candidate(name, "sensor", "5 %", False, sizes=sizes, moved=other)
+    return Candidate(name, "sensor", "5 %", False, sizes=tuple(sizes), moved=other)
 
 
 def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
@@ -547,7 +524,8 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     [{'sensor_changes.bits': 12}, {'sensor_changes.bits': 12}]
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
-    >>> slanted = _of_state([read(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], *_OF_STATE[3])
+    >>> *row, sizes = CAUSES["state"][3]
+    >>> slanted = _of_state([read(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], row, sizes)
     >>> slanted.sizes, both["view zenith angle"].sizes, both["ground height"].sizes
     ((-6.0, 5.0, 20.0), (5.0, 20.0), (-1.7, 4.0, 12.0))
     >>> shown("ground height", both["ground height"].sizes[-2])
@@ -578,7 +556,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
             shapes = ((_geometry(t, p), p.fill and p.fill.geometry) for p in t.populations)
             pixels[number] |= {f"{path}.gsd_m": shape.gsd_m for path, shape in shapes if shape}
             path = f"scene.targets.[{t.name}].illumination"
-            light = _part(world, f"light of {t.name}", "scene", f"{path}.beam", 0.1)
+            light = _usual(world, f"light of {t.name}", "scene", f"{path}.beam", "10 %")
             out.append(_in_one(light, number, len(worlds), (-9.0, -4.0, 7.0)))
             entries[f"{t.name} in full light"] = alone({f"{path}.beam": 1.0, f"{path}.sky_view": 1.0})
         for c in scene.classes:
@@ -627,7 +605,8 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     (('latitude with the other sign', 'longitude with the other sign'), [{'atmosphere.latitude_deg': -43.0}])
     """
     states = [world.stated.scenario.atmosphere for world in worlds]
-    out = [_of_state(worlds, *row) for row in _OF_STATE if all(getattr(s, row[0], None) is not None for s in states)]
+    rows = {path.partition(".")[2]: (row, sizes) for *row, sizes in CAUSES["state"] for path in row[2:3]}
+    out = [_of_state(worlds, *of) for key, of in rows.items() if all(getattr(s, key, None) is not None for s in states)]
     if any(s is not None and s.time_utc for s in states):
         later = partial(_later, worlds, timedelta(days=30))
         out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
@@ -645,16 +624,13 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     return out
 
 
-def _of_state(worlds: Sequence[World], key: str, name: str, step: str, sizes: tuple[float, ...]) -> Candidate:
+def _of_state(worlds: Sequence[World], row: Sequence[Any], sizes: Sequence[float]) -> Candidate:
     """A number of the state of atmosphere, sun and view, in all scenarios."""
-    size, path = float(step.split()[0]), f"atmosphere.{key}"
-    if step.endswith("%"):
-        there = [_part(w, name, "scene", path, size / 100.0) for w in worlds]
-    else:  # down to 0 at most, which is what the smallest ones are mistaken for
-        there = [number_input(w, name, "scene", path, size, source="usual", words=step) for w in worlds]
-        least = -min(float(np.min(np.abs(np.asarray(one.nominal, dtype=float)))) for one in there) / size
+    there, (name, kind, _, step) = [_usual(world, *row) for world in worlds], row
+    if not step.endswith("%"):  # down to 0 at most, which is what the smallest ones are mistaken for
+        least = -min(float(np.min(np.abs(one.nominal))) for one in there) / float(step.split()[0])
         sizes = tuple(dict.fromkeys(z for z in (max(z, least) for z in sizes) if z))
-    return Candidate(name, "scene", step, False, tuple(there), sizes)
+    return Candidate(name, kind, step, False, tuple(there), tuple(sizes))
 
 
 def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
@@ -765,29 +741,10 @@ class NotInjectable(UsageError):
 
 def injected_errors() -> dict[str, Family]:
     """The standard errors by name, each of its size, in the order of the power table."""
-    return {
-        "sunlight x 0.95": partial(_times, path="light.irradiance", factor=0.95),
-        "sunlight x 1.05": partial(_times, path="light.irradiance", factor=1.05),
-        "path radiance x 1.1": partial(_times, path="light.path", factor=1.1),
-        "spherical albedo x 1.5": partial(_times, path="light.spherical_albedo", factor=1.5),
-        "spectral shift of 0.1 band": partial(_shifted, bands=0.1),
-        "spectral shift of 0.5 band": partial(_shifted, bands=0.5),
-        "wavelengths + 5 nm": partial(_shifted, nm=5.0),
-        "noise x 1.5": partial(_times, path="sensor.noise", factor=1.5),
-        "electrons x 1.05": partial(_times, path="sensor.electrons", factor=1.05),
-        "class spread x 0.8": partial(_times, path="surfaces.[{class}].spread", factor=0.8),
-        "class spread x 1.25": partial(_times, path="surfaces.[{class}].spread", factor=1.25),
-        "tails left out": _without_tails,
-        "class means exchanged": partial(_exchanged, what="class"),
-        "target spectra x 0.8": partial(_times, path="surfaces.[{target}].mean", factor=0.8),
-        "target spectra exchanged": partial(_exchanged, what="target"),
-        "target spectra of another material": _other_material,
-        "target covariance by f, not f squared": _fine_texture,
-        "fill fraction x 0.8": partial(_times, path="fill", factor=0.8),
-        "PSF width x 1.5": partial(_times, path="blur", factor=1.5),
-        "empirical line gain x 1.02": partial(_line, gain=1.02, offset=0.0),
-        "empirical line offset + 0.005": partial(_line, gain=1.0, offset=0.005),
+    made = {
+        f.__name__: f for f in (_times, _shifted, _without_tails, _exchanged, _other_material, _fine_texture, _line)
     }
+    return {name: partial(made[f"_{what}"], **of) for name, (what, of) in CAUSES["errors"].items()}
 
 
 def errors_of_file(path: Path) -> dict[str, Family]:
@@ -814,18 +771,41 @@ def injected_prediction(
     Raises
     ------
     NotInjectable : the scenario has nothing of the kind.
-    UsageError : a path that is none, and is nearly one of the scenario's.
+    UsageError : a path that is none, and is nearly one of the scenario's; a value that the model does not take.
+
+    Examples
+    --------
+    >>> from hyperval.api import load_scenario
+    >>> scenario = load_scenario("panels").with_values({"atmosphere.engine": "emulator"})
+    >>> seen = [injected_prediction(scenario, lambda _, x=x: {"line.gain": x})[0] for x in (1.0, 1.02)]
+    >>> of, more = (prediction.reflectance["grass"].mean for prediction in seen)
+    >>> float(np.abs(more / of - 1.02).max().round(9))
+    0.0
+    >>> for value in (-1.0, float("nan"), None, "loud", [1.0, 2.0]):
+    ...     try:
+    ...         injected_prediction(scenario, lambda _: {"sensor.noise": value})
+    ...     except UsageError as error:
+    ...         print(error.what, "expected:", error.expected)
+    sensor.noise at -1.0 expected: a number from 0.001 to inf
+    sensor.noise at nan expected: a number from 0.001 to inf
+    sensor.noise at None expected: a number from 0.001 to inf
+    sensor.noise at loud expected: a number from 0.001 to inf
+    sensor.noise at [1.0, 2.0] expected: a number from 0.001 to inf
     """
     world = read(scenario, origins)
     try:
         truth = error(world)
-        for path in truth:
-            value_at(world, path)
+        sizes = {path: (1, np.size(value_at(world, path)), len(world.stated.axis)) for path in truth}
     except UsageError as why:
         raise (UsageError if why.mend else NotInjectable)(why.what, expected=why.expected, mend=why.mend) from why
+    for path in filterfalse(in_file, truth):
+        entry, value = find(world.stated, path), np.asarray(truth[path])
+        is_number = value.dtype.kind in "fiu" and value.size in sizes[path]
+        is_taken = is_number and np.all((entry.low <= value) & (value <= entry.high))
+        refuse(not is_taken, "study.limits", path=path, number=truth[path], low=entry.low, high=entry.high)
     prediction = predict(scenario, origins, truth=truth, objects=objects)
-    if "line.gain" in truth:  # what was collected is through its own line: an error of the model's shows in its own
-        gain, offset = truth["line.gain"], truth["line.offset"]
+    if {"line.gain", "line.offset"} & truth.keys():  # what was collected is through its own line: it shows in its own
+        gain, offset = truth.get("line.gain", 1.0), truth.get("line.offset", 0.0)
         seen = {name: _through_line(estimate, gain, offset) for name, estimate in prediction.reflectance.items()}
         prediction = replace(prediction, reflectance=seen)
     return prediction, truth

@@ -561,6 +561,8 @@ class Reasoner:
         singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
         found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (whole,))]
         found += [self._with(None, fit, e, whole) for fit in (*singles, self._none.fit(e))]
+        # Chi-square that each leaves by itself, or nothing does; not of what could make anything, or no candidate.
+        alone = {h.first: h.left[0] for h in found[:-1] if not any(f.candidate.makes_anything for f in h.causes)}
         beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not UNKNOWN]
         beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
         for _ in range(MOST_CAUSES - 1):
@@ -571,15 +573,14 @@ class Reasoner:
             part = [h.first in (NOTHING, NONE) or h.left[-1] <= MOST_LEFT * whole for h in found]
             found = [h if most else replace(h, weight=h.weight - whole) for h, most in zip(found, part, strict=True)]
         found.sort(key=lambda h: -h.weight)
-        found = [self._ordered(h, e) if h.weight > found[0].weight - CLOSE else h for h in found]
+        found = [self._ordered(h, e, alone) if h.weight > found[0].weight - CLOSE else h for h in found]
         logs = np.array([h.weight for h in found])
         weights = np.exp(logs - np.logaddexp.reduce(logs))
         probability = dict.fromkeys((NOTHING, NONE, *(f.name for f in singles)), 0.0)
         for h, weight in zip(found, weights, strict=True):
             probability[h.first] += float(weight)
-        first = max(probability, key=lambda name: probability[name])
         p_value = float(scipy.stats.chi2.sf(whole, e.size))
-        alike = self._alike(singles, first, probability, e)
+        alike = self._alike(singles, probability, alone)
         return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
 
     def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
@@ -639,11 +640,18 @@ class Reasoner:
                 if all(candidate is not f.candidate for f in h.causes):
                     yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
 
-    def _ordered(self, h: Hypothesis, e: Array) -> Hypothesis:
+    def _ordered(self, h: Hypothesis, e: Array, alone: Mapping[str, float]) -> Hypothesis:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
-        change, what explains most by itself, and after it no more than is needed.
+        change, what leaves least ``alone``, and after it no more than is needed.
+
+        What could make anything, or no candidate describes, comes last:
+
+        >>> tilt, bands = (Candidate(name, "sensor", "1 %", False) for name in ("tilt", "single bands"))
+        >>> known = Reasoner({bands: np.eye(40), tilt: np.ones((40, 1))}, np.eye(40)[:, 4:], noisy=False)
+        >>> [f.name for f in known.posterior("all", 30.0 + 40.0 * np.eye(40)[3]).best.causes]
+        ['tilt', 'single bands']
         """
-        rank = [f.candidate.kind not in SHARED if self.noisy else self._alone(f.candidate, e) for f in h.causes]
+        rank = [f.candidate.kind not in SHARED if self.noisy else alone.get(f.name, np.inf) for f in h.causes]
         order = [f for _, f in sorted(zip(rank, h.causes, strict=True), key=lambda pair: float(pair[0]))]
         if not order or order[0] is h.causes[0]:
             return h
@@ -657,21 +665,9 @@ class Reasoner:
         good = left[0] - left[1] > GOOD_PART * (left[0] - h.left[-1]) and not causes[0].limited
         return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
 
-    def _alone(self, candidate: Candidate, e: Array) -> float:
-        """Chi-square that a cause leaves by itself; what could make anything, or no candidate describes, comes last.
-
-        >>> tilt = Candidate("tilt", "sensor", "1 %", False)
-        >>> known = Reasoner({tilt: np.eye(3)[:, :1]}, np.eye(3), noisy=False)
-        >>> bands = Candidate("single bands", "sensor", "1 % in each band", False)
-        >>> [round(known._alone(one, np.array([9.0, 0.0, 4.0])), 1) for one in (tilt, bands, UNKNOWN)]
-        [18.0, inf, inf]
-        """
-        if candidate is UNKNOWN or candidate.makes_anything:
-            return np.inf
-        fit = effect_of(candidate, self.columns[candidate]).fit(e)
-        return float(np.sum(_after(fit, e - fit.made) ** 2))
-
-    def _alike(self, singles: Sequence[Fit], first: str, probability: Mapping[str, float], e: Array) -> tuple[str, ...]:
+    def _alike(
+        self, singles: Sequence[Fit], probability: Mapping[str, float], alone: Mapping[str, float]
+    ) -> tuple[str, ...]:
         """Candidates whose odds are near those of the first, or whose effect has its pattern.
 
         >>> a, b, c = (Candidate(name, "input", "1 %", False, sizes=(-20.0, 25.0)) for name in "abc")
@@ -689,6 +685,7 @@ class Reasoner:
         >>> [Reasoner(nearly, np.eye(9), noisy=noisy).posterior("all", change).alike for noisy in (True, False)]
         [(), ('wave',)]
         """
+        first = max(probability, key=lambda name: probability[name])
         if (best := next((f for f in singles if f.name == first), None)) is None:
             return ()
         near = {f.name for f in singles if probability[f.name] * ALIKE > probability[first]}
@@ -698,9 +695,8 @@ class Reasoner:
             if one and abs(float(f.shown @ best.shown)) > CORRELATED * lengths:
                 near.add(f.name)
         if not self.noisy:  # without chance, what explains a change nearly as well by itself is as good a reason
-            able = [f for f in singles if not (f.limited or f.candidate.makes_anything)]
-            left = {f.name: float(np.sum(_after(f, e - f.made) ** 2)) for f in able}
-            most = min(ALIKE * left.get(first, 0.0), REMAINDER * float(e @ e))
+            left = {f.name: alone[f.name] for f in singles if f.name in alone and not f.limited}
+            most = min(ALIKE * left.get(first, 0.0), REMAINDER * alone[NOTHING])
             near |= {name for name, rest in left.items() if rest <= most}
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
@@ -735,11 +731,16 @@ class Residuals(NamedTuple):
         moved = {c: g[entries] for c, g in self.columns.items() if _moves(g[entries], g)}
         return Residuals(self.values[entries], self.covariance[np.ix_(entries, entries)], moved, self.wide[entries])
 
-    def posterior(self, group: str, noisy: bool = True) -> Posterior:
-        """Of their causes."""
+    def whitened(self, noisy: bool = True) -> tuple[Reasoner, Array]:
+        """What is known of their causes, and themselves, in units of their uncertainty."""
         data = Whitened(self.values, self.covariance)
         columns = {c: data.whiten(g) for c, g in self.columns.items()}
-        return Reasoner(columns, data.whiten(self.wide), noisy=noisy).posterior(group, data.residual)
+        return Reasoner(columns, data.whiten(self.wide), noisy=noisy), data.residual
+
+    def posterior(self, group: str, noisy: bool = True) -> Posterior:
+        """Of their causes."""
+        known, residual = self.whitened(noisy)
+        return known.posterior(group, residual)
 
     def posteriors(self, stack: Stack, each: Sequence[str]) -> list[Posterior]:
         """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain, product
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.attribute.candidates import (
+    CAUSES,
     HEIGHTS,
     SINGLE_BANDS,
     Candidate,
@@ -26,13 +28,13 @@ from hyperval.attribute.candidates import (
     rarer_candidates,
     usual_inputs,
 )
-from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Reasoner, Residuals, Whitened
+from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residuals, Whitened
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
 from hyperval.data import Array, Index
-from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, refuse
+from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, needed, refuse
 from hyperval.model import Truth, World, inputs_of
 from hyperval.products import Products, background_of
 from hyperval.progress import track
@@ -55,14 +57,7 @@ AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted 
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
 CHANGE_FLOOR, OFF, STILL = 2e-4, 0.01, 1e-4
-# What befalls an image whose spectra are not compared: it is measured again.
 _OFFSETS = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
-_OF_DATA: tuple[tuple[str, str, str, float, tuple[float, ...]], ...] = (
-    ("gain of the data against the spectra", "1 %", "gain", 0.01, (-60.0, -30.0, -12.0, -4.0, 4.0, 12.0, 35.0, 100.0)),
-    ("offset of the data", "0.01 of the mean", "offset", 0.01, _OFFSETS),
-    ("wavelength shift", "0.5 nm", "nm", 0.5, (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)),
-    ("wavelength scale", "0.1 %", "scale", 0.001, (-8.0, -2.0, 2.0, 8.0)),
-)
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty"
 
@@ -121,11 +116,8 @@ class Causes:
     of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
     rarer : what is looked for where little else explains a change, one after the other: heights; of many scenarios what
         few have in ``columns``, which takes runs of the engine; then the rest
-    covariance : (n, n) of the vector, with everything that is budgeted
-    columns : candidate -> (n, k) change of the prediction, as :class:`hyperval.attribute.posterior.Reasoner` has it
+    residuals : observed minus predicted, with everything that is budgeted in their covariance
     ends : numbers with an input one unit up and down
-    residual : (n,) observed minus predicted
-    wide : (n, k) of what no candidate describes
     evaluate : asks the model again
     mistaken : what is measured now, less what is measured with a mistake in the image
     exchanged : of what is measured, what :attr:`ScenarioModel.exchanges` has in each other's place, and an offset in
@@ -139,46 +131,48 @@ class Causes:
     of_spectra: Callable[[Array], dict[Candidate, Array]]
     of_files: Callable[[], dict[Candidate, Array]]
     rarer: Sequence[Callable[[], dict[Candidate, Array]]]
-    covariance: Array
-    columns: dict[Candidate, Array]
+    residuals: Residuals
     ends: Ends
-    residual: Array
-    wide: Array
     evaluate: Evaluate
     mistaken: Callable[[Mapping[str, Any]], Array]
     exchanged: Callable[[], dict[Candidate, Array]]
 
-    def reasoner(self) -> Reasoner:
-        """The same, whitened."""
-        data = Whitened(self.residual, self.covariance)
-        return Reasoner({c: data.whiten(g) for c, g in self.columns.items()}, data.whiten(self.wide))
-
-    def standing(self) -> tuple[dict[Candidate, Array], Posterior]:
-        """What explains the residuals; where no single cause is enough, a height, if that is.
+    def standing(self) -> tuple[Residuals, Posterior]:
+        """What explains the residuals, which are told with it; where no single cause is enough, a height, if that is.
 
         >>> from hyperval.attribute import ResidualBlock
         >>> gain, height = (Candidate(name, "scene", "1 km", False) for name in ("gain", "height"))
         >>> stack, one = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), np.eye(20), len),)), np.eye(20)
         >>> def causes(residual):
         ...     known, further = {gain: one[:, :1]}, [lambda: {height: one[:, 1:2]}]
-        ...     return Causes(stack, (), np.zeros(20), np.zeros(0), dict, dict, further, one, known, {}, residual,
-        ...                   0.1 * one[:, 4:], len, None, dict)
+        ...     told = Residuals(residual, one, known, 0.1 * one[:, 4:])
+        ...     return Causes(stack, (), np.zeros(20), np.zeros(0), dict, dict, further, told, {}, len, None, dict)
         >>> [[f.name for f in causes(30.0 * one[i]).standing()[1].best.causes] for i in (0, 1)]
         [['gain'], ['height']]
+
+        A size that was asked for beside it stays known:
+
+        >>> gain = Candidate("gain", "scene", "1 km", False, sizes=(-2.0, 2.0), moved=lambda z: [{"km": z}])
+        >>> asked = lambda truths, title, budgeted: [(truth["km"] * one[0], 0) for (truth,) in truths]
+        >>> tried = replace(causes(0.0), evaluate=asked)
+        >>> told = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
+        >>> found = replace(tried, residuals=told).standing()[0].columns
+        >>> [len(one.sizes) == made.shape[1] > 2 for one, made in found.items()]
+        [True]
         """
         everything = np.arange(self.predicted.size)
 
-        def explained(columns: dict[Candidate, Array]) -> tuple[dict[Candidate, Array], Posterior]:
-            return self.explained(self.residual, self.covariance, columns, everything, self.predicted, True)
+        def explained(columns: Mapping[Candidate, Array]) -> tuple[Residuals, Posterior]:
+            return self.explained(self.residuals._replace(columns=columns), everything, self.predicted, True)
 
         def is_enough(found: Posterior) -> bool:
             return found.first == NOTHING or (found.enough and len(found.best.causes) == 1)
 
-        columns, found = explained(self.columns)
+        told, found = explained(self.residuals.columns)
         heights = {} if is_enough(found) else self.rarer[0]()
-        if heights and is_enough((wider := explained({**columns, **heights}))[1]):
+        if heights and is_enough((wider := explained({**told.columns, **heights}))[1]):
             return wider
-        return columns, found
+        return told, found
 
     def sides(self) -> dict[str, tuple[str, str, str]]:
         """Of each quantity the bands, what is observed and what is predicted, to six digits."""
@@ -207,8 +201,9 @@ class Causes:
         ...     n, files = stack.observed.size, of.get("files", {})
         ...     asked = of.get("evaluate", lambda truths, title, budgeted: [])
         ...     rarer = of.get("rarer", ())
-        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, rarer,
-        ...                   1e-6 * np.eye(n), {}, {}, np.zeros(n), np.eye(n), asked, of.get("mistaken"), lambda: none)
+        ...     told = Residuals(np.zeros(n), 1e-6 * np.eye(n), {}, np.eye(n))
+        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, rarer, told,
+        ...                   {}, asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
         >>> told = {"scores of paint cem": ("-1 -2", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
@@ -305,7 +300,7 @@ class Causes:
         scale = np.maximum(np.abs([observed, predicted]), self.stack.bands[of] < 0)  # a score is written to digits of 1
         same = np.all(np.abs(change) <= AS_WRITTEN * scale)
         found = None if same else self._change(moved, of_model, of, observed, predicted, simulated)
-        size = Whitened(moved + of_model, self.covariance[np.ix_(of, of)]).chi_square
+        size = Whitened(moved + of_model, self.residuals.covariance[np.ix_(of, of)]).chi_square
         if found is not None and (size > 1.0 or found.enough):
             return found
         return Posterior.of_nothing(of.size)
@@ -314,7 +309,7 @@ class Causes:
         self, moved: Array, of_model: Array, of: Index, observed: Array, predicted: Array, simulated: bool
     ) -> Posterior:
         """What explains that entries ``of`` moved from what was ``observed`` and ``predicted``."""
-        spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.columns
+        spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.residuals.columns
         if np.any(np.abs(moved) > STILL * np.abs(observed), where=spectral[of]):
             level[of] = np.where(spectral[of], observed, predicted)
             light = (spectral | (self.stack.named("product") == "snr"))[of]
@@ -332,8 +327,8 @@ class Causes:
             if simulated and found.first == NONE:  # a scene made anew has scores too, beside other noise
                 each = (self.of_inputs, *(more() for more in self.rarer))
                 inputs = {replace(c, unbounded=True): g[every] for columns in each for c, g in columns.items()}
-                covariance = self.covariance[np.ix_(every, every)]
-                _, noisy = self.explained(change, covariance, inputs, every, self.predicted, True)
+                told = self.residuals.of(every)._replace(values=change, columns=inputs)
+                _, noisy = self.explained(told, every, self.predicted, True)
                 return replace(noisy, beside_noise=True) if noisy.enough else found
             if found.first != NOTHING:  # else scores moved beside spectra that hardly did
                 return found
@@ -347,9 +342,9 @@ class Causes:
             return entry
         if is_measured:
             steps = dict[Candidate, Array]()
-            for name, step, key, unit, at in _OF_DATA:
+            for name, step, key, unit, at in CAUSES["image"]:
                 effects = np.column_stack([self.mistaken({key: unit * z}) for z in at])
-                steps[Candidate(name, "sensor", step, False, sizes=at)] = effects
+                steps[Candidate(name, "sensor", step, False, sizes=tuple(at))] = effects
             if (by_data := self.or_displaced(moved, of, level, steps, regions=False)).first not in (NONE, NOTHING):
                 return by_data
         return self.or_rarer(moved + of_model, of, level, self.of_inputs)
@@ -357,7 +352,7 @@ class Causes:
     @property
     def of_inputs(self) -> dict[Candidate, Array]:
         """What may have moved a prediction: no pixel has moved."""
-        return {c: g for c, g in self.columns.items() if c.kind != "region"}
+        return {c: g for c, g in self.residuals.columns.items() if c.kind != "region"}
 
     def or_rarer(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
         """What explains a change; where no single cause is enough, what is rarer too."""
@@ -428,22 +423,22 @@ class Causes:
             size = size.clip(1e-3 * size.max() + 1e-12)
             variance[at] = size**2 * (floor**2 + OFF**2 * np.mean((change[at] / size) ** 2))
         own = {replace(c, unbounded=True): g[of] for c, g in columns.items() if np.any(g[of])}
-        return self.explained(moved, np.diag(variance[of]), own, of, level, False)[1]
+        told = Residuals(moved, np.diag(variance[of]), own, self.residuals.wide[of])
+        return self.explained(told, of, level, False)[1]
 
     def beside(self, level: Array, change: Array) -> Array:
         """A change (n,) or (n, k) of the prediction, of spectra of ``level`` (n,) the same part."""
         spectral = self.stack.bands >= 0
         return np.asarray((change.T * np.divide(level, self.predicted, np.ones(level.size), where=spectral)).T)
 
-    def explained(
-        self, residual: Array, covariance: Array, columns: dict[Candidate, Array], of: Index, level: Array, noisy: bool
-    ) -> tuple[dict[Candidate, Array], Posterior]:
-        """What explains residuals (k,) of the entries ``of``: between sizes the model is interpolated, and asked at
-        those that are found, of a change by the engine itself; columns with those.
+    def explained(self, told: Residuals, of: Index, level: Array, noisy: bool) -> tuple[Residuals, Posterior]:
+        """What explains residuals of the entries ``of``: between sizes the model is interpolated, and asked at those
+        that are found, of a change by the engine itself; the residuals with those.
         """
-        columns, exact = dict(columns), set[tuple[Candidate, float]]()
+        columns, exact = dict(told.columns), set[tuple[Candidate, float]]()
         for last in range(MOST_ROUNDS, -1, -1):
-            found = Residuals(residual, covariance, columns, self.wide[of]).posterior(ALL, noisy)
+            told = told._replace(columns=columns)
+            found = told.posterior(ALL, noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
             # At none of those that the model was asked at.
@@ -462,7 +457,7 @@ class Causes:
                         columns[replace(c, sizes=(*c.sizes, a))] = np.column_stack([columns.pop(c), change])
             if not any(side is not None for side in more):
                 break
-        return columns, found
+        return told, found
 
 
 def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:
@@ -510,7 +505,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> fraction = {"subject": stated.scene.classes[0].name, "absolute": 0.002}
     >>> tight = stated.with_values({"uncertainty.fractions": [fraction]})
     >>> model = ScenarioModel([tight], [read(tight)], predict, seen, seen, None)
-    >>> (only,) = (c for c in causes_of(model).columns if c.budgeted)
+    >>> (only,) = (c for c in causes_of(model).residuals.columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]
     >>> [one.labels[0] for one in causes(1).of_files()]
@@ -586,7 +581,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     arms = arms_of(worlds[0])
     of_spectra = partial(_of_spectra, stack, classes, fractions, observed.axis.centre_nm)
     columns |= of_spectra(predicted, {})
-    residual, wide = stack.observed - predicted, stack.unstructured(predicted)
+    residuals = Residuals(stack.observed - predicted, covariance, columns, stack.unstructured(predicted))
     of_files = partial(_columns_at, exchanged_entries(worlds, model.looked_for), {}, predicted, evaluate)
     rarer = rarer_candidates(worlds)
     if not many:  # what befalls several scenarios, in one of them
@@ -616,8 +611,8 @@ def causes_of(model: ScenarioModel) -> Causes:
     parts = heights, rare, [c for c in rarer if c not in heights]
     asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in parts]
     return Causes(
-        stack, numbers, predicted, values, partial(of_spectra, arms=arms), of_files, asked, covariance,
-        columns, ends, residual, wide, evaluate, mistaken, exchanged,
+        stack, numbers, predicted, values, partial(of_spectra, arms=arms), of_files, asked,
+        residuals, ends, evaluate, mistaken, exchanged,
     )  # fmt: skip
 
 
@@ -666,9 +661,7 @@ def attribute(
     stated = [c for c in ends if c.budgeted]
     shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
     outcomes = _what_ifs(model, causes, options.what_ifs)
-    columns, _ = causes.standing()
-    everything = Residuals(causes.residual, causes.covariance, columns, causes.wide)
-    ranked = everything.posteriors(stack, options.each)
+    ranked = causes.standing()[0].posteriors(stack, options.each)
     if accepted and (since := causes.changed(accepted[0], simulated=simulated)) is not None:
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
@@ -811,11 +804,11 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     """Of each quantity the reduced chi-square before and after the cause that is named first."""
     if not r.best.causes or r.first == NONE:
         return
-    data, first = Whitened(causes.residual, causes.covariance), r.best.causes[0]
-    left = causes.residual - data.coloured(first.shown)
+    (residual, covariance, *_), first = causes.residuals, r.best.causes[0]
+    left = residual - Whitened(residual, covariance).coloured(first.shown)
     for block, at in causes.stack.placed():
-        own = causes.covariance[at, at]
-        before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (causes.residual, left))
+        own = covariance[at, at]
+        before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (residual, left))
         found = row("reduced_chi_square", after, n=block.observed.size, before=before, reason=f"{before:.4g} before")
         yield from named([found], "attribution", block.quantity, first.name)
 
@@ -852,10 +845,13 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
         """Residuals over their uncertainty, summary gaps, ratios of false alarms."""
         after = stack if seen is model.observed else stacked(predicted, seen)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
-        refuse(now != before, "whatif.other", name=name)
-        spread = causes.covariance if after is stack else causes.covariance - stack.covariance + after.covariance
-        residuals = Whitened(after.observed - after.predicted(predicted), spread)
-        return residuals, gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen)
+        told: Array | None = None
+        with suppress(KeyError):  # of a subject that is not there any more
+            told = after.predicted(predicted) if now == before else None
+        values = after.observed - needed(told, "whatif.other", name=name)
+        spread = causes.residuals.covariance
+        spread = spread if after is stack else spread - stack.covariance + after.covariance
+        return Whitened(values, spread), gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen)
 
     def tried(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         predicted = model.assuming(changed_scenarios(model.scenarios, item))

@@ -22,7 +22,7 @@ from hyperval.compare.rows import scientific
 from hyperval.data import Array, Index, Mask
 from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
-from hyperval.products import ObjectScores, Products, ScoreDistribution, SpectralEstimate, background_of
+from hyperval.products import ObjectScores, Products, SpectralEstimate, background_of
 from hyperval.spectra import SpectralAxis, in_window
 
 PIECES = 17  # smooth pieces of a spectrum
@@ -383,24 +383,20 @@ def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> Itera
 def _scores(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
     seen: set[tuple[float, float, str]] = set()
     for key, score in observed.scores.items():
-        there, same = predicted.scores.get(key), (score.mean, score.sd, key[1])
-        usable = score.n is not None and score.n >= 3 and np.isfinite(score.mean) and score.sd > 0
+        there, same, n = predicted.scores.get(key), (score.mean, score.sd, key[1]), score.n or 0
+        usable = n >= 3 and np.isfinite(score.mean) and score.sd > 0
         # Pixels of one object are not independent: the object counts.  One filter's background stands under each
         # of its targets.
         if there is not None and there.sd > 0 and usable and not few_objects(observed, *key) and same not in seen:
             seen.add(same)
-            yield _moments(key, score)
+            # Of n normal scores: s^2/n and 1/(2 (n - 1)).
+            variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
+            yield ResidualBlock("scores", *key, _moments(key, observed), np.diag(variances), partial(_moments, key))
 
 
-def _moments(key: tuple[str, str], score: ScoreDistribution) -> ResidualBlock:
-    """Mean and logarithm of the standard deviation, from n normal scores: variances s^2/n and 1/(2 (n - 1))."""
-    n = score.n or 0
-    variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
-
-    def moments(of: ScoreDistribution) -> Array:
-        return np.array([of.mean, np.log(of.sd)])
-
-    return ResidualBlock("scores", *key, moments(score), np.diag(variances), lambda p: moments(p.scores[key]))
+def _moments(key: tuple[str, str], p: Products) -> Array:
+    """Mean of scores, and logarithm of their standard deviation."""
+    return np.array([p.scores[key].mean, np.log(p.scores[key].sd)])
 
 
 def few_objects(observed: Products, subject: str, detector: str) -> bool:

@@ -307,7 +307,7 @@ def _calibrated(causes: attribute.Causes) -> Reasons:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
     named, grouped = dict[str, Counter[str]](), Counter[str]()
     stated, wrong = list[tuple[float, bool]](), list[bool]()
-    for kind, found in causes.reasoner().drawn(np.random.default_rng(SEED), WORLDS):
+    for kind, found in causes.residuals.whitened()[0].drawn(np.random.default_rng(SEED), WORLDS):
         first, *group = (attribute.kind_of(name) for name in (found.first, *found.alike))
         is_named = kind in (first, *group)
         named.setdefault(kind, Counter())[first] += 1

@@ -57,9 +57,8 @@ def _fine_response(count: int, psf_fwhm_pixels: float) -> Array:
 
 def _coverage(u: Array, half: float, cell: float) -> Array:
     """Share of a cell of width ``cell`` at distance ``u`` from the middle of a strip that the strip covers."""
-    outer = np.minimum(u + 0.5 * cell, half)
-    inner = np.maximum(u - 0.5 * cell, -half)
-    return np.clip((outer - inner) / cell, 0.0, 1.0)
+    covered = np.minimum(u + 0.5 * cell, half) - np.maximum(u - 0.5 * cell, -half)
+    return np.clip(covered / cell, 0.0, 1.0)
 
 
 def square_footprint(
@@ -215,10 +214,9 @@ def regions(scene: SceneFile, ground: GroundLayout) -> dict[str, Mask]:
         centres[int(plank.centre_line), int(plank.centre_sample)] = True
     clear = (ground.fill == 0.0) & ~ndimage.binary_dilation(centres, np.ones((2 * guard + 1,) * 2, bool))
     for panel in scene.panels:
-        mask = np.zeros(ground.class_map.shape, bool)
-        b = panel.border_pixels
-        mask[panel.lines[0] + b : panel.lines[1] - b, panel.samples[0] + b : panel.samples[1] - b] = True
-        masks[panel.name] = mask
+        masks[panel.name], b = np.zeros(ground.class_map.shape, bool), panel.border_pixels
+        inside = (slice(first + b, max(end - b, 0)) for first, end in (panel.lines, panel.samples))
+        masks[panel.name][tuple(inside)] = True
     for region in scene.regions:
         own = (ground.class_map == ground.surfaces.index(region.surface)) & ~ground.on_panel
         square = np.ones((2 * region.border_pixels + 1,) * 2, bool)

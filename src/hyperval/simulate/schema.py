@@ -5,6 +5,7 @@ Independent random streams, so that a pixel's draw depends on its place and not 
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -23,6 +24,8 @@ def generator(seed: int, stream: int, index: int) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(stream, index))))
 
 
+# First words of what the cube's header says of how it is read.
+WRITTEN = r"(?i)(samples|lines|bands|header|file|data|interleave|byte|map|coordinate|wavelength|fwhm|bbl)\b"
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
 
 
@@ -74,8 +77,7 @@ class TargetGroup(OneOf):
 
     @model_validator(mode="after")
     def _of_room(self) -> TargetGroup:
-        columns = (self.area.samples[1] - self.area.samples[0]) // self.spacing_pixels
-        rows = (self.area.lines[1] - self.area.lines[0]) // self.spacing_pixels
+        rows, columns = ((end - first) // self.spacing_pixels for first, end in (self.area.lines, self.area.samples))
         if self.count > rows * columns:
             raise ValueError(f"{self.count} planks on a grid of {rows} x {columns}")
         return self
@@ -189,6 +191,7 @@ class SceneFile(Model):
             ),
             [],
         ),
+        "header: the simulation writes {!r}": lambda s: [k for k in s.header if re.match(WRITTEN, k)],
         "two regions carry the same name": lambda s: twice(r.name for r in (*s.panels, *s.regions)),
         "two target groups carry the same name": lambda s: twice(g.name for g in s.targets),
         "the class {!r} covers no area; the layout has {}": lambda s: unknown(

@@ -26,13 +26,10 @@ LEAST_POINTS = 5
 MOST_LISTED = 500  # points that stand in results.csv one by one
 _FINE = 2001
 _FLAT = 1e-6  # of the output: below it nothing bends
-_MOST_LINES = 9
-_BINS = 24
+_MOST_LINES, _BINS = 9, 24
 _SPREAD = {"low": 0.1, "middle": 0.5, "high": 0.9}
 _MARKERS = ("circle", "square", "diamond", "triangle", "inverted_triangle", "plus", "star", "x", "hex")
-_MOST_REASONS = 12
-_MOST_VALUES = 12
-_MOST_KNEES = 24
+_MOST_REASONS, _MOST_VALUES, _MOST_KNEES = 12, 12, 24
 
 
 class KneePoint(NamedTuple):
@@ -267,15 +264,16 @@ def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cur
 
 def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[CurveKnee]) -> Figure:
     output, bars = table[plot.output], list[tuple[Input, list[tuple[float, Any]]]]()
-    base = float(output.iloc[0])
+    stated = [x for x in output[:1].tolist() if np.isfinite(x)]
     for item in study.inputs:
         own = output[table[item.name].notna() & np.isfinite(output)].sort_values(kind="stable")
         if len(own):
             bars.append((item, [(float(own.iloc[i]), table[item.name][own.index[i]]) for i in (0, -1)]))
-    bars.sort(key=lambda bar: min(bar[1][0][0], base) - max(bar[1][1][0], base))
+    bars.sort(key=lambda bar: min([bar[1][0][0], *stated]) - max([bar[1][1][0], *stated]))
     inner, outer, said = list[Mark](), list[Mark](), []
     for k, (item, ends) in enumerate(bars):
         (low, at_low), (high, at_high) = ends
+        base = stated[0] if stated else 0.5 * (low + high)
         nearer = low if abs(low - base) < abs(high - base) else high
         for (end, at), colour in zip(ends, SOURCES, strict=False):
             # Of two ends on one side the nearer is drawn over the other, its label on the side where nothing stands.
@@ -286,12 +284,12 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
                 own = Mark("bars", columns, "", colour, alpha=1.0, words=(_text(at),), beside=side)
                 (inner if crowded else outer).append(own)
         said.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
-    reach = [base, *(value for _, ends in bars for value, _ in ends)]
+    reach = [*stated, *(value for _, ends in bars for value, _ in ends)] or [0.0]
     margin = 0.12 * (max(reach) - min(reach)) or 1.0
     x = Axis(study.columns[plot.output].words, ends=(min(reach) - margin, max(reach) + margin))
-    part = Part(Axis.named([item.words for item, _ in bars], 60), (*outer, *inner), (("x", base),))
-    notes = f"; line: as the scenario stands, {number_text(base)}; at the ends the input's values, "
-    notes += "blue where the output is lowest, orange where it is highest"
+    part = Part(Axis.named([item.words for item, _ in bars], 60), (*outer, *inner), tuple(("x", x) for x in stated))
+    notes = f"; line: as the scenario stands, {number_text(*stated)}" if stated else "; no value as the scenario stands"
+    notes += "; at the ends the input's values, blue where the output is lowest, orange where it is highest"
     against = ": each input alone over its values", ": each input alone"
     return _figure(study, plot, Panels(x, (part,), words="; ".join(said)), against, notes, width_in=9.0)
 

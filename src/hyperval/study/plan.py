@@ -277,15 +277,16 @@ def try_values(study: StudyFile, world: World) -> None:
 
 
 def try_changes(world: World, changes: dict[str, Any]) -> None:
-    """Refuse values at dotted paths that the scenario or the model does not take."""
-    changes = dict(changes)
-    refuse((at := changes.pop(PFA, None)) is not None and not 0.0 < at < 1.0, "study.pfa", at=at)
+    """Refuse values at dotted paths that the scenario or the model does not take; None: an entry that is left alone."""
+    at = changes.get(PFA, 0.5)
+    refuse(not (isinstance(at, int | float) and 0.0 < at < 1.0), "study.pfa", at=at)
+    changes = {path: value for path, value in changes.items() if value is not None and path != PFA}
     for path in [path for path in changes if not in_file(path)]:
         entry, number = find(world.stated, path), changes.pop(path)
-        is_inside = entry.low <= number <= entry.high
-        refuse(not is_inside, "study.limits", path=path, number=float(number), low=entry.low, high=entry.high)
+        is_inside = isinstance(number, int | float) and entry.low <= number <= entry.high
+        refuse(not is_inside, "study.limits", path=path, number=number, low=entry.low, high=entry.high)
     state = world.stated.scenario.atmosphere
-    own = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and v is not None}
+    own = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.")}
     # With what gives way to them, such as time and place to the sun.
     changes = {f"atmosphere.{k}": v for k, v in (state_entries(state, own) if state else {}).items()} | changes
     with_settings(world.stated.scenario, changes)

@@ -110,7 +110,10 @@ class Input(Moving, OneOf):
         "factor and offset go with numbers": lambda i: (
             any(m.factor != 1.0 or m.offset != 0.0 for m in i.moves)
             and not all(isinstance(v, int | float) for v in i.values or ())
-        )
+        ),
+        "with moves, a list has one value for each": lambda i: any(
+            isinstance(v, list) and len(i.moves) not in (0, 1, len(v)) for v in i.values or ()
+        ),
     }
 
     @property
@@ -272,10 +275,10 @@ class StudyFile(FileModel):
     references: list[str] = Field([])
 
     refused: ClassVar = {
-        "one-at-a-time takes values or grids": lambda s: (
-            s.design.kind == "one-at-a-time" and any(i.random for i in s.inputs)
+        "one-at-a-time takes values or grids, and no input that moves pfa": lambda s: (
+            s.design.kind == "one-at-a-time" and ("pfa" in s.paths or any(i.random for i in s.inputs))
         ),
-        "a tornado goes with design: {kind: one-at-a-time}}, and other plots do not": lambda s: any(
+        "a tornado goes with design: {kind: one-at-a-time}, and other plots do not": lambda s: any(
             (p.kind == "tornado") != (s.design.kind == "one-at-a-time") for p in s.plots
         ),
         "two inputs move {names}": lambda s: twice(s.paths),

@@ -40,15 +40,13 @@ from hyperval.study.schema import Grid, Input, Move, Output, Plot, Probability, 
 
 POINTS, MAP_POINTS = 33, 17  # along an input: 1 more than a power of two, so that each piece halves the steps
 _STRIDES = (8, 4, 2, 1)
-_MOST_LINES = 12
 _LIMITS_AT = 9  # values of the input at which an interval is predicted
-_SCAN = 17
+_SCAN, _MOST_LINES = 17, 12
 _ROC = np.geomspace(1e-6, 0.999, 73)
 KINDS = {
     "pd": "probability of detection P_D", "auc": "area under the ROC", "snr": "signal-to-noise ratio",
     "radiance": "radiance",
 }  # fmt: skip
-SPECTRAL = ("snr", "radiance")
 
 
 class Trade(Model):
@@ -77,7 +75,7 @@ class Trade(Model):
     @property
     def is_spectral(self) -> bool:
         """Whether the output is a spectrum's."""
-        return self.output in SPECTRAL
+        return self.output in ("snr", "radiance")
 
 
 class Offer(Model):
@@ -229,11 +227,11 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     ------
     UsageError : something that the scenario does not have; ``where`` names the field.
     """
-    output = trade.output if p.targets or trade.is_spectral else "snr"
-    among = p.surfaces if output in SPECTRAL else p.targets
+    trade = trade if p.targets else trade.model_copy(update={"output": trade.output if trade.is_spectral else "snr"})
+    among = p.surfaces if trade.is_spectral else p.targets
     subject = [name for name in trade.subject if name in among] or list(among[:1])
     refuse(not subject, "trade.subject", "output")
-    x = trade.x or _usual(p, "" if output in SPECTRAL else f"[{subject[0]}]")
+    x = trade.x or _usual(p, "" if trade.is_spectral else f"[{subject[0]}]")
     for field, names, known in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
@@ -244,7 +242,7 @@ def completed(trade: Trade, p: Prepared) -> Trade:
         refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(filter(None, known)))
     refuse(trade.y == x, "trade.same", "y")
     refuse(not trade.from_nm < trade.to_nm, "trade.bands", "to_nm", to_nm=trade.to_nm, from_nm=trade.from_nm)
-    filled: dict[str, Any] = {"output": output, "x": x, "subject": subject}
+    filled: dict[str, Any] = {"x": x, "subject": subject}
     for field, key in (("x", x), ("y", trade.y)):
         if key:
             low, high = p.inputs[key].ends(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
