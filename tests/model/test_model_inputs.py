@@ -108,7 +108,7 @@ def test_fill_from_geometry_moves_its_mean_by_area():
     fill = Fill.model_validate({"geometry": {"side_m": 0.3, "gsd_m": 1.0, "pixels": "best"}})
     before = model.fill_distribution(fill)
     after = model.fill_distribution(model.with_mean(fill, 0.01))
-    assert after.mean - before.mean == pytest.approx(0.01, rel=0.1)  # the area is exact, the phase nearly
+    assert after.mean - before.mean == pytest.approx(0.01, rel=1e-3)
 
 
 def test_changes_at_one_path_add_up_and_paths_to_one_number_compose():

@@ -264,7 +264,8 @@ def tail_probability(row: Result) -> float:
         equal, value, end = 0.0, math.log(value), math.log(end)
     if value == end:
         return float(value == equal)
-    law = scipy.stats.t(row.n - 1) if row.n and "Student" in known.interval else scipy.stats.norm
+    dof = (row.n or 0) - 1 if "Student" in known.interval else 0
+    law = scipy.stats.t(dof) if dof > 0 else scipy.stats.norm
     return 2.0 * float(law.sf(law.isf(0.025) * abs(value - equal) / abs(end - value)))
 
 

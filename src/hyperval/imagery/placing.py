@@ -264,7 +264,8 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loc
     places = LocationTable(raster, None)
     x, y = places._coarse[0].data.T
     degrees = not is_table and bool(np.all(np.abs(x) <= 180.0) and np.all(np.abs(y) <= 90.0))
-    crs = CRS.from_epsg(4326) if degrees else raster.crs
+    named = raster.crs is not None and raster.crs.is_geographic
+    crs = CRS.from_epsg(4326) if degrees and not named else raster.crs
     return LocationTable(raster, crs, float(x[0]) if crs is not None and crs.is_geographic else None)
 
 

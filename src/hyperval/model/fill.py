@@ -8,17 +8,19 @@ to 1 everywhere, the sum of the fills times GSD^2 is the area of the target.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from scipy.linalg import eigh_tridiagonal
 from scipy.special import ndtr
 
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import refuse
+from hyperval.errors import UsageError, refuse
 from hyperval.scenario import Fill, Geometry
 from hyperval.spectra.axis import SIGMA_PER_FWHM
 
@@ -27,6 +29,8 @@ from hyperval.spectra.axis import SIGMA_PER_FWHM
 PHASES, _LATTICE = 377, 233
 MAX_PIXELS_ACROSS = 64
 Blur = float | tuple[float, float] | None  # FWHM in both directions, or (along, across) = (y, x) [pixels]
+_FACTORS = np.log(2.0) * np.arange(-6.0, 40.0, 0.25)  # logarithms of those on sides, or on listed fills
+_MEANS = (0.3, 0.6, 0.9, 0.999)  # up to which they are looked at; beyond the last a fill is full
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -470,25 +474,67 @@ def stacked_fills(each: Sequence[FillDistribution], which: Index) -> FillDistrib
 def with_mean(fill: Fill, offset: float) -> Fill:
     """The fill with another mean, at most 1 and at least 0.
 
-    Where the geometry gives the fill, the sides of the target are scaled by the root of new over old mean: its
-    area changes, its place among the pixels does not.
+    Where the geometry gives the fill, the sides of the target are scaled: its area changes, its place among the pixels
+    does not.  Listed fills are scaled, those that would pass 1 are 1.
+
+    >>> square = {"side_m": 1.0, "gsd_m": 1.0, "psf_fwhm_pixels": 1.0}
+    >>> ways = {"geometry": {**square, "pixels": "touched"}}, {"geometry": {**square, "pixels": "ranked", "n": 2}}, {
+    ...     "listed": [[0.9, 0.7, 0.2], [1.0, 0.3]]}
+    >>> for fill in map(Fill.model_validate, ways):
+    ...     mean = fill_distribution(fill).mean
+    ...     print([round(fill_distribution(with_mean(fill, x)).mean - mean, 2) for x in (-0.1, 0.05, 0.2)])
+    [-0.1, 0.05, 0.2]
+    [-0.1, 0.05, 0.2]
+    [-0.1, 0.05, 0.2]
+
+    However far it is moved:
+
+    >>> ways = {"geometry": {"side_m": 0.05, "gsd_m": 1.0, "pixels": "ranked", "n": 1}}, {"listed": [[0.02, 0.01]]}
+    >>> for fill in map(Fill.model_validate, ways):
+    ...     mean = fill_distribution(fill).mean
+    ...     print([round(fill_distribution(with_mean(fill, x - mean)).mean, 6) for x in (1e-6, 0.0015, 0.4)])
+    [1e-06, 0.0015, 0.4]
+    [1e-06, 0.0015, 0.4]
     """
-    if offset == 0.0:
+    before = fill_distribution(fill).mean
+    if offset == 0.0 or (fill.fixed is None and (before == 0.0 or (before > _MEANS[-1] and offset > 0.0))):
         return fill
     if fill.fixed is not None:
         return fill.model_copy(update={"fixed": float(np.clip(fill.fixed + offset, 0.0, 1.0))})
-    if fill.listed is not None:
-        mean = fill_distribution(fill).mean
-        factor = max(mean + offset, 1e-6) / max(mean, 1e-6)
-        listed = tuple(tuple(min(factor * f, 1.0) for f in row) for row in fill.listed)
-        return fill.model_copy(update={"listed": listed})
-    if fill.geometry is None:
+    if fill.geometry is None and fill.listed is None:
         mean = float(np.clip((fill.mean or 0.0) + offset, 1e-6, 1.0 - 1e-6))
         # A beta distribution of this mean has a variance below mean (1 - mean).
         sd = min(fill.sd or 0.0, 0.99 * float(np.sqrt(mean * (1.0 - mean))))
         return fill.model_copy(update={"mean": mean, "sd": sd})
-    mean = fill_distribution(fill).mean
-    scale = float(np.sqrt(max(mean + offset, 1e-4) / mean))
-    g = fill.geometry
-    sides = {n: scale * v for n in ("side_m", "length_m", "width_m") if (v := getattr(g, n)) is not None}
+    if fill.listed is not None and offset < 0.0:
+        return _scaled(fill, np.log(max(before + offset, 1e-12) / before))
+    sizes = _sizes(fill, next((mean for mean in _MEANS if before + offset <= mean), _MEANS[-1]))
+    wanted = min(np.log(max(before + offset, 1e-12)), sizes.x[-1])
+    inside = max(wanted, sizes.x[0])  # below goes the area
+    size, slope = sizes(inside) + 0.5 * (wanted - inside), sizes(inside, 1)
+    for _ in range(2):
+        size -= slope * (np.log(fill_distribution(_scaled(fill, size)).mean) - wanted)
+    return _scaled(fill, size)
+
+
+def _scaled(fill: Fill, size: float) -> Fill:
+    """A fill by geometry whose sides, or a listed one whose values, are exp(size) times as large."""
+    factor = float(np.exp(size))
+    if (g := fill.geometry) is None:
+        listed = tuple(tuple(min(factor * f, 1.0) for f in row) for row in fill.listed or ())
+        return fill.model_copy(update={"listed": listed})
+    sides = {n: factor * v for n in ("side_m", "length_m", "width_m") if (v := getattr(g, n)) is not None}
     return fill.model_copy(update={"geometry": Geometry.model_validate(g.model_dump() | sides)})
+
+
+@lru_cache(maxsize=64)
+def _sizes(fill: Fill, most: float) -> Any:
+    """Logarithm of the factor that gives a fill a mean, over the logarithm of that mean, up to ``most``."""
+    rising = list[tuple[float, float]]()
+    with suppress(UsageError):  # a target of more pixels than are taken
+        for size in _FACTORS:
+            mean = float(np.log(fill_distribution(_scaled(fill, size)).mean))
+            rising += [(mean, size)] if not rising or mean > rising[-1][0] + 1e-9 else []
+            if mean > np.log(most):
+                break
+    return scipy.interpolate.PchipInterpolator(*np.transpose(rising))

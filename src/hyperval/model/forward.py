@@ -468,7 +468,7 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
         return None
     moved = (v for p, v in world.moved.items() if find(stated, p).populations)
     first, which = distinct((np.broadcast_to(v, (world.size, *v.shape[1:])) for v in moved), world.size)
-    each = [tuple(world.rows(np.array([u])).populations_at(0)) for u in first]
+    each = [tuple(world.populations_at(int(u))) for u in first]
     return [shares_of(*every[number], every, position, scenario.processing.seed) for every in each], which
 
 

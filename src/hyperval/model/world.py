@@ -510,11 +510,15 @@ class World:
         """Path -> values of what moves the fill of a population."""
         return {p: v for p, v in self.moved.items() if number in find(self.stated, p).populations}
 
-    def fill_models(self, number: int) -> tuple[list[Fill], Index]:
-        """The different fills of a population, and which (U,) of them each truth has."""
-        moved = self.of_fill(number)
-        first, which = distinct((np.broadcast_to(v, (self.size, *v.shape[1:])) for v in moved.values()), self.size)
-        return [self._fill(number, {p: v[u if len(v) > 1 else 0] for p, v in moved.items()}) for u in first], which
+    @cached_property
+    def fill_models(self) -> list[tuple[list[Fill], Index]]:
+        """Of each population its different fills, and which (U,) of them each truth has."""
+        out = []
+        for n, moved in enumerate(map(self.of_fill, range(len(self.stated.populations)))):
+            first, which = distinct((np.broadcast_to(v, (self.size, *v.shape[1:])) for v in moved.values()), self.size)
+            each = ({p: v[u if len(v) > 1 else 0] for p, v in moved.items()} for u in first)
+            out.append(([self._fill(n, one) for one in each], which))
+        return out
 
     def _fill(self, number: int, moved: Truth) -> Fill:
         """The fill of a population where what moves it in one truth stands at its paths."""
@@ -536,7 +540,7 @@ class World:
     def populations_at(self, u: int) -> list[tuple[str, TargetSubject]]:
         """The populations of target pixels with their fills in one truth, each with the name of its target."""
         stated = self.stated
-        fills = (models[which[u]] for models, which in map(self.fill_models, range(len(stated.populations))))
+        fills = (models[which[u]] for models, which in self.fill_models)
         each = zip(stated.populations, fills, strict=True)
         return [(stated.targets[t].name, p.model_copy(update={"fill": fill})) for (t, _, p), fill in each]
 
@@ -563,7 +567,7 @@ class World:
         make = whole_object_fills if objects else fills_of_population
         if not moved:
             return make(stated, thesis)
-        models, which = self.fill_models(number)
+        models, which = self.fill_models[number]
         return stacked_fills([make(fill, thesis) for fill in models], which)
 
 
@@ -635,7 +639,7 @@ def settled(world: World) -> list[tuple[Index, World]]:
         p: np.broadcast_to(v, (world.size, *v.shape[1:])) for p, v in world.moved.items() if reads_again(stated, p, v)
     }
     geometric = [i for i, (*_, p) in enumerate(stated.populations) if p.fill.geometry is not None]
-    fills = [world.fill_models(number) for number in geometric if world.of_fill(number)]
+    fills = [world.fill_models[number] for number in geometric if world.of_fill(number)]
     sizes = [np.array([pixels_of_object(fill) for fill in models])[which] for models, which in fills]
     if not again and not sizes:
         return [(np.arange(world.size), world.made())]
