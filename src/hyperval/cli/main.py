@@ -7,7 +7,6 @@ the command's arguments to its exit code.
 from __future__ import annotations
 
 import errno
-import inspect
 import os
 import re
 import signal
@@ -19,7 +18,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType, SimpleNamespace
-from typing import Annotated, Any, Literal, NoReturn, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import typer
 from typer import Argument, Option
@@ -42,24 +41,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 def command(*examples: str, of: typer.Typer = app, name: str | None = None) -> Callable[[F], F]:
     """A command whose help ends with examples."""
-    epilog = "\n".join(("\b", "Examples:", *(f"  hyperval {example}" for example in examples)))
-    return lambda function: of.command(name, help=_described(function), epilog=epilog)(function)
-
-
-def _described(function: Callable[..., Any]) -> str:
-    """What a command does, in words of its docstring, whose parameters become those of the command line.
-
-    What is given by name alone is an option, the rest are arguments; an underscore at the end is none of the option.
-    """
-    head, _, below = inspect.cleandoc(function.__doc__ or "").partition("\n\nParameters\n----------\n")
-    words = dict(re.findall(r"^(\w+) : (.+)", re.sub(r"\n +", " ", below), re.MULTILINE))
-    for name, one in inspect.signature(function, eval_str=True).parameters.items():
-        kind, *stated = get_args(one.annotation) if get_origin(one.annotation) is Annotated else [one.annotation]
-        option = [f"--{name.strip('_').replace('_', '-')}"] if kind is bool or name.endswith("_") else []
-        own = stated[0] if stated else Option(*option) if one.kind is one.KEYWORD_ONLY else Argument()
-        own.help = own.help or words.get(name)
-        function.__annotations__[name] = Annotated[kind, own]
-    return head
+    return of.command(name, epilog="\n".join(("\b", "Examples:", *(f"  hyperval {example}" for example in examples))))
 
 
 settings = SimpleNamespace(quiet=False, debug=False)  # what the options before the command say
@@ -78,27 +60,22 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+@app.callback()
 def options(
-    *, data_dir: Path | None = None, quiet: Annotated[bool, Option("--quiet", "-q")] = False, debug: bool = False,
-    version: Annotated[bool, Option("--version", callback=_show_version, is_eager=True)] = False,
-) -> None:  # fmt: skip
-    """Options that stand before the command.
-
-    Parameters
-    ----------
-    data_dir : Folder with local copies of data sets, before the cache (HYPERVAL_DATA).
-    quiet : No progress, no notes; errors only.
-    debug : Show the traceback of any error.
-    version : Show the version and stop.
-    """
+    data_dir: Annotated[
+        Path | None, Option(help="Folder with local copies of data sets, before the cache (HYPERVAL_DATA).")
+    ] = None,
+    quiet: Annotated[bool, Option("--quiet", "-q", help="No progress, no notes; errors only.")] = False,
+    debug: Annotated[bool, Option("--debug", help="Show the traceback of any error.")] = False,
+    version: Annotated[
+        bool, Option("--version", help="Show the version and stop.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options that stand before the command."""
     settings.quiet, settings.debug = quiet, debug
     set_listener((lambda *_: None) if quiet else None)  # who is quiet is told nothing
     if data_dir is not None:
         hyperval.datasets.set_data_dir(data_dir)
-
-
-_described(options)
-app.callback()(options)
 
 
 def finished(code: int, output: Path | None) -> int:
@@ -157,7 +134,6 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 Campaigns = Annotated[list[Path] | None, Argument(metavar="[CAMPAIGN.yaml...]", help="Campaign files.")]
-SomeCampaigns = Annotated[list[Path], Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")]
 Sensors = Annotated[
     list[str] | None, Option(metavar="NAME", help="A sensor of the library or a sensor file; several with commas; all.")
 ]
@@ -172,21 +148,20 @@ Finished = Annotated[
 
 @command("check campaigns/*/campaign.yaml --sensors all", "check campaign.yaml --from results --junit check.xml")
 def check(
-    campaigns: Campaigns = None, *, sensors: Sensors = None, junit: Path | None = None, output: AnyOutput = None,
-    baselines: Baselines = None, from_: Finished = None, all_: bool = False,
-) -> int:  # fmt: skip
-    """Run campaigns and sensors, and compare with what was accepted.
-
-    Parameters
-    ----------
-    junit : File for the verdicts as JUnit XML.
-    all_ : Print the numbers that are as accepted, too.
-    """
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    junit: Annotated[Path | None, Option(help="File for the verdicts as JUnit XML.")] = None,
+    output: AnyOutput = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+    everything: Annotated[bool, Option("--all", help="Print the numbers that are as accepted, too.")] = False,
+) -> int:
+    """Run campaigns and sensors, and compare with what was accepted."""
     refuse(baselines is not None and not baselines.is_dir(), "folder.missing", str(baselines))
     folder = baselines or baseline.DEFAULT_FOLDER
-    runs = baseline.check(campaigns or [], sensors or [], baselines=folder, source=from_, output=output, junit=junit)
+    runs = baseline.check(campaigns or [], sensors or [], baselines=folder, source=source, output=output, junit=junit)
     header = ("where", "metric", "accepted", "now", "difference", "tolerance", "outcome")
-    compared = [row for run in runs if run.before for row in run.rows if all_ or row.reason]
+    compared = [row for run in runs if run.before for row in run.rows if everything or row.reason]
     print_table(header, list(map(_cells, compared)))
     for run in runs:
         _tell(run, folder)
@@ -232,17 +207,15 @@ app.add_typer(baseline_app, name="baseline")
     name="accept",
 )
 def baseline_accept(
-    campaigns: Campaigns = None, *, reason: str, sensors: Sensors = None, baselines: Baselines = None,
-    from_: Finished = None,
-) -> int:  # fmt: skip
-    """Take the numbers of a run as those that later runs must give; prints what changes.
-
-    Parameters
-    ----------
-    reason : Why the new numbers are right.
-    """
+    reason: Annotated[str, Option(help="Why the new numbers are right.")],
+    campaigns: Campaigns = None,
+    sensors: Sensors = None,
+    baselines: Baselines = None,
+    source: Finished = None,
+) -> int:
+    """Take the numbers of a run as those that later runs must give; prints what changes."""
     folder = baselines or baseline.DEFAULT_FOLDER
-    runs = baseline.accept(campaigns or [], sensors or [], reason=reason, baselines=folder, source=from_)
+    runs = baseline.accept(campaigns or [], sensors or [], reason=reason, baselines=folder, source=source)
     header = ("where", "metric", "accepted before", "accepted now")
     print_table(header, [(r.owner, key, _in_words(old), _in_words(new)) for r in runs for key, old, new in r.changes])
     for run in runs:
@@ -284,13 +257,8 @@ def data_list() -> int:
 
 
 @command("data fetch hysu", of=data_app, name="fetch")
-def data_fetch(names: list[str]) -> int:
-    """Bring data sets into the user's cache; every file is checked against its digest.
-
-    Parameters
-    ----------
-    names : Names of data sets.
-    """
+def data_fetch(names: Annotated[list[str], Argument(help="Names of data sets.")]) -> int:
+    """Bring data sets into the user's cache; every file is checked against its digest."""
     for entry in [hyperval.datasets.dataset(name) for name in names]:
         new, cache = hyperval.datasets.fetch(entry.name), hyperval.datasets.cache_dir()
         note(f"{entry.name}: {len(new)} files fetched into {cache}" if new else f"{entry.name}: complete")
@@ -299,13 +267,10 @@ def data_fetch(names: list[str]) -> int:
 
 
 @command("data verify hysu", of=data_app, name="verify")
-def data_verify(names: list[str] | None = None) -> int:
-    """Compare the files at hand with their digests; exit code 3 when one is missing or differs.
-
-    Parameters
-    ----------
-    names : Names of data sets; all when none is named.
-    """
+def data_verify(
+    names: Annotated[list[str] | None, Argument(help="Names of data sets; all when none is named.")] = None,
+) -> int:
+    """Compare the files at hand with their digests; exit code 3 when one is missing or differs."""
     for name in names or []:
         if not hyperval.datasets.dataset(name).public:
             note(f"{name}: not public, so no checksums are registered")
@@ -316,33 +281,25 @@ def data_verify(names: list[str] | None = None) -> int:
 
 
 @command("compare before after -o moved")
-def compare(a: Path, b: Path, *, output: Output) -> int:
-    """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures.
-
-    Parameters
-    ----------
-    a : A folder of results.
-    b : Another, of the same campaign.
-    """
-    note(hyperval.report.compare_runs(a, b, output))
+def compare(
+    one: Annotated[Path, Argument(metavar="A", help="A folder of results.")],
+    other: Annotated[Path, Argument(metavar="B", help="Another, of the same campaign.")],
+    output: Output,
+) -> int:
+    """Set two runs side by side: verdicts that changed, what moved, both runs' curves and pictures."""
+    note(hyperval.report.compare_runs(one, other, output))
     return finished(0, output)
 
 
 @command("drift day-1 day-2 day-3 --metric bias_ratio --within -0.01 0.01")
 def drift(
-    folders: Annotated[list[Path], Argument(metavar="DIR...")], *, metric: str = "bias_ratio",
-    product: str = "radiance", subject: str = "site", within: tuple[float, float] | None = None,
-) -> int:  # fmt: skip
-    """Print a row for each day of finished runs, and the change in a year with its interval.
-
-    Parameters
-    ----------
-    folders : Folders that validate wrote.
-    metric : Metric to follow.
-    product : Product of its row.
-    subject : Subject of its row.
-    within : Accepted change in a year, lowest and highest.
-    """
+    folders: Annotated[list[Path], Argument(metavar="DIR...", help="Folders that validate wrote.")],
+    metric: Annotated[str, Option(help="Metric to follow.")] = "bias_ratio",
+    product: Annotated[str, Option(help="Product of its row.")] = "radiance",
+    subject: Annotated[str, Option(help="Subject of its row.")] = "site",
+    within: Annotated[tuple[float, float] | None, Option(help="Accepted change in a year, lowest and highest.")] = None,
+) -> int:
+    """Print a row for each day of finished runs, and the change in a year with its interval."""
     refuse(within is not None and not within[0] < within[1], "drift.within", within=within)
     days = hyperval.run.days_of(folders, product, subject, metric)
     rows = [
@@ -362,28 +319,22 @@ def drift(
 
 @command("figures results -o figures --format svg --style journal")
 def figures(
-    folder: Annotated[Path, Argument(metavar="DIR")], *, output: Output,
-    format_: Literal["pdf", "svg", "png"] = "pdf", style: Literal["house", "journal"] = "house",
-) -> int:  # fmt: skip
-    """Draw the figures of a finished run for print, from its folder.
-
-    Parameters
-    ----------
-    folder : The folder of one campaign, scenario or collection.
-    format_ : Format of the files.
-    style : journal: two columns wide, in its letters, untitled.
-    """
-    return finished(hyperval.report.figures_to_folder(folder, output, format_, style == "journal"), output)
+    folder: Annotated[Path, Argument(metavar="DIR", help="The folder of one campaign, scenario or collection.")],
+    output: Output,
+    kind: Annotated[Literal["pdf", "svg", "png"], Option("--format", help="Format of the files.")] = "pdf",
+    style: Annotated[
+        Literal["house", "journal"], Option(help="journal: two columns wide, in its letters, untitled.")
+    ] = "house",
+) -> int:
+    """Draw the figures of a finished run for print, from its folder."""
+    return finished(hyperval.report.figures_to_folder(folder, output, kind, style == "journal"), output)
 
 
 @command("metrics", "metrics bias_ratio")
-def metrics(name: str | None = None) -> int:
-    """List the metrics: range, interval, how each is judged and what moves it.
-
-    Parameters
-    ----------
-    name : One metric, with everything the table says of it.
-    """
+def metrics(
+    name: Annotated[str | None, Argument(help="One metric, with everything the table says of it.")] = None,
+) -> int:
+    """List the metrics: range, interval, how each is judged and what moves it."""
     if name is None:
         print_table(hyperval.metrics.HEADER, [tuple(str(x) for x in row) for row in hyperval.metrics.listed()])
     else:
@@ -392,13 +343,10 @@ def metrics(name: str | None = None) -> int:
 
 
 @command("explain line1_rad.img", "explain scene.mat --key data")
-def explain(file: Path, *, header: Header = None, key: Key = None) -> int:
-    """Say what a file is as the reader sees it: every number's origin, what is not known, and what mends it.
-
-    Parameters
-    ----------
-    file : An image, or a file of spectra.
-    """
+def explain(
+    file: Annotated[Path, Argument(help="An image, or a file of spectra.")], header: Header = None, key: Key = None
+) -> int:
+    """Say what a file is as the reader sees it: every number's origin, what is not known, and what mends it."""
     for row in hyperval.api.explain(file, header=header, key=key):
         typer.echo("\t".join(" ".join(cell.split()) for cell in row))
     return 0
@@ -406,30 +354,27 @@ def explain(file: Path, *, header: Header = None, key: Key = None) -> int:
 
 @command("init --cube line1_rad.img --regions rois.xml --targets planks.csv --spectra spectra -o mine")
 def init(
-    *, cube: Path, output: Annotated[Path, Option("--output", "-o")], regions: list[Path] | None = None,
-    targets: Path | None = None, spectra: list[Path] | None = None, header: Header = None,
-    quantity: Literal["radiance", "reflectance", "counts"] | None = None, unit: str | None = None,
-    sensor: str | None = None, time: str | None = None, altitude_km: float | None = None,
-    pixel_size_m: float | None = None, key: Key = None, scale: float | None = None, name: str | None = None,
-) -> int:  # fmt: skip
-    """Write the first draft of a campaign from an image and what lies beside it; guesses are marked.
-
-    Parameters
-    ----------
-    cube : The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.
-    output : Folder for campaign.yaml, or a .yaml file.
-    regions : Files of regions of interest.
-    targets : Regions, mask or list (CSV) of the targets.
-    spectra : Files or folders of field spectra, named as regions and targets.
-    quantity : What the image holds, where it does not say.
-    unit : Unit of the radiance, where the image does not say.
-    sensor : Sensor of the library, or a sensor file.
-    time : Acquisition time, UTC: 2012-09-20T16:31:00Z.
-    altitude_km : Sensor altitude above sea level [km].
-    pixel_size_m : Ground size of a pixel, without a map position.
-    scale : What multiplies the stored values, if none is stated.
-    name : Name of the campaign; default: that of the folder.
-    """
+    cube: Annotated[Path, Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
+    output: Annotated[Path, Option("--output", "-o", help="Folder for campaign.yaml, or a .yaml file.")],
+    regions: Annotated[list[Path] | None, Option(help="Files of regions of interest.")] = None,
+    targets: Annotated[Path | None, Option(help="Regions, mask or list (CSV) of the targets.")] = None,
+    spectra: Annotated[
+        list[Path] | None, Option(help="Files or folders of field spectra, named as regions and targets.")
+    ] = None,
+    header: Header = None,
+    quantity: Annotated[
+        Literal["radiance", "reflectance", "counts"] | None, Option(help="What the image holds, where it does not say.")
+    ] = None,
+    unit: Annotated[str | None, Option(help="Unit of the radiance, where the image does not say.")] = None,
+    sensor: Annotated[str | None, Option(help="Sensor of the library, or a sensor file.")] = None,
+    time: Annotated[str | None, Option(help="Acquisition time, UTC: 2012-09-20T16:31:00Z.")] = None,
+    altitude_km: Annotated[float | None, Option(help="Sensor altitude above sea level [km].")] = None,
+    pixel_size_m: Annotated[float | None, Option(help="Ground size of a pixel, without a map position.")] = None,
+    key: Key = None,
+    scale: Annotated[float | None, Option(help="What multiplies the stored values, if none is stated.")] = None,
+    name: Annotated[str | None, Option(help="Name of the campaign; default: that of the folder.")] = None,
+) -> int:
+    """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     path = hyperval.config.unwritten(output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml")
     called = path.stem if path == output else output.resolve().name
     own = name or re.sub(r"[^a-z0-9]+", "-", called.lower()).strip("-") or "campaign"
@@ -452,13 +397,11 @@ def init(
 
 
 @command("schema campaign -o campaign.schema.json")
-def schema(kind: Literal["campaign", "scenario", "scene", "study", "sensor"], *, output: Draft = None) -> int:
-    """Print the JSON Schema of a kind of file, by which editors complete, explain and mark errors.
-
-    Parameters
-    ----------
-    kind : Kind of file.
-    """
+def schema(
+    kind: Annotated[Literal["campaign", "scenario", "scene", "study", "sensor"], Argument(help="Kind of file.")],
+    output: Draft = None,
+) -> int:
+    """Print the JSON Schema of a kind of file, by which editors complete, explain and mark errors."""
     text = hyperval.config.schema_text(kind)
     if output is None:
         print(text, end="")
@@ -469,30 +412,28 @@ def schema(kind: Literal["campaign", "scenario", "scene", "study", "sensor"], *,
 
 
 @command("study study.yaml -o traded")
-def study(study: Path, *, output: Output, scheduler: Scheduler = None) -> int:
-    """Evaluate a trade-off study; an interrupted run goes on where it stopped.
-
-    Parameters
-    ----------
-    study : A study file.
-    """
-    return finished(hyperval.study.study_to_folder(study, output, scheduler=scheduler), output)
+def study(
+    study_file: Annotated[Path, Argument(metavar="STUDY", help="A study file.")],
+    output: Output,
+    scheduler: Scheduler = None,
+) -> int:
+    """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
+    return finished(hyperval.study.study_to_folder(study_file, output, scheduler=scheduler), output)
 
 
 @command("benchmark campaigns/*/campaign.yaml -o ranks", "benchmark campaign.yaml --scores net=net.npy -o ranks")
 def benchmark(
-    campaigns: SomeCampaigns, *, output: Output, extend: list[Path] | None = None,
-    scores: Annotated[list[str] | None, Option(metavar="NAME=FILE")] = None,
-    seed: Annotated[int, Option(min=0)] = 0, scheduler: Scheduler = None,
-) -> int:  # fmt: skip
-    """Rank all detectors on every campaign.
-
-    Parameters
-    ----------
-    extend : A Python file that registers detectors; it is run.
-    scores : A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}.
-    seed : Seed of the resampling.
-    """
+    campaigns: Annotated[list[Path], Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    output: Output,
+    extend: Annotated[list[Path] | None, Option(help="A Python file that registers detectors; it is run.")] = None,
+    scores: Annotated[
+        list[str] | None,
+        Option(metavar="NAME=FILE", help="A score map made elsewhere (GeoTIFF, ENVI, .npy, .mat); {campaign}."),
+    ] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of the resampling.")] = 0,
+    scheduler: Scheduler = None,
+) -> int:
+    """Rank all detectors on every campaign."""
     refuse(wrong := [one for one in scores or () if not all(one.partition("="))], "scores.form", value=wrong)
     maps, own = dict(one.split("=", 1) for one in scores or ()), extend or []
     code = scoreboard.benchmark(campaigns, output, extensions=own, scores=maps, seed=seed, scheduler=scheduler)
@@ -501,15 +442,12 @@ def benchmark(
 
 @command("power campaign.yaml -o detected")
 def power(
-    campaigns: SomeCampaigns, *, output: AnyOutput = None, accept: bool = False, errors: Path | None = None
+    campaigns: Annotated[list[Path], Argument(metavar="CAMPAIGN.yaml...", help="Campaign files.")],
+    output: AnyOutput = None,
+    accept: Annotated[bool, Option("--accept", help="Keep the tables as those that reports show.")] = False,
+    errors: Annotated[Path | None, Option(help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
-    """Inject standard errors into the model, one at a time: which criteria detect them?
-
-    Parameters
-    ----------
-    accept : Keep the tables as those that reports show.
-    errors : Errors of your own: NAME: {path: value}.
-    """
+    """Inject standard errors into the model, one at a time: which criteria detect them?"""
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
     done = [item.table for item in tables if item.table is not None]
     every = {name: [table.errors[name] for table in done] for table in done[:1] for name in table.errors}
@@ -527,46 +465,41 @@ def power(
 
 
 @command("predict yellow-planks-asphalt -o out", "predict scenario.yaml -o out")
-def predict(scenario: str, *, output: Output) -> int:
-    """Run the forward model alone.
-
-    Parameters
-    ----------
-    scenario : A scenario file, or the name of a built-in scenario.
-    """
+def predict(
+    scenario: Annotated[str, Argument(help="A scenario file, or the name of a built-in scenario.")], output: Output
+) -> int:
+    """Run the forward model alone."""
     return finished(campaign.predict_to_folder(scenario, output), output)
 
 
 @command("observe campaign.yaml -o out --write-reflectance envi")
 def observe(
-    file: Annotated[Path, Argument(metavar="CAMPAIGN")], *, output: Output,
-    write_reflectance: Literal["envi", "cog"] | None = None,
-) -> int:  # fmt: skip
-    """Run the empirical pipeline alone: what the collected imagery says.
-
-    Parameters
-    ----------
-    file : A campaign file.
-    write_reflectance : Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF.
-    """
+    file: Annotated[Path, Argument(metavar="CAMPAIGN", help="A campaign file.")],
+    output: Output,
+    write_reflectance: Annotated[
+        Literal["envi", "cog"] | None,
+        Option(help="Write the cube after the empirical line too: ENVI, or a cloud-optimised GeoTIFF."),
+    ] = None,
+) -> int:
+    """Run the empirical pipeline alone: what the collected imagery says."""
     return finished(campaign.observe(file, output, write_reflectance=write_reflectance), output)
 
 
 @command("validate --dry-run campaign.yaml", "validate campaign.yaml -o results")
 def validate(
-    campaigns: list[Path], *, output: AnyOutput = None, dry_run: bool = False, junit: Path | None = None,
-    scheduler: Scheduler = None, strict: bool = False, again: bool = False,
-) -> int:  # fmt: skip
-    """Predict, observe, compare: the main job.
-
-    Parameters
-    ----------
-    campaigns : Campaign files.
-    dry_run : List files, values to fill in, comparisons, and criteria that stay undecided.
-    junit : Copy of junit.xml, where a test server looks for it.
-    strict : Exit with 1 where a criterion is inconclusive or skipped, too.
-    again : Run unchanged campaigns of the output again, too.
-    """
+    campaigns: Annotated[list[Path], Argument(help="Campaign files.")],
+    output: AnyOutput = None,
+    dry_run: Annotated[
+        bool, Option("--dry-run", help="List files, values to fill in, comparisons, and criteria that stay undecided.")
+    ] = False,
+    junit: Annotated[Path | None, Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
+    scheduler: Scheduler = None,
+    strict: Annotated[
+        bool, Option("--strict", help="Exit with 1 where a criterion is inconclusive or skipped, too.")
+    ] = False,
+    again: Annotated[bool, Option("--again", help="Run unchanged campaigns of the output again, too.")] = False,
+) -> int:
+    """Predict, observe, compare: the main job."""
     if dry_run:
         items = campaign.dry_run(campaigns, output)
         header = ("campaign", "kind", "state", "what", "detail")
@@ -586,13 +519,8 @@ def validate(
 
 
 @command("simulate scene.yaml -o collection")
-def simulate(scene: Path, *, output: Output) -> int:
-    """Write a simulated collection with its truth.
-
-    Parameters
-    ----------
-    scene : A scene file.
-    """
+def simulate(scene: Annotated[Path, Argument(help="A scene file.")], output: Output) -> int:
+    """Write a simulated collection with its truth."""
     return finished(hyperval.simulate.simulate_to_folder(scene, output), output)
 
 
@@ -612,13 +540,8 @@ def sensor_list() -> int:
 
 
 @command("sensor show prospectir-vs", of=sensor_app, name="show")
-def sensor_show(name: str) -> int:
-    """Print a sensor's specification as YAML: every number with its source.
-
-    Parameters
-    ----------
-    name : A sensor of the list, or a sensor file.
-    """
+def sensor_show(name: Annotated[str, Argument(help="A sensor of the list, or a sensor file.")]) -> int:
+    """Print a sensor's specification as YAML: every number with its source."""
     import yaml
 
     entries = hyperval.sensor.load_sensor(name).specification.model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -628,15 +551,11 @@ def sensor_show(name: str) -> int:
 
 @command("sensor check mine.yaml -o mine-check", of=sensor_app, name="check")
 def sensor_check(
-    name: str, *, output: AnyOutput = None, vary: Annotated[float, Option(min=1.0, max=90.0)] = 20.0
+    name: Annotated[str, Argument(help="A sensor of the list, or a sensor file.")],
+    output: AnyOutput = None,
+    vary: Annotated[float, Option(min=1.0, max=90.0, help="By how much each assumed number is varied [%].")] = 20.0,
 ) -> int:
-    """Run the acceptance suite on a sensor; with --output, write its datasheet.
-
-    Parameters
-    ----------
-    name : A sensor of the list, or a sensor file.
-    vary : By how much each assumed number is varied [%].
-    """
+    """Run the acceptance suite on a sensor; with --output, write its datasheet."""
     check = hyperval.sensor_check.check_to_folder(name, output, vary=vary / 100.0)
     decided = [r for r in check.table if r.planned]
     rows = [
@@ -651,14 +570,12 @@ def sensor_check(
 
 
 @command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")
-def sensor_new(name: str, *, output: Draft = None, arms: str = "VNIR") -> int:
-    """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet.
-
-    Parameters
-    ----------
-    name : Short name of the sensor.
-    arms : Its spectrometers, with commas between.
-    """
+def sensor_new(
+    name: Annotated[str, Argument(help="Short name of the sensor.")],
+    output: Draft = None,
+    arms: Annotated[str, Option(help="Its spectrometers, with commas between.")] = "VNIR",
+) -> int:
+    """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
     path = hyperval.config.unwritten(output or Path(f"{name}.yaml"))
     text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")])
     hyperval.config.write_draft(path, "sensor", text)
@@ -668,36 +585,29 @@ def sensor_new(name: str, *, output: Draft = None, arms: str = "VNIR") -> int:
 
 @command("serve", "serve --campaigns campaigns --data data --port 8080")
 def serve(
-    *, port: Annotated[int, Option(min=1, max=65535)] = 8000, host: str = "127.0.0.1", name: list[str] | None = None,
-    folder: Path | None = None, campaigns: Path | None = None, data: Path | None = None,
-    workers: Annotated[int, Option(min=1, max=64)] = 2, long_workers: Annotated[int, Option(min=1, max=64)] = 1,
-    scheduler: Scheduler = None, memory_mb: Annotated[int, Option(min=500)] = 3000,
-    seconds: Annotated[float, Option(min=1)] = 3600.0, queue: Annotated[int, Option(min=1, max=10_000)] = 64,
-    connections: Annotated[int, Option(min=4, max=100_000)] = 256,
-    upload_mb: Annotated[int, Option(min=1, max=2000)] = 64, kept_mb: Annotated[int, Option(min=1)] = 5000,
-    kept_days: Annotated[float, Option(min=0.01)] = 30.0, https: bool = False,
-) -> int:  # fmt: skip
-    """Serve the web application, to browsers of this machine by default.
-
-    Parameters
-    ----------
-    port : Port.
-    host : Address to listen on; this machine alone by default.
-    name : Name under which browsers reach it, besides localhost; may be repeated.
-    folder : Runs and uploads; by default in the user's data folder.
-    campaigns : Folder of campaigns that may be run from the pages.
-    data : Folder whose cubes, regions and spectra pages may name.
-    workers : Processes for predictions.
-    long_workers : Processes for studies and campaigns.
-    memory_mb : Memory of one process.
-    seconds : Time limit of a study or campaign.
-    queue : Runs that may wait.
-    connections : Connections from one address; behind a proxy, all of them.
-    upload_mb : Largest upload.
-    kept_mb : Finished runs that are kept; the oldest go first.
-    kept_days : How long finished runs are kept.
-    https : Behind an HTTPS proxy: cookies are sent over HTTPS only.
-    """
+    port: Annotated[int, Option(min=1, max=65535, help="Port.")] = 8000,
+    host: Annotated[str, Option(help="Address to listen on; this machine alone by default.")] = "127.0.0.1",
+    name: Annotated[
+        list[str] | None, Option(help="Name under which browsers reach it, besides localhost; may be repeated.")
+    ] = None,
+    folder: Annotated[Path | None, Option(help="Runs and uploads; by default in the user's data folder.")] = None,
+    campaigns: Annotated[Path | None, Option(help="Folder of campaigns that may be run from the pages.")] = None,
+    data: Annotated[Path | None, Option(help="Folder whose cubes, regions and spectra pages may name.")] = None,
+    workers: Annotated[int, Option(min=1, max=64, help="Processes for predictions.")] = 2,
+    long_workers: Annotated[int, Option(min=1, max=64, help="Processes for studies and campaigns.")] = 1,
+    scheduler: Scheduler = None,
+    memory_mb: Annotated[int, Option(min=500, help="Memory of one process.")] = 3000,
+    seconds: Annotated[float, Option(min=1, help="Time limit of a study or campaign.")] = 3600.0,
+    queue: Annotated[int, Option(min=1, max=10_000, help="Runs that may wait.")] = 64,
+    connections: Annotated[
+        int, Option(min=4, max=100_000, help="Connections from one address; behind a proxy, all of them.")
+    ] = 256,
+    upload_mb: Annotated[int, Option(min=1, max=2000, help="Largest upload.")] = 64,
+    kept_mb: Annotated[int, Option(min=1, help="Finished runs that are kept; the oldest go first.")] = 5000,
+    kept_days: Annotated[float, Option(min=0.01, help="How long finished runs are kept.")] = 30.0,
+    https: Annotated[bool, Option("--https", help="Behind an HTTPS proxy: cookies are sent over HTTPS only.")] = False,
+) -> int:
+    """Serve the web application, to browsers of this machine by default."""
     import platformdirs
 
     place = folder or Path(platformdirs.user_data_dir("hyperval")) / "web"
