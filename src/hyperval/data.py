@@ -1,4 +1,4 @@
-"""Kinds of arrays; errors and samples of spectra, components of a mixture; names of detectors."""
+"""Array types; errors and samples of spectra, components of a mixture; names of detectors."""
 
 from __future__ import annotations
 

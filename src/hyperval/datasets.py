@@ -1,10 +1,7 @@
-"""Public data sets: what they are, where they are on this machine, how they get there.
+"""Public data sets: what they are, where they are on this machine, how they are fetched.
 
-A reference ``data:PATH`` in a YAML file means the file PATH of the data directory.  The directory
-HYPERVAL_DATA is looked at first, so that a local copy wins; then the user's cache, which
-``hyperval data fetch SET`` fills from the public address that the registry pins.
-
-One file from a public address into a folder: whole, of the right content, or not at all.
+``data:PATH`` in a YAML file is the file PATH of the data directory: HYPERVAL_DATA first, so that a local copy wins,
+then the user's cache, which ``hyperval data fetch SET`` fills from the addresses that the registry pins.
 """
 
 from __future__ import annotations

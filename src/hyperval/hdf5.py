@@ -1,11 +1,9 @@
-"""NetCDF-4 files by their variables, and whether the HDF5 library comes back from a file at all.
+"""NetCDF-4 files by their variables, and a trial that tells whether a library comes back from a damaged file.
 
-That is tried in a process with limits of time and memory, as no limit checked before tells which file needs them: 9 of
-10,200 damaged HDF5 files hang HDF5 2.0, and of 2,000 MATLAB structs SciPy crashes on 2 and takes all memory for 7
-(``validation/robustness``).
-
-In a damaged file a list of variable-length text may lead back into itself.  The library then follows it for ever,
-inside one call that no signal, thread or exception ends.
+The trial is a process with limits of time and memory, as no check made beforehand finds these files: 9 of 10,200
+damaged HDF5 files hang HDF5 2.0, and of 2,000 MATLAB structs 2 crash SciPy and 7 take all memory
+(``validation/robustness``).  A list of variable-length text that leads back into itself is followed for ever inside
+one call, which no signal, thread or exception ends.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Which files may be opened: regular files below the data root, never a URL or a virtual path.
+"""Paths, patterns of paths, and the text of files, gzipped or not.
 
-Names of files: patterns such as ``grass*.asd``, and the names nearest to one that does not exist.
-
-Text of files, gzipped or not: its beginning, all of it, a table, XML.
+Only regular files below the data root are opened, never a URL or a virtual path.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
-"""What a scenario file says: scene, atmosphere, sensor, processing and what is uncertain.
+"""The scenario file: scene, atmosphere, sensor and processing, sources of spectra and covariances, and uncertainties.
 
 Without ``atmosphere`` the scenario lives in the reflectance domain: no radiance, no sensor noise.
-
-Where a scenario's or a campaign's spectra and covariances come from.
-
-What a scenario says of the uncertainty of its inputs.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Statistics libraries: mean, covariance, n and source of surface classes in one NetCDF-4 file.
+"""Statistics libraries: mean, covariance, n and source of surface classes in one NetCDF-4 file; the built-in surfaces.
 
 Variables: ``wavelength`` and ``fwhm`` (band) [nm], ``class_name`` (class), ``mean`` (class, band) [1],
 ``covariance`` (class, band, band_2) [1], ``n`` (class; 0 = a definition, no samples), ``source`` (class),
@@ -6,8 +6,8 @@ Variables: ``wavelength`` and ``fwhm`` (band) [nm], ``class_name`` (class), ``me
 beyond their own number), ``component_offset`` (class, component, band) [1], ``component_covariance`` (class,
 component, band, band_2) [1] and ``component_dof`` (class; NaN = normal laws).  docs/formats.md has an example.
 
-Surfaces that ship with the project (``surfaces.toml``): a mean curve and smooth modes (brightness, slope, and what
-the material adds, such as chlorophyll or water) with a standard deviation each.
+A built-in surface (``surfaces.toml``) is a mean curve and smooth modes (brightness, slope, and what the material adds,
+such as chlorophyll or water) with a standard deviation each.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
-"""Programs that end with the process that starts them.
+"""Files and folders written whole or not at all, claims on them by running processes, and digests of what was read.
 
-Claims on files by running processes: gone with the process, however it ends.
-
-Writing files whole or not at all, and naming what was read.
-
-Folders of output: replaced whole, by one run at a time; one that holds files of somebody else is refused.
-
-A folder bears a list of the files that a run wrote (``.hyperval.json``).  The new content is made inside, under a
-name of its own, and takes the place of the old file by file; the file that makes it a folder of results is taken
-away first and comes back last, and a change that was cut off is finished by the next run into the folder.  Nothing
-is written or removed beside the folder, so that neighbours, mounts, links and the working directory need no care.
+An output folder lists the files that a run wrote in ``.hyperval.json``; one that holds anybody else's files is
+refused, and one run at a time may write it.  New content is made inside the folder under a name of its own and then
+moved over the old, file by file.  The file that makes it a folder of results goes first and comes back last, so that
+a change that was cut off is finished by the next run.  Nothing beside the folder is written or removed: neighbours,
+mounts, links and the working directory need no care.
 """
 
 from __future__ import annotations

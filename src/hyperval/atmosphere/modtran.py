@@ -1,30 +1,22 @@
-"""The user's own MODTRAN: started in a folder of its own for the runs that give the terms of a state.
+"""The user's own MODTRAN: its input for a state, its runs, and the terms of equation 3.7 from its output.
 
 ``HYPERVAL_MODTRAN`` names the executable, ``HYPERVAL_MODTRAN_VERSION`` says 4, 5 or 6 (default 6), and
 ``HYPERVAL_MODTRAN_DATA`` the DATA folder of versions 4 and 5 (default: beside the executable).
 
-What MODTRAN wrote: channel files (``.chn``), and spectral output (``tape7``, ``.tp7``) in radiance mode.
+Input is ``tape5`` of versions 4 and 5, with columns as in the manuals (MODTRAN4 v3r1, MODTRAN 5.2.2; column 51 of
+card 1A belongs to SOLCON there, and real decks have a flag in it), or the JSON of version 6.
 
-Fields of ``tape7`` can be blank, so rows are cut at columns and never split at spaces.  Its radiance is per
-wavenumber, W cm-2 sr-1 / cm-1, as in the file.
+Output is a channel file (``.chn``) or spectral output (``tape7``, ``.tp7``) in radiance mode.  Fields of ``tape7`` can
+be blank, so rows are cut at columns, never at spaces; its radiance is per wavenumber, W cm-2 sr-1 / cm-1.
 
-The terms of equation 3.7 from what MODTRAN wrote.
-
-With the same atmosphere over uniform ground of reflectance rho (3.7 with rho_m = rho_ave = rho):
+Over uniform ground of reflectance rho (3.7 with rho_m = rho_ave = rho)
 
     ground(rho) = A rho / (1 - S rho)            GRND_RFLT
     path(rho)   = L_a + B rho / (1 - S rho)      SOL_SCAT, which holds SING_SCAT already
 
 so rho / ground = 1/A - (S/A) rho is a straight line: two albedos above 0 give A and S, the black run gives L_a, the
-brightest B.  DRCT_RFLT / GRND_RFLT tells the sun from the sky.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as
-the black run has it.
-
-MODTRAN's input for a state: ``tape5`` of versions 4 and 5, JSON of version 6, for the runs that the model needs.
-
-Columns follow the lists of cards in the user's manuals (MODTRAN4 v3r1, MODTRAN 5.2.2); column 51 of card 1A belongs
-to SOLCON there, and real decks have a flag in it.
-
-What a run template of MODTRAN 6 (JSON input) states of the atmosphere, the sun and the ground.
+brightest B.  DRCT_RFLT / GRND_RFLT tells the sun from the sky.  Emission (PTH_THRML, SURF_EMIS) is part of L_a, as the
+black run has it.
 """
 
 from __future__ import annotations

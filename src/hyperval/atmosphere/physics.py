@@ -1,23 +1,19 @@
-"""Absorption that oxygen owes to collisions: the smooth bands at 1.27 and 1.06 um.
+"""What the 6S engine lacks: absorption by colliding oxygen molecules, and its differences from MODTRAN 6.
 
-Two molecules that meet absorb where one alone does not, so the absorption coefficient goes with the
-product of two densities (binary absorption):
+Two molecules that meet absorb where one alone does not, in smooth bands at 1.27 and 1.06 um of which 6S knows the lines
+alone.  The absorption coefficient goes with the product of two densities:
 
     k(nu) = K(nu) rho_O2 rho_air        tau = K(nu) integral of rho_O2 rho_air dz
 
 Densities are in amagat (one at 273.15 K and 1013.25 hPa), K in cm-1 amagat-2, for air of 21 % oxygen.
-The 6S engine knows the lines of these bands only.
 
-What MODTRAN 6 has over the embedded engine: gases by air mass and water, aerosol's path, spherical albedo.
-
-The band model of 6S is off by a pattern that is the same in every state, so it is corrected.  In each channel
+The band model of 6S is off by a pattern that is the same in every state.  In each channel
 
     T_MODTRAN / T_6S = exp(-dry(nm) a - water(nm) u)
 
-with a the air on the light's way [atm, slanted] and u the water on it [g cm-2, slanted].  Two further
-patterns belong to the rural aerosol: how much of it 6S sees in the path radiance, and its part in the spherical
-albedo, which the aerosol of the free troposphere does not share.
-The numbers (``engine_ratio.csv``) come from ``validation/atmosphere/engine_ratio.py``;
+with a the air on the light's way [atm, slanted] and u the water on it [g cm-2, slanted].  Two further patterns belong
+to the rural aerosol: its part in the path radiance, and in the spherical albedo, which the aerosol of the free
+troposphere does not share.  The numbers (``engine_ratio.csv``) come from ``validation/atmosphere/engine_ratio.py``;
 validation/atmosphere/README.md tells how well they predict states that they were not made from.
 """
 

@@ -1,36 +1,27 @@
-"""The embedded engine: 6S V2.1 at its own scattering nodes, gas apart, put together in closed form.
+"""The embedded engine: 6S V2.1 at its own scattering nodes, gas apart, put together in closed form; and its emulator.
 
-6S solves the scattering at twenty wavelengths and interpolates.  Asking for a spectrum
-makes it print four decimals; asking for one wavelength makes it print seven, and solve two of the twenty.  So clear
-air is asked for node by node, haze as a spectrum from which the values at the nodes are found again, both without
-gas, gas transmittance in a table, and the terms are formed here:
+6S solves the scattering at twenty wavelengths and interpolates.  A spectrum is printed to four decimals; a single
+wavelength to seven, and solves two of the twenty.  So clear air is run node by node, haze as a spectrum from which the
+values at the nodes are recovered, both without gas, and gas transmittance as a table.  The terms are then
 
     L_a = F [rho_R Tg(dry) + rho_A Tg(half water)]        F = mu0 E0 / pi
     A   = F T_down exp(-tau/mu_v) Tg
     B   = F T_down (T_up - exp(-tau/mu_v)) Tg
 
-(Vermote et al., IEEE TGRS 35, 1997, 675-686, equations 2 and 5-7; 6S user guide part 1.)
+(Vermote et al., IEEE TGRS 35, 1997, 675-686, equations 2 and 5-7; 6S user guide part 1), each Tg with the corrections
+of :mod:`hyperval.atmosphere.physics`.
 
-To each Tg comes the absorption by colliding oxygen molecules, which 6S lacks, and what MODTRAN 6 has over 6S otherwise
-(:mod:`hyperval.atmosphere.physics`).
-
-The executable is found, given its Fortran library and a deck, and its printed answer is read.
-
-The emulator is an atmosphere that answers at once: what 6S has at any state, from numbers fitted to its runs at some.
-
-Gases: 6S's own band model (Goody, Malkmus) sees a slanted way through two numbers, the amount u of a gas and the
-amount weighted by pressure, and the transmittances of gases multiply:
+The emulator gives the same in milliseconds from numbers fitted to runs.  Gases: 6S's own band model (Goody, Malkmus)
+sees a slanted way through two numbers, the amount u of a gas and the amount weighted by pressure, and the
+transmittances of gases multiply:
 
     T = T_dry T_water T_ozone        -ln T = e^a u / sqrt(1 + e^b u / p) exp(c (p - p0) + d ln(u)^2)
 
 with p the mean pressure on the way [atm] and a to d fitted for each wavelength, gas and standard atmosphere; ozone goes
-with its amount alone.  So sun, heights, water and ozone need no run.
-
-Scattering at the nodes of 6S: each quantity over its form for single scattering is a parabola in five inputs (sun,
-haze, ground, air and haze below the sensor) and a Gaussian process on it, between stored states.
-
-The numbers (``emulator.npz``) and how far they are from 6S, by wavelength and over states that they were not made from,
-come from ``validation/atmosphere/emulator.py``; that error is the uncertainty of the terms.
+with its amount alone.  So sun, heights, water and ozone need no run.  Scattering at the nodes of 6S: each quantity over
+its form for single scattering is a parabola in five inputs (sun, haze, ground, air and haze below the sensor) and a
+Gaussian process on it, between stored states.  The numbers (``emulator.npz``) and their distance from 6S, by wavelength
+and over other states, come from ``validation/atmosphere/emulator.py``; that distance is the uncertainty of the terms.
 """
 
 from __future__ import annotations

@@ -1,21 +1,18 @@
-"""The state of the atmosphere, sun and sensor: what an atmosphere engine is asked about.
+"""The state of the atmosphere, sun and sensor: what an engine is asked about.
 
-Standard atmospheres, and their water vapour and ozone scaled to the columns of a state.
+Standard atmospheres are those of McClatchey et al., AFCRL-72-0497 (1972), table 1, with water vapour and ozone scaled
+to the columns of a state.
 
-Source of the table: McClatchey et al., AFCRL-72-0497 (1972), table 1.
+Meteorological range becomes aerosol optical depth by the rule of LOWTRAN and MODTRAN (Kneizys et al., Users Guide to
+LOWTRAN 7, AFGL-TR-88-0177, 1988, section 3.3; Shettle & Fenn, AFGL-TR-79-0214, 1979): extinction at 550 nm is tabulated
+at 0-2 km for a few ranges and is linear in 1/range between them; above lie a tropospheric haze to 10 km and a
+background stratosphere, spring-summer, neither of which follows the range below 23 km.  Ground above sea level
+compresses the lowest 6 km.  Extinction is exponential between levels, but linear where one aerosol type ends and the
+next begins.
 
-Meteorological range to aerosol optical depth by the rule of LOWTRAN and MODTRAN.
-
-The rule (Kneizys et al., Users Guide to LOWTRAN 7, AFGL-TR-88-0177, 1988, section 3.3; Shettle &
-Fenn, AFGL-TR-79-0214, 1979): extinction at 550 nm is tabulated at 0-2 km for a few meteorological
-ranges and is linear in 1/range between them; above lie a tropospheric haze to 10 km and a background
-stratosphere, spring-summer, neither of which follows the range below 23 km.  Ground above sea level
-compresses the lowest 6 km.  Extinction is exponential between levels, but linear where one
-aerosol type ends and the next begins.
-
-For a sensor inside such a layer LOWTRAN and MODTRAN split it and take the lower type as exponential down to what
-is left of it, -p^2 / ln(1 - p) of the layer's lower value for the part p: this falls from p = 0.72 on and steps up
-to 1/2 at p = 1.  Here the straight line itself is integrated, p - p^2 / 2, which rises all the way.
+For a sensor inside such a layer LOWTRAN and MODTRAN split it and take the lower type as exponential down to what is
+left of it, -p^2 / ln(1 - p) of the layer's lower value for the part p: this falls from p = 0.72 on and steps up to 1/2
+at p = 1.  Here the straight line itself is integrated, p - p^2 / 2, which rises all the way.
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""Tables of atmospheric terms: NetCDF, a folder of MODTRAN channel files named after their state, or computed.
-
-One call for every engine, tables among them, stands at the end: state in, terms out.
+"""Tables of atmospheric terms (NetCDF, named MODTRAN channel files, or computed), and the terms of a state.
 
 A table holds what does not depend on the strength of the sun, at the resolution of its engine; F = mu0 E0 / pi:
 

@@ -1,11 +1,8 @@
-"""What every atmosphere engine returns, the terms of equation 3.7, and what it needs: a program and a cache.
+"""The terms of equation 3.7, which every atmosphere engine returns; running an engine's program, and a cache of arrays.
 
 Surfaces are Lambertian: their BRDF (3.1) is the reflectance factor over pi (3.2).  What the source writes apart, the
 engine integrates: light of the sun that the surface reflects (3.3), skylight on the surface (3.4) and what it reflects
 of that (3.5) are A and B, light scattered into the line of sight (3.6) is L_a.
-
-A program ends with the process that starts it; the cache of arrays is safe for parallel processes and deaf to
-corrupted entries.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""What may be wrong: uncertain inputs, each moved along its directions, and standard errors of a model.
+"""Candidate causes: uncertain inputs, each moved along its directions, and the standard errors of a model.
 
-Inputs whose uncertainty a scenario does not state have a usual one here: they too may be the reason.  An error is one
-or several inputs that stand at another value than stated, injected into the model alone: a comparison that is worth its
-name sees it.  The truth of the model departs, what the detectors look for and how bands are labelled stays: the
+Inputs without a stated uncertainty have a usual one here, as they too may be the cause.  An injected error moves one or
+several inputs of the model alone: the spectra that detectors look for and the labels of bands stay, so that the
 pipeline that is compared is the same.
 """
 

@@ -1,6 +1,6 @@
-"""Looking for the reasons: every input moved and ranked, every what-if run; the reasons as rows.
+"""Attribution: every input moved and ranked, every what-if run, and the results as rows.
 
-A what-if is a named experiment: a run with something changed, and what it does to the residuals and the false alarms.
+A what-if is a named experiment: a run with something changed, and its effect on the residuals and the false alarms.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Accepted numbers: the file of one baseline, the numbers of a run that it keeps, and the check against it.
+"""Accepted numbers: the file of a baseline, the numbers of a run that it keeps, and the check against it.
 
-A baseline keeps every planned row of a campaign and what stands behind it; of a sensor signal, noise, and what the
-standard scenarios make of it.  A check makes one row for each number of either side; accepting takes the numbers of
-a run as those that later runs must give.
+A baseline keeps every planned row of a campaign with its background; of a sensor signal, noise and what they make of
+the standard scenarios.  A check has one row for each number of either side; accepting makes the numbers of a run those
+that later runs must give.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A campaign: its file read and looked over, run, judged; its record, its draft, the power of its criteria."""
+"""Campaigns: reading the file, dry runs, running, provenance, drafts, and the power of the criteria."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""A dry run: which files a campaign needs, which values are still to be given, what it would compare.
+"""The dry run: which files a campaign needs, which values are still to be filled in, what it would compare.
 
-Every name that a campaign uses, looked up without a pixel's being computed: headers, regions, truth, spectra.
+Names are looked up in headers, regions, truth and spectra without computing a pixel.
 """
 
 from __future__ import annotations

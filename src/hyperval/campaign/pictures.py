@@ -1,7 +1,4 @@
-"""What the report shows of the imagery: score maps and a picture of the scene.
-
-What lies in each pixel of a collection, as far as regions and truth say, and the score expected there.
-"""
+"""Images for the report: score maps beside the expected score of every pixel, and a quicklook of the scene."""
 
 from __future__ import annotations
 

@@ -1,11 +1,7 @@
-"""Scenarios that leave to the collection what it tells: fractions of the classes, fills of the targets.
+"""Both sides of a campaign: its collection, observed once, and the predictions of its scenarios.
 
-What header, map and truth of the collection say, held against what the scenarios of the campaign say of it.
-
-The collection of a campaign: its files resolved, simulated where it is, and observed once.
-
-The predictions of a campaign's scenarios as the one side of its comparison, both sides compared, and either asked again
-with something else in it.
+Scenarios take from the collection what they leave open, such as class fractions and fill fractions; where its header,
+map or truth contradicts a scenario, a warning says so.  Either side can be made again with something changed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A campaign is run: observed once, predicted, compared, judged and written; several at once, each into its own folder.
+"""Running campaigns: observe once, predict, compare, judge and write, several at once, each into its own folder.
 
-Those that need not run again are taken as they are: finished before a run was ended, or whole in the output of an
-earlier one.  A campaign's folder bears a record (``.hyperval-made-of.json``) of what it was made of and of its files.
+Results that are still valid are kept, of a run that was cut off and of an earlier one: ``.hyperval-made-of.json`` in a
+campaign's folder records what they were made of, and their files.
 """
 
 from __future__ import annotations

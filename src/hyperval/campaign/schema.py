@@ -1,7 +1,7 @@
-"""A campaign's file: the collection, the model of it, what is to be compared; its runs, and the files that each names.
+"""The campaign file: the collection, its scenarios and the planned comparisons; the runs and files that it names.
 
-A file of several runs, such as flight lines, is one text, in which words in braces differ from run to run.  Among its
-scenarios may be one for each half hour of a RadCalNet day, whose words in braces take what the day's file says.
+A file of several runs, such as flight lines, is one text with words in braces that differ from run to run.  A scenario
+may stand for every half hour of a RadCalNet day; its words in braces come from the day's file.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The first draft of a campaign, from what a cube, its regions, its targets and field spectra say of themselves.
 
-Each value that no file states is a guess: marked in the file, and an assumption of the campaign, so that the report
-shows it.  What cannot be guessed, such as the time of the flight, is left to be filled in.  What every draft holds
-stands in ``draft.yaml``.
+A value that no file states is a guess: marked in the draft, and listed among the campaign's assumptions.  What cannot
+be guessed, such as the time of the flight, is left to be filled in.  ``draft.yaml`` holds what every draft has.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The commands: each calls one function of the package, prints what it says, and passes on its exit code.
-
-What all share stands first: the application, options before the command, how they speak to people; last, the way from
-the command's arguments to its exit code.
-"""
+"""The commands: each calls one function of the package, prints its result and returns its exit code."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Outcomes: an interval against a range, a test against its level and its power.
-
-What a campaign plans for rows: the range it would accept, whether that decides, and why.
-"""
+"""Outcomes: an interval against the accepted range, or a test against its level and power, as a campaign plans them."""
 
 from __future__ import annotations
 

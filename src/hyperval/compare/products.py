@@ -1,7 +1,4 @@
-"""All products of one comparison: every subject that either side names.
-
-Rows of one side alone, where there is nothing to compare with.
-"""
+"""All rows of one comparison, for every subject of either side; of a single side where nothing is compared."""
 
 from __future__ import annotations
 

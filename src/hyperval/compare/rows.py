@@ -1,6 +1,6 @@
-"""Rows of one comparison, without its names: a value with its interval, the difference of two, and why one is not made.
+"""Rows of one comparison, without its names: a value with its interval, the difference of two, why one was not made.
 
-A comparison is a function of two sides that yields such rows; :func:`named` says what they are about.
+A comparison is a function of both sides that yields such rows; :func:`named` adds what they are about.
 """
 
 from __future__ import annotations

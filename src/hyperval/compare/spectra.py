@@ -1,20 +1,18 @@
-"""Spectra: rows, comparable bands, intervals; do two spectra agree within their uncertainties; drift over days.
+"""Two spectra: comparable bands, intervals, whether they agree within their uncertainties, drift over days.
 
-All subjects of one sensor together: what they have in common over wavelength, and what would decide a criterion.
+All subjects of one sensor together: the difference d(s, q) = ln(predicted / measured) of subject s in a piece q of the
+spectrum is x(q) + e(s, q).  x is what all share, of the sensor or of the model, and may be anything.  The errors e have
+the covariance C of all stated sources at once: one of the model's inputs or of the calibration is the same draw for
+every subject and piece, one of the atmosphere for every subject of a day, one of the field readings for every piece of
+its own subject.  So an input that is off shows in all pieces together, and x is what it cannot explain.  In the
+logarithm the size of a relative error does not depend on the difference itself, which would pull x down (Peelle's
+puzzle; Chiba & Smith 1991, ANL/NDM-121).
 
-The difference d(s, q) = ln(predicted / measured) of subject s in a piece q of the spectrum is x(q) + e(s, q): x is
-what all share, of the sensor or of the model, and may be anything.  The errors e have the covariance C of all stated
-sources at once: one of the model's inputs or of the calibration is the same draw for every subject and piece, one of
-the atmosphere for every subject of a day, one of the field readings for every piece of its own subject.  So an input
-that is off shows in all pieces together, and x is what it cannot explain.  In the logarithm the size of a relative
-error does not depend on the difference itself, which would pull x down (Peelle's puzzle; Chiba & Smith 1991,
-ANL/NDM-121).
-
-Errors of smooth sources leave next to nothing between neighbouring pieces, where real spectra differ by some tenths of
-a percent.  C alone would read inputs from these; so each e has an error of its own besides, of the standard deviation
-t and the correlation exp(-distance / length) over wavelength that the differences between subjects show: their
-posterior by the restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 320-338, 1977) with a half-Cauchy prior of t
-(Gelman, Bayesian Anal. 1, 515-534, 2006), over which x is averaged.
+Smooth sources leave next to nothing between neighbouring pieces, where real spectra differ by some tenths of a percent;
+C alone would read inputs from these.  So each e has an error of its own besides, of the standard deviation t and the
+correlation exp(-distance / length) over wavelength that the differences between subjects show: their posterior by the
+restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 320-338, 1977) with a half-Cauchy prior of t (Gelman, Bayesian
+Anal. 1, 515-534, 2006), over which x is averaged.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A hyperspectral cube on disk: physical values by blocks of lines or by pixels; SPy's and xarray's, and back.
+"""A hyperspectral cube on disk, or in memory from SPy and xarray: physical values by blocks of lines or by pixels.
 
 What a file is, its content says first, its neighbours last.
 """

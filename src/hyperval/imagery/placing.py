@@ -1,11 +1,9 @@
-"""Files that belong to a cube: lookup table (GLT), places of its pixels (IGM, LOC), angles (OBS).
+"""Files that place a cube (lookup table, positions and angles of pixels), and the record of an image.
 
-From map coordinates to the pixels of an image in scanner geometry.  A GLT is an image on a map grid whose two bands
-name, from 1, the sample and the line of the raw image that belongs there.  Both are negative where the grid's cell
-was filled with its nearest neighbour, and 0 outside the line.  In ENVI IGM and location files, and in swath products,
-two bands or arrays hold the map coordinates (or longitude and latitude) of the centre of every pixel.
-
-What is known of an image, its place among it: :func:`record`.
+A lookup table (GLT) is an image on a map grid whose two bands name, from 1, the sample and the line of the raw image
+that belongs there.  Both are negative where the grid's cell was filled with its nearest neighbour, and 0 outside the
+line.  In ENVI IGM and location files, and in swath products, two bands or arrays hold the map coordinates (or longitude
+and latitude) of the centre of every pixel.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""The table of metrics (metrics.toml): comparisons, gates, baselines, reports, benchmark and documentation read it.
+"""The table of metrics (``metrics.toml``), which comparisons, criteria, baselines, reports, benchmark and pages read.
 
-How far a number may move before it counts as another number stands in it, too: two machines, or two builds of the
-linear-algebra library, differ in the last digits; a change of the science moves a number by more.  The defaults stand
-between the two (docs/regression.md has both as measured).
+It also has the tolerance of each accepted number, between what two machines or two builds of the linear-algebra library
+differ by and what a change of the science makes (docs/regression.md has both as measured).
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
-"""How well two classes can be told apart: Bhattacharyya distance and the classification error it bounds.
+"""Separability of two classes: Bhattacharyya distance, and the error of a Gaussian maximum-likelihood classifier.
 
-The FASSP lineage of (3.26-3.33) uses it where the task is classification instead of detection.
-
-Gaussian maximum-likelihood classification: of pixels, and its error as statistics alone predict it.
-
-What a classifier sees of a spectrum: bands, or principal components of the classes taken together (3.21).
+The error is that of pixels, or predicted from statistics alone, as FASSP uses 3.26-3.33; the distance bounds it.
+A classifier sees bands, or principal components of the classes taken together (3.21).
 """
 
 from __future__ import annotations

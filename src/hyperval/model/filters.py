@@ -1,13 +1,10 @@
-"""Linear detectors: one function of weights for the model and for pixels (3.22-3.25).
+"""Linear detectors, features and unmixing: one function of weights for the model and for pixels (3.21-3.25).
 
-The names collide in the literature.  The source of the equations calls the filter of 3.22-3.25
-"CEM" although it removes the background mean and uses the background covariance; most of the
-field calls that the normalised (unit-response) matched filter and keeps CEM for the form with the
-correlation matrix and no mean removal (Harsanyi 1993).  Both are here, under both names.
-
-Linear features of spectra (3.21): F = Psi X.
-
-Abundances of endmembers in a pixel by fully constrained least squares, and their error.
+The names collide in the literature.  The source of the equations calls the filter of 3.22-3.25 "CEM" although it
+removes the background mean and uses the background covariance; most of the field calls that the normalised
+(unit-response) matched filter and keeps CEM for the form with the correlation matrix and no mean removal (Harsanyi
+1993).  Both are here, under both names.  Features of spectra are F = Psi X (3.21); abundances of endmembers are by
+fully constrained least squares.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
-"""From a scenario to its products by statistics alone, with their errors: the forward model (3.7-3.33).
+"""The forward model: from a scenario to its products, with their errors, by statistics alone (3.7-3.33).
 
-Spectra are radiance, SNR, noise and reflectance of every subject, with their errors (3.7-3.20, and the empirical line).
-
-What uncertain inputs do to the products: along directions, by draws, and how the two ways compare.  Every row of an
-error is the change of a product by one standard uncertainty along one direction of one input.  Errors of the
-background's laws, where they were fitted to pixels of an image, come by leaving out its parts.
+A row of an error is the change of a product by one standard uncertainty along one direction of one input; draws of the
+inputs take its place where their effect is not linear.  Errors of a background's laws that were fitted to pixels of an
+image come from leaving out its parts.
 """
 
 from __future__ import annotations

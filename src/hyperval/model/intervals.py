@@ -1,6 +1,6 @@
-"""Intervals of a proportion: detections out of targets, false alarms out of background pixels.
+"""Intervals of proportions, difference ratios with their errors, and what few pixels know of a covariance.
 
-The difference ratio of two sides and its error: of spectra by band, of areas.  What few pixels know of a covariance.
+Proportions are detections out of targets, and false alarms out of background pixels.
 """
 
 from __future__ import annotations

@@ -1,21 +1,12 @@
-"""What a whole object scores: draws of the greatest score over its pixels, the inputs' uncertainty included.
+"""Scores of whole objects and of pixels whose content is known, and the mean spectrum of an object's pixels.
 
-The score of a pixel follows from its fills by (3.26) and (3.28); which fills the pixels of an object have, from its
-place on the pixel grid; and what all objects have in common, from draws of the uncertain inputs.
+The score of a pixel follows from its fills by (3.26) and (3.28), the fills of an object's pixels from its place on the
+pixel grid; an object's score is the greatest of its pixels.  What all objects have in common comes from draws of the
+uncertain inputs.  All truths see the same drawn numbers, so that their differences are free of scatter; an object
+whose scores follow from the same response in two truths has the same draws in both.
 
-Draws of the uncertain inputs that all objects share.
-
-What whole objects score in many truths, each with all inputs certain (3.26, 3.28 for objects).
-
-All truths see the same drawn numbers, so that their differences are free of scatter; and an object whose scores
-follow from the same response in two truths has the same draws in both.
-
-The score that the model expects of a pixel of which it is known what lies there (means of 3.26 and 3.27).
-
-Mean spectrum of the pixels of one object: what lies beside it, and what its place leaves open (f of 3.10).
-
-A subject with a place is one object among others.  Its n pixels hold shares f_j of its own surface and of those
-beside it, and of its host the rest.  Over places on the pixel grid (and the stated error of positions) the shares
+A subject with a place is one object among others.  Its n pixels hold shares f_j of its own surface and of those beside
+it, and of its host the rest (f of 3.10).  Over places on the pixel grid, and the stated error of positions, the shares
 have a mean and a covariance: the mean gives the mean spectrum, the covariance an error of it.
 """
 

@@ -1,4 +1,4 @@
-"""From reflectance statistics to radiance statistics at the sensor (3.7-3.12).
+"""From reflectance statistics to radiance statistics at the sensor (3.7-3.12), and back by the empirical line.
 
 Every function takes ``formulation``: "corrected" (default) or "thesis", the form as printed.
 
@@ -12,14 +12,11 @@ kappa (3.11)         1 / N_eff                                  1
 fill (3.12)          E[f^2], E[(1-f)^2], Var f                  f^2, (1-f)^2, 0
 ===================  =========================================  ==============================
 
-Scene averages over the background classes (3.8).
+rho_ave is the scene average over the background classes (3.8).  The empirical line on statistics has no number in the
+source: two panels of reflectance 0.1 and 0.6 without noise, k_i = (L_i(high) - L_i(low)) / (rho_high - rho_low),
+b_i = L_i(low) - k_i rho_low, rho^ = (L - b) / k, Sigma^_ij = Sigma_L,ij / (k_i k_j).
 
-Back by the empirical line on statistics: two panels, without noise (processing step before 3.21), to which the source
-gives no number: k_i = (L_i(high) - L_i(low)) / (rho_high - rho_low), b_i = L_i(low) - k_i rho_low, rho^ = (L - b) / k,
-Sigma^_ij = Sigma_L,ij / (k_i k_j), with panels of reflectance 0.1 and 0.6.
-
-Of U truths at once arrays are (U or 1, S, B): truths, subjects, bands; those of one truth alone are (B,): the same
-lines serve both.
+Arrays of U truths are (U or 1, S, B): truths, subjects, bands; those of one truth alone are (B,), by the same lines.
 """
 
 from __future__ import annotations

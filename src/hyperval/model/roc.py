@@ -1,23 +1,15 @@
-"""The ROC of the model from score statistics (3.31-3.33), a row for each evaluation.
+"""The ROC of the model from score statistics, a row for each evaluation (3.29-3.33), and readings of curves.
 
 One threshold x serves the whole image: P_D(x) = Phi((theta_T - x)/sigma_T) and
 P_FA(x) = sum f_m Phi((theta_m - x)/sigma_m).  Where a class has tails or clusters, Phi gives way to its law, in its
-own pixels and in those that a target fills in part.
+own pixels and in those that a target fills in part.  All is in logarithms, valid at P_FA = 1e-9.
 
-Scores of the background classes and the threshold of the image at a false-alarm probability (3.29, 3.30, 3.33).
-
-One row for each evaluation.  Everything is in logarithms, valid at P_FA = 1e-9.
-
-The law of the score of a pixel that a target fills in part, whose host keeps its own (3.12, 3.26-3.31).
-
-A pixel is f target + (1 - f) host + noise.  A t law of nu degrees of freedom is a normal law whose variance is
-multiplied by (nu - 2) / w, w chi-square of nu.  Given w all parts are normal:
+A pixel that a target fills in part is f target + (1 - f) host + noise.  A t law of nu degrees of freedom is a normal
+law whose variance is multiplied by (nu - 2) / w, w chi-square of nu.  Given w all parts are normal (3.12, 3.26-3.31):
 
     P(score > x) = E_w Phi((theta - x) / sqrt(N + H (nu - 2) / w)),  H = (1 - f)^2 sigma_host^2
 
 N is the rest of the variance (3.28).  At f = 0 this is the law that the class has in (3.33), at f = 1 a normal one.
-
-P_D of a ROC curve at a P_FA, and P_FA at a P_D: the one reading of curves, predicted and measured (3.33).
 """
 
 from __future__ import annotations

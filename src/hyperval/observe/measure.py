@@ -1,10 +1,7 @@
 """From a collection to its products: open, measure the pixels of every label in one pass, compensate, detect.
 
-How the pixels of a region are distributed: tails, how many of them are independent, the error of their mean.
-
-The laws of a region's pixels, for classes that take them: clusters, and how well the pixels know them.
-
-Measured error of a Gaussian maximum-likelihood classifier, trained on some lines and tried on others.
+Of a region's pixels also their tails, how many are independent, the error of their mean, the laws of classes that take
+them, and the error of a classifier that is trained on some lines and tried on others.
 """
 
 from __future__ import annotations

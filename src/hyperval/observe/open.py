@@ -1,14 +1,10 @@
-"""A collection opened: the cube, its regions, its targets, and which pixels count for what.
+"""A collection opened: the cube, its regions and targets as one label image, and which pixels count for what.
 
-The regions of a collection are read from files, drawn, found by rules on spectra, or made of other regions; they and
-the target pixels are one label image.
-
-Truth images: finer than the cube, or of its size with bands of material numbers and of abundances.
-
-A finer map of classes says which part of the ground is target.  The fill of a pixel is the integral of its
-response, the square aperture convolved with the Gaussian of the sensor, over that part (f of 3.10).  The response
-is a product of one along lines and one along samples, so that the fills of a window are W_y M W_x^T with closed W:
-exact for cells whose sides run along those of the pixels.
+Regions are read from files, drawn, found by rules on spectra, or made of other regions.  Truth images are finer than
+the cube, or of its size with bands of material numbers and of abundances.  A finer map of classes says which part of
+the ground is target: the fill of a pixel is the integral of its response, the square aperture convolved with the
+Gaussian of the sensor, over that part (f of 3.10).  The response is a product of one along lines and one along samples,
+so that the fills of a window are W_y M W_x^T with closed W: exact for cells whose sides run along those of the pixels.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The ground at a place: the empirical line through panels, spectra of single sites, a network's day.
-
-What is known of the error of collected spectra, and the empirical line of a collection with those of its panels.
-Spectra of sites where no cube is held, their reflectance by each other, or as a network computed it.
-"""
+"""Ground truth spectra: the panels of the empirical line, sites without a cube, and the days of a network."""
 
 from __future__ import annotations
 

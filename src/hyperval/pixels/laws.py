@@ -1,16 +1,9 @@
-"""How well a region's pixels know the law of its scores: a jackknife over parts of the image.
+"""Laws of a region's pixels: tails, clusters, and how well the pixels know the law of their scores.
 
-Neighbouring pixels resemble each other, so that parts are left out and no pixels (Künsch, Ann. Stat. 17,
-1217-1241, 1989).
-
-Mixtures of normal or t laws, fitted by expectation and maximisation in a few dimensions.
-
-A class such as "built-up" is roofs, roads and cars: clusters, and no single law.  The fit is for standardised
-values, of mean 0 and covariance 1 in all.
-
-Components of a class in all bands, from a mixture fitted in its few leading components.
-
-Tails of the pixels about their mean: degrees of freedom of a multivariate t, from Mahalanobis distances.
+Tails are the degrees of freedom of a multivariate t, from Mahalanobis distances.  A class such as "built-up" is roofs,
+roads and cars, and no single law: mixtures of normal or t laws are fitted by expectation and maximisation in a few
+leading components of standardised values and carried to all bands.  Since neighbouring pixels resemble each other, the
+jackknife leaves out parts of the image, not pixels (Künsch, Ann. Stat. 17, 1217-1241, 1989).
 """
 
 from __future__ import annotations

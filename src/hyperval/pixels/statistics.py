@@ -1,32 +1,19 @@
-"""One pass over a stored cube by segments of lines, regions as one label image, and their moments.
+"""One pass over a stored cube by segments of lines, the moments of regions of one label image, and what they are worth.
 
-Segments and blocks depend on the size of the cube alone and results are joined in order, so that the number of
-threads changes nothing.
+Segments and blocks depend on the size of the cube alone and results are joined in order, so that the number of threads
+changes nothing.  Sums of pixels and of their products are taken in float64, block by block, about a point near the
+pixels: a whole number where the stored numbers are whole, so that the differences, their products and the sums of these
+are exact while they stay below 2^53.
 
-Sums of pixels and of their products are taken in float64, block by block, about a point near the pixels: a whole
-number where the stored numbers are whole, so that the differences, their products and the sums of these are exact
-while they stay below 2^53.
+Neighbours on the ground resemble each other: a region is worth fewer independent pixels than it has.  A sample
+covariance of n < B pixels has no variance at all in B - n + 1 directions; an error taken from it is nought there, and a
+test that divides by it finds a difference in every spectrum.  What so few pixels do tell is the variance of each band
+and the few common factors that stand out of chance; the rest is taken as independent from band to band, as the noise of
+a sensor is.
 
-What a sample of pixels says of its population: mean, covariance, rank, shrinkage.
-
-How many independent pixels a region is worth: neighbours on the ground resemble each other.
-
-Error of the mean of a region whose pixels resemble their neighbours.
-
-Covariance of pixels that are fewer than their bands.
-
-A sample covariance of n pixels has no variance at all in B - n + 1 directions.  An error taken from it is nought
-there, and a test that divides by it finds a difference in every spectrum.  What so few pixels do tell is the
-variance of each band and the few common factors that stand out of chance; the rest is taken as independent from
-band to band, as the noise of a sensor is.
-
-The noise in the covariance of a class: how much of it, beside the texture, the pixels show.
-
-How far a covariance measured on n pixels departs from the true one: eigenvalues, distance, subspaces.
-
-Sample eigenvalues are biased (the great ones too great, the small ones too small) where n is not far above the
-number of bands.  A prediction is therefore not compared with a measured eigenvalue itself, but with what n pixels
-drawn from the predicted covariance would show.
+Sample eigenvalues are biased (the great ones too great, the small ones too small) where n is not far above the number
+of bands.  A prediction is therefore not compared with a measured eigenvalue itself, but with what n pixels drawn from
+the predicted covariance would show.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""Whether the wavelengths of a spectrum are right: by absorptions of the atmosphere, what a compensation left of
-them, or the red edge of plants.
+"""Wavelength errors of a spectrum, by absorptions of the atmosphere, by the red edge of plants, or after compensation.
 
-Wavelengths of a reflectance, from which the atmosphere was taken out: what is left of the oxygen A band.
-
-A band that is labelled at w and lies at w - s was divided by the transmittance at w and not by its own:
+In a reflectance the oxygen A band tells: a band labelled at w that lies at w - s was divided by the transmittance at w,
+not by its own:
 
     rho'(w) / rho(w) = (1 - W' k(w - s)) / (1 - W k(w))
 

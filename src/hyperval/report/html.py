@@ -1,6 +1,6 @@
 """``report.html``: one page that a reader understands in half a minute, with nothing loaded from elsewhere.
 
-The first screen: product by subject, or product by campaign, each cell with its outcome.
+Its first screen is the matrix of product by subject, or product by campaign, each cell with its outcome.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""The benchmark: all detectors on each campaign, and the folder with the results.
+"""The benchmark: all detectors on each campaign, ranks with their sets, score maps, and the page.
 
-First what a detector is ranked by, shares of background above each target, and ranks with their sets: all detectors see
-the same pixels, so blocks of the background and objects are resampled for all of them at once.
-
-Then which detectors can run on a collection, their score maps, and their rows with ranks; as peers matched filter, ACE
-and RX of SPy on the same pixels, bands, spectra and background.  Detectors of the user's own: Python files that
-register them.  The page: detectors with ranks, campaign by campaign.
+All detectors see the same pixels, so blocks of the background and objects are resampled for all of them at once.
+Peers are matched filter, ACE and RX of SPy on the same pixels, bands, spectra and background; a user's own detectors
+come from Python files that register them.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """From radiance to electrons, and their noise, each source one function (3.13-3.20); blur of a pixel.
 
-Variances are in electrons^2 or in radiance^2 as each name says; G is electrons per radiance unit.
-
-The response of a pixel to the ground in one direction is its aperture, one pixel wide, convolved with a Gaussian
-for optics, motion and detector; that response gives the fill f of (3.10).  Frequencies are in cycles per pixel;
-Nyquist is 0.5.
+Variances are in electrons^2 or in radiance^2 as each name says; G is electrons per radiance unit.  The response of a
+pixel to the ground in one direction is its aperture, one pixel wide, convolved with a Gaussian for optics, motion and
+detector; that response gives the fill f of (3.10).  Frequencies are in cycles per pixel; Nyquist is 0.5.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
-"""Sensor files: every number stands with its source, or with the word "assumed".
+"""The sensor file, in which every number stands with its source or with the word "assumed".
 
-What sensor files are made of: numbers with sources, bands, throughput, blur, spectral calibration.
-
-What was published of a sensor's signal-to-noise ratio, and what is known not to agree.
-
-How a sensor is run (frames, bins, where its bands truly stand), and numbers that differ from its file.
+Besides, how a sensor is operated (frames, bins, where its bands truly stand), and changes of single numbers.
 """
 
 from __future__ import annotations

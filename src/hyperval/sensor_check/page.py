@@ -1,7 +1,4 @@
-"""The datasheet: one page on a sensor, with nothing loaded from elsewhere; and its folder.
-
-Figures of a datasheet: response, SNR, noise, saturation, detection, sensitivity.
-"""
+"""The datasheet of a sensor: response, SNR, noise, saturation, detection and sensitivity, in a folder."""
 
 from __future__ import annotations
 

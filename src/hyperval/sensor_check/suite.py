@@ -1,7 +1,4 @@
-"""The acceptance of a sensor file: CHECKS, a table of what is measured and what is accepted, and the loop over it.
-
-Beside the table: the numbers of a file with their sources, and reference radiances.
-"""
+"""The acceptance of a sensor file: CHECKS, a table of measured values with accepted ranges, and the loop over it."""
 
 from __future__ import annotations
 

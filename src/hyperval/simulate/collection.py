@@ -1,10 +1,7 @@
-"""One simulated collection from a scene: the cube, written line by line, and its truth.
+"""A simulated collection from a scene file: the cube, written line by line, and its truth.
 
-From reflectance to stored integers: radiance, sampled detector noise, quantisation.
-
-The truth beside a simulated cube: regions, targets, maps, panel spectra, and what was drawn.
-
-What the simulation shares with the model: class statistics, atmosphere, sensor numbers.  Nothing derived.
+Radiance, sampled detector noise and quantisation make the stored integers.  Class statistics, atmosphere and sensor
+numbers are those of the model; nothing derived is shared with it.
 """
 
 from __future__ import annotations

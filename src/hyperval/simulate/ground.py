@@ -1,9 +1,9 @@
-"""The ground: classes, planks, fills, regions of interest clear of both; and what every pixel reflects, line by line.
+"""The ground of a simulated scene: classes, planks, fills, regions clear of both, and the reflectance of every pixel.
 
-The share of a pixel's signal that comes from a square on the ground is by brute force: a Gaussian point spread
-function convolved with the pixel's own square aperture, both sampled on a grid finer than the pixel; no closed form
-is used, so that a model which uses one can be tested against these fills.  Reflectance is drawn from the statistics of
-its surface, with texture and shade.
+The share of a pixel's signal that comes from a square on the ground is found by brute force: a Gaussian point spread
+function convolved with the pixel's own square aperture, both sampled on a grid finer than the pixel.  A model that uses
+a closed form can thus be tested against these fills.  Reflectance is drawn from the statistics of its surface, with
+texture and shade.
 """
 
 from __future__ import annotations

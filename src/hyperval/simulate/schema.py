@@ -1,6 +1,6 @@
-"""What a scene file says: the surfaces, the targets, the sensor and which assumptions are broken.
+"""The scene file of a simulation: surfaces, targets, sensor, and which assumptions are broken.
 
-Independent random streams, so that a pixel's draw depends on its place and not on the order of work.
+Random streams are independent, so that a pixel's draw depends on its place and not on the order of work.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""The spectral axis: the bands that every product of one comparison shares.
+"""The spectral axis: the bands that every product of one comparison shares, their responses, and atmospheric windows.
 
-Absorption bands and the windows between them.
-
-Limits are rounded positions of the well known gas absorptions of the solar-reflective range
-(Gao et al., Remote Sens. Environ. 113, 2009, S17-S24, discuss each); a comparison inside one of
-them tests the gas amounts, not the sensor, and is reported apart.
-
-Band responses and resampling onto a sensor's bands.
+Limits of the windows are rounded positions of the well known gas absorptions of the solar-reflective range (Gao et al.,
+Remote Sens. Environ. 113, 2009, S17-S24, discuss each); a comparison inside an absorption tests the gas amounts, not
+the sensor, and is reported apart.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Binary files of spectra: ASD of field spectrometers, SPECPR of USGS, ENVI libraries.
 
-ASD binary files: reflectance as the stored spectrum over the stored reference; radiance and irradiance.
-
-Layout (little-endian): 484 bytes of header, with the data type at 186, first wavelength and step at
-191 and 195, data format at 199, number of channels at 204; the spectrum; from version 2 on a
-reference block of a flag, two times, a description with its length, and the reference spectrum.
+ASD (little-endian): 484 bytes of header, with the data type at 186, first wavelength and step at 191 and 195, data
+format at 199, number of channels at 204; the spectrum; from version 2 on a reference block of a flag, two times, a
+description with its length, and the reference spectrum.  Reflectance is the stored spectrum over the reference.
 """
 
 from __future__ import annotations

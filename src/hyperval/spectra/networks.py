@@ -1,16 +1,14 @@
-"""A day of a RadCalNet site: surface and top-of-atmosphere reflectance every half hour, with the state of the air.
+"""Ground networks: the days of RadCalNet sites, and surface reflectance of HYPERNETS (L2A).
 
-A file is tab-separated text: the site, one column a half hour, the state, reflectance every 10 nm, and after an
-empty line the standard uncertainties of all of it in the same columns.  ``.input`` holds what was measured on the
-ground, ``.output`` what the network computed for the top of the atmosphere, seen from nadir; the text of the two
+A RadCalNet file is tab-separated text: the site, one column a half hour, the state of the air, reflectance every 10 nm,
+and after an empty line the standard uncertainties of all of it in the same columns.  ``.input`` holds what was measured
+on the ground, ``.output`` what the network computed for the top of the atmosphere, seen from nadir; the text of the two
 does not tell them apart, but that the latter may list the place of the sun.  9996 and above: no value.  In strong
 absorption bands later versions add 9 to the uncertainty: the network does not vouch for it, nor is the value taken.
 
-Surface reflectance of HYPERNETS (L2A): a sequence of views, its errors by kind with their correlation.
-
-The network's files are NetCDF-4 with the conventions of CoMet: relative uncertainties in percent, one random, one
-systematic with a matrix of its correlation between wavelengths (in which a dimension stands twice).  The matrix is
-stored to two decimals, and so has small negative eigenvalues; these are left out.
+HYPERNETS files are NetCDF-4 with the conventions of CoMet: a sequence of views, relative uncertainties in percent, one
+random, one systematic with a matrix of its correlation between wavelengths (in which a dimension stands twice).  The
+matrix is stored to two decimals and so has small negative eigenvalues; these are left out.
 """
 
 from __future__ import annotations

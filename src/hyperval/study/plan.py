@@ -1,11 +1,4 @@
-"""From a study file to what its chunks need: world, columns, and what the interpolated atmosphere costs.
-
-The points of a study, any stretch of them without those before it, and the columns of its table.
-
-The numbers that a study asks for, of many truths of its scenario at once.
-
-Inverse questions: at which value of an input does an output take a value?
-"""
+"""A study's points, the outputs of many truths at once, inverse questions, and the error of its atmosphere."""
 
 from __future__ import annotations
 

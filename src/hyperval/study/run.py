@@ -1,4 +1,4 @@
-"""What the command calls: a study into a folder, in chunks that are kept when the run is interrupted; its table."""
+"""Running a study into a folder, in chunks that are kept when it is interrupted; its table."""
 
 from __future__ import annotations
 

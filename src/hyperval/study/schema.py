@@ -1,4 +1,4 @@
-"""What a study file says: a scenario, what moves in it, what is asked of it, what is drawn."""
+"""The study file: a scenario, what moves in it, the outputs, and the figures."""
 
 from __future__ import annotations
 

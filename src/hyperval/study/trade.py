@@ -1,8 +1,8 @@
-"""A trade by plain names: one or two inputs against an output, piece by piece, and the ROC where sliders stand.
+"""Trade-offs by plain names: one or two inputs against an output, piece by piece, and the ROC where sliders stand.
 
-What is asked is a study (:func:`study_of`), whose YAML ``hyperval study`` runs unchanged to the same numbers.  The
-atmosphere comes from the emulator where it knows the scenario's, so that sliders of sun and haze answer at once; its
-error is told, and lies in the intervals.
+What is asked is a study (:func:`study_of`), whose YAML ``hyperval study`` runs unchanged to the same numbers.  Where it
+can, the emulator gives the atmosphere, so that sliders of sun and haze answer at once; its error is shown and is part
+of the intervals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The application: routes, what every request passes, what is said when something goes wrong."""
+"""The application: its routes, the layers that every request passes, and its error responses."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""Scenarios as pages and programs give them: predefined ones, their form, and what is refused beforehand.
+"""Forms of scenarios: the predefined ones, their fields from the JSON schema, and checks before anything runs.
 
-The form walks the JSON schema of the model: each field has its title, unit, limits, default and hint.  A field that is
-left blank is left out, so that the default of the schema stands.
-
-Scenarios that go by name: those of the package, and scenes of public collections where their files are here.
+Each field has its title, unit, limits, default and hint from the schema; one that is left blank is left out, so that
+its default stands.  Predefined are the scenarios of the package, and scenes of public collections whose files are here.
 """
 
 from __future__ import annotations

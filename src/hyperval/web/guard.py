@@ -1,8 +1,7 @@
-"""What every request passes: host, size, session, origin; and the headers that every answer bears.
+"""What every request passes: host, size, session, origin, and the security headers of every response.
 
-Who asks: a random name in a cookie, which pages of other sites can neither read nor send with a change.
-
-Connections: a head and a body come in time or the connection ends; a client has a bounded number of them.
+A session is a random name in a cookie, which pages of other sites can neither read nor send with a change.  Headers and
+bodies arrive in time or the connection ends; a client has a bounded number of connections.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Pages, templates with what every one of them shows, and the JSON API, version 1, which does all that they do.
-
-What there is to look up: the API, made from its OpenAPI file, and sensors number by number with their sources.
-"""
+"""Templates with what every page shows, the reference of the JSON API (version 1), and the sensors."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""What is asked of a scenario: the start page, the form of a prediction, and the trade desk.
+"""The start page, the form of a prediction, and the trade desk.
 
-The desk has inputs and an output by name, curves as they come, sliders, and the same as a study to take away.
-Nothing is kept there: what is asked stands in the address, and workers keep the scenarios they have read.
+The desk keeps nothing: its question stands in the address, and workers keep the scenarios they have read.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A request that is refused: what is wrong, at which field, with the status of the answer."""
+"""Refused requests: what is wrong, at which field, and the status of the response."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Campaigns of the server's folder, and those that a session brought: what there is, and running them.
-
-Pages of runs: how they stand, what came of them, files to take away.
-"""
+"""Campaigns that can be run here, and runs: their state, results and files."""
 
 from __future__ import annotations
 

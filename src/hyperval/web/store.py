@@ -1,10 +1,7 @@
-"""Runs and what came of them: a folder each, whose run.json says how the run stands.
+"""Runs of a server: a folder each, whose ``run.json`` holds its state; the limits of the server, and its workers.
 
-What one server takes on, and how long it keeps what came of it.
-
-Orders are handed to the workers, and what came of them is written down.  Workers are the server's own processes, or
-those of a Dask scheduler.  There the folder of the server is reached under the same path: a task reads and writes its
-run's folder, tells there how far it is, and looks there whether it is called off.
+Workers are the server's own processes, or those of a Dask scheduler, which reach the server's folder under the same
+path: a task reads and writes its run's folder, reports its progress there, and looks there whether it was cancelled.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""What the workers do: each function takes plain values and folders, and returns what a list or page says of it.
+"""The tasks of the workers: each takes plain values and folders, and returns what a list or page shows of its result.
 
-Of a prediction its scenario is kept and what pages draw of it.  Whatever else is asked for, such as charts beside those
-of an earlier run, follows from the scenario again, in less time than its covariances take to be read.
+Of a prediction its scenario and what pages draw of it are kept.  Anything else, such as charts beside those of an
+earlier run, is computed again from the scenario, in less time than reading its covariances would take.
 """
 
 from __future__ import annotations

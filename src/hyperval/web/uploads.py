@@ -1,7 +1,7 @@
-"""Imagery that a session brings: checked as it comes in, kept, and put through the empirical pipeline.
+"""Uploaded imagery: checked as it comes in, kept, and put through the empirical pipeline.
 
-A file that is right is kept under its field, apart from those of other sessions, under a name that is no path; what the
-request that it came with lacks is asked for alone.
+A file that is right is kept under its field, apart from other sessions, under a name that is no path; what is missing
+from its request is asked for alone.
 """
 
 from __future__ import annotations
