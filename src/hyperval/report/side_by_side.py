@@ -55,7 +55,7 @@ def conclusion(pairs: Sequence[Pair]) -> str:
     changed = [p for p in pairs if p.size > 0 or p.verdict_changed or not (p.a and p.b)]
     if not changed:
         return f"Identical: all {len(pairs)} comparisons have the same value and outcome in both runs."
-    most = max(changed, key=lambda p: (p.gates, p.either.planned, p.size))
+    most = max(changed, key=lambda p: (p.gates and p.verdict_changed, p.size))
     a, b = (v.value_text(row) if row else "none" for row in (most.a, most.b))
     count = f"Changed or in one run only: {len(changed)} of {len(pairs)} comparisons"
     return f"{count}, most {most.name}: {a} in A, {b} in B."
