@@ -361,7 +361,8 @@ class Draft:
         """The reflectance spectra of the files, with the unit that each needs to be told."""
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
-            for file in filter(Path.is_file, sorted(path.rglob("*"))) if path.is_dir() else [path]:
+            # Of a library the header is read beside it.
+            for file in sorted({*path.rglob("*")} - {*path.rglob("*.hdr")}) if path.is_dir() else [path]:
                 of_folder = () if file == path else (HypervalError,)  # of which only files that hold spectra count
                 with suppress(*of_folder):
                     out += _records(file, self.reference(file))
