@@ -331,7 +331,7 @@ class Pair:
 
     @property
     def _value(self) -> float:
-        return max(abs(r.value) for r in (self.a, self.b) if r)
+        return max(*(abs(r.value) for r in (self.a, self.b) if r), 1e-12)  # less is rounding
 
     @property
     def size(self) -> float:

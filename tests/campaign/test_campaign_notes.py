@@ -76,6 +76,7 @@ def test_targets_of_another_kind_than_the_truth_are_a_warning(small, change, wor
     assert words is None or re.search(f"^warning: 'small-planks' of scenario 'small': .*{words}", said[0]), said
 
 
-def test_filters_for_another_spectrum_than_the_model_has_are_a_warning(small):
+def test_filters_for_another_spectrum_and_bands_of_other_widths_than_the_model_has_are_warnings(small):
     small.data["detection"]["targets"][0]["spectrum"] = {"constant": 0.4}
-    assert any("look for another spectrum" in said for said in warnings(small))
+    small.edit("small_rad.hdr", lambda text: re.sub(r"(?s)fwhm = .*?\}\n", "", text))  # the spacing is taken
+    assert re.search("bands of the image are .* times as wide.*look for another spectrum", " ".join(warnings(small)))

@@ -10,6 +10,7 @@ import yaml
 from affine import Affine
 from jsonschema import Draft202012Validator
 from rasterio.crs import CRS
+from spectral.io.envi import SpectralLibrary
 
 from hyperval import cli
 from hyperval.campaign import WRONG, dry_run, job_of, summary
@@ -26,12 +27,11 @@ UNIT = "uW cm-2 sr-1 nm-1"
 @pytest.fixture
 def sources(small) -> list[str]:
     """Arguments that name the small collection, with spectra of its fields and planks."""
-    spectra = small.folder / "spectra"
-    spectra.mkdir()
+    (spectra := small.folder / "spectra").mkdir()
     axis = load_sensor(str(small.folder / "sensor.yaml")).axis
-    for name, material in (("Field grass", "grass"), ("Yellow_Paint_Plank", "yellow-paint-plank")):
-        table = np.column_stack([axis.centre_nm, builtin_class(material, axis).mean])
-        np.savetxt(spectra / f"{name}.txt", table, header="wavelength_nm reflectance", comments="")
+    means = np.array([builtin_class(material, axis).mean for material in ("grass", "yellow-paint-plank")])
+    head = {"wavelength": axis.centre_nm, "spectra names": ["Field grass", "Yellow_Paint_Plank"]}
+    SpectralLibrary(means, head | {"wavelength units": "nm"}).save(str(spectra / "field"))  # two files
     files = small.collection
     return [
         "init", "--cube", str(files / "small_rad.hdr"), "--regions", str(files / "regions.geojson"),

@@ -141,7 +141,7 @@ def test_the_words_of_a_figure_have_its_numbers(charts):
         "class-error": ("predicted: a / b, 2 bands: 0.1 (0.08 to 0.13)",),
         "unmixing-areas": ("predicted: 0.2 m² at 1 m², 0.2 m² at 4 m²",),
         "object-scores": ("predicted: target 0 & $x$, cem: 0.", "cem: 0.95;", "1 of 6 outside"),
-        "object-transforms": ("6 objects",),
+        "object-transforms": ("6 objects", "probability integral transform over uniform quantile"),
         "roc-difference": (") at 0.00996",),
         "what-ifs": ("from 1.5 to 1.2",),
         "attribution-subjects": (f"lawn: {LONG}",),
@@ -188,7 +188,7 @@ def test_sides_without_a_difference_have_none_drawn(run):
     one = dataclasses.replace(run.pair[0], snr={"grass": run.pair[0].snr["grass"]})
     compared = figures.spectra_figure((one, run.pair[1]), "snr")
     assert compared.title.endswith("; 1 of 2 shown, all in products.nc")
-    assert ("grass" in compared.alt, "lawn" in compared.alt) == (True, False)
+    assert ("grass" in compared.alt, "lawn" in compared.alt, stated(compared)[0]["note"]) == (True, False, "grass")
 
 
 def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run):
@@ -205,8 +205,9 @@ def test_a_side_alone(run):
     """Bands may go by number; a covariance that is compared with none has no interval to be drawn."""
     axis = run.pair[1].axis
     numbered = dataclasses.replace(axis, centre_nm=np.arange(1.0, 25.0), fwhm_nm=np.ones(24))
-    figure = figures.spectra_figure((None, dataclasses.replace(run.pair[1], axis=numbered)), "reflectance")
-    assert figure.views[0].x.label == "number of the band"
+    side = dataclasses.replace(run.pair[1], axis=numbered, provenance={"quantity": "counts"})
+    figure = figures.spectra_figure((None, side), "reflectance")
+    assert [figure.views[0].x.label, figure.views[0].parts[0].y.label] == ["number of the band", "counts"]
     assert "absorption" not in figure.title + figures.statement(figure)
     known = figures.spectra_figure((None, run.pair[1]), "reflectance")
     assert [685.0, 693.0] in json.loads(figures.statement(known))["absorption"]

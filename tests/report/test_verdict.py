@@ -152,7 +152,9 @@ def test_a_forest_says_no_more_than_is_known_and_folds_what_is_met():
     (part,) = criteria_figure([criterion(A, 0.01, half=0.0)]).views[0].parts
     assert part.y.notes == ("+1 %",), "without stated uncertainty no interval"
     rows = [criterion(A, 0.001 * i, f"subject {i}") for i in range(30)] + [criterion(D, 0.2, "lawn")]
-    (part,) = criteria_figure(rows).views[0].parts
+    figure = criteria_figure([*rows, replace(criterion(A, 0.0), product="snr")])
+    assert figure.title.endswith("; 31 of 32 shown, all in summary.csv"), "a product of which all are met has no plot"
+    (part,) = figure.views[0].parts
     assert part.y.names[-1].startswith("more: 2")
     assert len(part.y.names) < 12
     assert criteria_figure([row(S)]) is None

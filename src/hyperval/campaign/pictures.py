@@ -138,7 +138,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
     high = max(float(np.nanpercentile(thinned, 99.0)), float(np.finfo(np.float32).tiny))
     colours = np.empty(picture.shape, np.uint8)
     for row, values in zip(colours, picture, strict=True):  # the whole picture in float64 would be the run's peak
-        row[:] = np.rint(255.0 * np.clip(np.nan_to_num((values - offset) / gain) / high, 0.0, 1.0) ** GAMMA)
+        row[:] = np.rint(255.0 * np.nan_to_num(np.clip((values - offset) / gain / high, 0.0, 1.0)) ** GAMMA)
     number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members.items()
     outlines = {name: own[number] for name, own in members if name not in observed.place.by_rule}
     if observed.place.targets:

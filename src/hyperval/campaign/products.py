@@ -108,7 +108,7 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
     yield from _of_noise(side, prediction) if prediction is not None else ()
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
-        yield from _of_filters(side, scenario) if prediction is not None else ()
+        yield from _of_model(side, scenario) if prediction is not None else ()
         yield from _of_fractions(side.campaign.detection, place, scenario)
         named, state = f"scenario {scenario.name!r}", scenario.atmosphere
         if state is not None and state.time_utc is not None:
@@ -171,18 +171,22 @@ def _of_fractions(detection: Detection | None, place: observe.Place, scenario: S
         yield f"warning: {one.name!r} is {share:.3g} {where}, and {stated}"
 
 
-def _of_filters(side: Collected, scenario: Scenario) -> Iterator[str]:
-    """Warnings where filters of the image look for another spectrum than those of a scenario."""
+def _of_model(side: Collected, scenario: Scenario) -> Iterator[str]:
+    """Warnings where bands of the image are not as wide as the sensor's, or its filters look for another spectrum."""
     detected, detection, place = side.observed.detected, side.campaign.detection, side.observed.place
+    stated, axis = model.read(scenario, side.origins(scenario)).stated, side.observed.observation.axis
+    own = stated.sensor.axis if stated.sensor is not None else axis
+    times = float(np.median(axis.fwhm_nm / np.interp(axis.centre_nm, own.centre_nm, own.fwhm_nm)))
+    if max(times, 1.0 / times) > 1.2:  # as much more of the signal
+        yield f"warning: bands of the image are {times:.2g} times as wide as those of the sensor (collection.bands)"
     if detected is None or detection is None or place is None:
         return
-    stated, bands = model.read(scenario, side.origins(scenario)).stated, detected.bank.bands
     for target in detection.targets:
         forms = (detected.bank.forms[observe.map_name(target.name, name)][1] for name in detection.detectors)
         for spectrum in [one for one in forms if one is not None][:1]:  # the same for each detector that has one
             subjects = observe.target_groups(place.targets, target, detection.group)
             for name in dict.fromkeys(stated.targets[t].name for t, _, p in stated.populations if p.name in subjects):
-                gap = float(np.abs(stated.signatures[name][bands] - spectrum).max())
+                gap = float(np.abs(stated.signatures[name][detected.bank.bands] - spectrum).max())
                 if gap > LEAST_APART * np.abs(spectrum).max():
                     words = f"in the image than in the model of {name!r}, up to {gap:.2g} apart"
                     yield f"warning: filters of {target.name!r} look for another spectrum {words} (filter_spectrum)"

@@ -26,7 +26,7 @@ from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml, validate
 from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
-from hyperval.imagery import Raster, TargetObject, groups_by_size, guard, objects, open_raster, read_regions
+from hyperval.imagery import Raster, TargetObject, all_pixels, groups_by_size, guard, objects, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.paths import head_of
 from hyperval.pixels import drawn_pixels
@@ -224,7 +224,7 @@ class Draft:
 
     def _unit_and_order(self) -> None:
         collection, quantity, sources, stated = self.collection, self.quantity, self.sources, self.raster.description
-        if quantity and sources.quantity is None and stated.quantity is None:
+        if quantity in _NAMED and sources.quantity is None and stated.quantity is None:
             self.guess("quantity", quantity=quantity)
         if quantity == "radiance":
             unit = sources.unit or stated.unit_in_entries()[1]
@@ -286,8 +286,7 @@ class Draft:
                 return
             possible = {scale: ratios for scale in _SCALES if (ratios := self._to_spectra(scale)) is not None}
             agreeing = [scale for scale, ratios in possible.items() if ratios and 0.5 <= np.median(ratios) <= 2.0]
-            usual = [scale for scale in list(possible)[:1] if scale != _THOUSANDS]
-            tried |= {scale: f"{scale:g}, the usual one that makes the values reflectances" for scale in usual}
+            tried = {s: f"{s:g}, the usual one that makes reflectances" for s in [*possible][:1] if s != _THOUSANDS}
             tried = {scale: f"{scale:g}, by which it agrees with the field spectra" for scale in agreeing} or tried
         elif "reflectance scale factor" in entries and "data gain values" not in entries:
             factor = float(entries["reflectance scale factor"])  # the reader has found it a number
@@ -361,7 +360,8 @@ class Draft:
         """The reflectance spectra of the files, with the unit that each needs to be told."""
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
-            for file in filter(Path.is_file, sorted(path.rglob("*"))) if path.is_dir() else [path]:
+            # Of a library the header is read beside it.
+            for file in sorted({*path.rglob("*")} - {*path.rglob("*.hdr")}) if path.is_dir() else [path]:
                 of_folder = () if file == path else (HypervalError,)  # of which only files that hold spectra count
                 with suppress(*of_folder):
                     out += _records(file, self.reference(file))
@@ -585,10 +585,7 @@ def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
 
 def _host(place: Place, members: Sequence[TargetObject], classes: Sequence[str]) -> str:
     """The class with the most pixels around the targets; where none is there, that of the most similar spectrum."""
-    own = np.zeros(place.cube.shape, bool)
-    for target in members:
-        target.paint(own)
-    ring = guard(own, _RING_PIXELS) & ~place.near_targets
+    ring = guard(all_pixels(members, place.cube.shape), _RING_PIXELS) & ~place.near_targets
     likeness = [float(np.sum(ring & place.region(name))) for name in classes]
     if max(likeness) == 0.0 and ring.any():
         good, rng = place.cube.axis.good, np.random.default_rng(0)

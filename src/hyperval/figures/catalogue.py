@@ -136,18 +136,20 @@ def spectra_figure(
     aligned = [own if side and side.axis.matches(axis) else {} for side, own in zip(sides, both, strict=True)]
     pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in own for own in aligned)]
     identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
-    views = tuple(_view(axis, s, [own.get(s) for own in aligned], product, not identical, names) for s in shown)
-    title = f"{SPECTRA[product][1]}: {_there(both, names)}" + ", which are identical" * identical
+    counted = any(side and side.provenance.get("quantity") == "counts" for side in sides)
+    about = ("counts", "Counts", False) if counted else SPECTRA[product]
+    views = tuple(_view(axis, s, [own.get(s) for own in aligned], about, not identical, names) for s in shown)
+    title = f"{about[1]}: {_there(both, names)}" + ", which are identical" * identical
     title += "" if axis.numbered else " (grey: absorption)"
     return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
 
 
 def _view(
-    axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], product: str, differ: bool,
-    names: tuple[str, str],
+    axis: SpectralAxis, subject: str, both: Sequence[SpectralEstimate | None], about: tuple[str, str, bool],
+    differ: bool, names: tuple[str, str],
 ) -> Panels:  # fmt: skip
     """Both sides, and below them their difference, with its standard uncertainty as of independent sides."""
-    (label, _, ratio), keep, words = SPECTRA[product], in_windows(axis), ""
+    (label, _, ratio), keep, words = about, in_windows(axis), ""
     known = [(e.mean, e.standard_uncertainty) for e in both if e is not None]
 
     def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
@@ -256,8 +258,7 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
         )
         ratio = {"x": number, **{name: values / measured for name, values in expected.items()}}
         below = Part(Axis("predicted / measured"), (Mark("line", ratio, colour=DIFFERENCE),), (("y", 1.0),))
-        inside = int(np.sum((measured >= low) & (measured <= high)))
-        words = f"{inside} of {measured.size} measured inside"
+        words = f"{np.sum((measured >= low) & (measured <= high))} of {measured.size} measured inside"
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
         return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, at=1.0)
 
@@ -562,7 +563,7 @@ def transform_figure(sides: Sides) -> Figure | None:
             Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", dash="dotted"),
             measured_mark("line", {"x": at, "y": u}, "objects, in order"),
         )
-        x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("probability of a lower score", "transform value"))
+        x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("uniform quantile", "probability integral transform"))
         return single(x, y, marks, detector, f"{n} objects, {np.mean(central(u)):.0%} in the central 95 %")
 
     title = "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction"

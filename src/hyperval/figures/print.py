@@ -115,10 +115,7 @@ def _height_in(view: Panels) -> float:
 def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:
     """Handles and labels of the legend of views."""
     marks = [mark for view in views for part in view.parts for mark in part.marks]
-    entries: dict[str, Any] = {}
-    for mark in marks:
-        if mark.label:
-            entries.setdefault(mark.label, _handle(mark))
+    entries = {mark.label: _handle(mark) for mark in marks if mark.label}
     if any(mark.kind in ("line", "steps") and "low" in mark.numbers for mark in marks):
         entries["95 % interval"] = Patch(color=GREY, alpha=0.3, linewidth=0)
     if views[0].x.absorption:

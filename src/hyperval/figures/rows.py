@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, of_rows
+from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, left_out, of_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import WORST_FIRST, Outcome, Result, grouped
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
@@ -60,23 +60,29 @@ def excess(row: Result) -> float:
 def effect_text(row: Result) -> str:
     """ "+14.5 % (−27 to 56)"; without an interval where none is stated, and with p where that alone decided.
 
+    No number reads as an end of the accepted range that it does not lie at.
+
+    >>> row = Result("", "radiance", "", "", "bias_ratio", effect=5.8, effect_lower=-8.9, effect_upper=20.3,
+    ...              effect_unit="% of radiance", accepted_low=-20.0, accepted_high=20.0)
+    >>> [effect_text(replace(row, accepted_high=end)) for end in (20.0, 20.3)]
+    ['5.8 % (−8.9 to 20.3)', '5.8 % (−8.9 to 20)']
     >>> row = Result("", "scores", "*", "", "joint_distance_p_value", effect=1.69, effect_lower=1.29, effect_upper=2.2,
     ...              effect_unit="difference / stated", accepted_low=0.54, accepted_high=1.52, p_value=0.002)
     >>> [effect_text(replace(row, outcome=outcome)) for outcome in (Outcome.DISAGREES, Outcome.UNDECIDED)]
     ['1.69 × (1.29 to 2.2), p = 0.002', '1.69 × (1.29 to 2.2)']
     """
-    is_p = row.effect_unit == _P_VALUE
+    is_p, limits = row.effect_unit == _P_VALUE, (row.accepted_low, row.accepted_high)
     p = row.effect if is_p else row.p_value
     told_p = f"p = {p:.2g}" if p >= _LEAST_P else f"p < {_LEAST_P:g}"
     if is_p or math.isnan(row.effect):
         return told_p * is_p
     short = next((words for unit, words in _SHORT.items() if row.effect_unit.startswith(unit)), "")
     # Limits that no digit tells apart are no interval: nothing was stated.
-    low, high = ("" if math.isnan(end) else short_text(end) for end in (row.effect_lower, row.effect_upper))
+    low, high = ("" if math.isnan(end) else short_text(end, "", limits) for end in (row.effect_lower, row.effect_upper))
     interval = f" ({low} to {high})" if low != high and low and high else ""
     reaches_in = not (row.effect_lower > row.accepted_high or row.effect_upper < row.accepted_low)
     by_p = row.outcome is Outcome.DISAGREES and reaches_in and not math.isnan(row.p_value)
-    return f"{short_text(row.effect, _sign(row))}{short}{interval}{f', {told_p}' * by_p}"
+    return f"{short_text(row.effect, _sign(row), limits)}{short}{interval}{f', {told_p}' * by_p}"
 
 
 def _sign(row: Result) -> str:
@@ -88,8 +94,17 @@ def _sign(row: Result) -> str:
     return "+" if row.ideal == 0.0 and metric_of(row.metric).low < 0.0 else ""  # a size has no side
 
 
-def short_text(value: float, sign: str = "") -> str:
-    """A number with two or three digits.
+def decimals(x: float, few: int, ends: Iterable[float]) -> int:
+    """Digits behind the point, ``few`` or some more, with which ``x`` reads as no end of a range that it is not.
+
+    >>> [decimals(x, 0, (20.0,)) for x in (20.3, 20.02, 20.0, 27.4)]
+    [1, 2, 0, 0]
+    """
+    return next((n for n in range(few, few + 4) if all(f"{e:.{n}f}" != f"{x:.{n}f}" for e in ends if e != x)), few)
+
+
+def short_text(value: float, sign: str = "", limits: Iterable[float] = ()) -> str:
+    """A number with two or three digits, more where it would read as one of the limits.
 
     Examples
     --------
@@ -103,7 +118,7 @@ def short_text(value: float, sign: str = "") -> str:
         return "0"
     if magnitude >= 1e4:
         return f"{value:{sign}.2g}".replace("-", "−")
-    digits = 0 if magnitude >= 20 else 1 if magnitude >= 2 else 2 if magnitude >= 0.02 else 3
+    digits = decimals(value, sum(magnitude < step for step in (20.0, 2.0, 0.02)), limits)
     text = f"{value:{sign}.{digits}f}"
     return (text.rstrip("0").removesuffix(".") if digits else text).replace("-", "−")
 
@@ -165,6 +180,7 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
     kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
     title = f"{kind} as effects with their 95 % intervals, the worst first"
+    title += left_out(sum(map(len, shown)), len(every), "summary.csv")
     return Figure("criteria", "criteria", title, (Panels(Axis(), tuple(parts)),))
 
 
@@ -216,11 +232,10 @@ def _ends(rows: Sequence[Result], log: bool) -> tuple[float, float]:
 
 
 def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tuple[Mark, ...]:
-    ranges = dict.fromkeys((y, row.accepted_low, row.accepted_high) for y, row in at)
-    ranges = {one: None for one in ranges if any(map(math.isfinite, one[1:]))}
-    marks = []
+    accepted = dict.fromkeys((y, row.accepted_low, row.accepted_high) for y, row in at)
+    ranges, marks = [one for one in accepted if any(map(math.isfinite, one[1:]))], []
     if ranges:
-        y, low, high = np.array(list(ranges), float).T
+        y, low, high = np.array(ranges, float).T
         edges = {"left": np.where(np.isfinite(low), low, ends[0]), "right": np.where(np.isfinite(high), high, ends[1])}
         columns = edges | {"bottom": y - _HALF, "top": y + _HALF}
         marks.append(Mark("bars", columns, "accepted range", ACCEPTED, alpha=1.0))

@@ -340,11 +340,11 @@ def statement(figure: Figure) -> str:
         return said(own, **more)
 
     views = [
-        {"subject": view.subject, "tab": view.tab, "note": view.note, "parts": [
+        {"subject": view.subject, "tab": view.tab, "parts": [
             {"x": axis(part.x or view.x, view.ends("x", part)), "y": axis(part.y, view.ends("y", part)),
              "own": part.x is not None, "rules": part.rules, "marks": [mark(one) for one in part.marks]}
             for part in view.parts
-        ]}
+        ], "note": ": ".join(filter(None, (view.subject * (len(figure.views) == 1), view.note)))}
         for view in figure.views
     ]  # fmt: skip
     whole: dict[str, Any] = {"views": views, "columns": list(columns)}

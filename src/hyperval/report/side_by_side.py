@@ -47,11 +47,15 @@ def conclusion(pairs: Sequence[Pair]) -> str:
     Identical: all 2 comparisons have the same value and outcome in both runs.
     >>> print(conclusion([Pair(a, a), Pair(a, None), Pair(a, b)]))
     Changed or in one run only: 2 of 3 comparisons, most radiance lawn sixs bias_ratio: 0.01 in A, 0.03 in B.
+    >>> rounding = (Result("c", "scores", "all", "cem", "score_mean_observed", x) for x in (2e-17, -3e-17))
+    >>> a, b = (replace(row, lower=row.value - 0.1, upper=row.value + 0.1) for row in (a, b))
+    >>> print(conclusion([Pair(*rounding), Pair(a, b)]).partition("most ")[2])
+    radiance lawn sixs bias_ratio: 0.01 in A, 0.03 in B.
     """
     changed = [p for p in pairs if p.size > 0 or p.verdict_changed or not (p.a and p.b)]
     if not changed:
         return f"Identical: all {len(pairs)} comparisons have the same value and outcome in both runs."
-    most = max(changed, key=lambda p: p.size)
+    most = max(changed, key=lambda p: (p.gates and p.verdict_changed, p.size))
     a, b = (v.value_text(row) if row else "none" for row in (most.a, most.b))
     count = f"Changed or in one run only: {len(changed)} of {len(pairs)} comparisons"
     return f"{count}, most {most.name}: {a} in A, {b} in B."
@@ -64,7 +68,7 @@ def difference_table(pairs: Sequence[Pair]) -> ResultTable:
         r = p.either
         row = Result(r.campaign, r.product, r.subject, r.method, f"{r.metric}_change", unit=r.unit, band_nm=r.band_nm)
         if p.a and p.b:
-            words = f"A {v.value_text(p.a)} ({p.a.outcome}), B {v.value_text(p.b)} ({p.b.outcome})"
+            words = f"A {v.value_text(p.a)} ({p.a.outcome.word}), B {v.value_text(p.b)} ({p.b.outcome.word})"
             rows.append(replace(row, value=p.difference, reason=words))
         else:
             only = f"only in run {'A' if p.a else 'B'}"

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from hyperval.figures.rows import criteria_of, effect_text, outcome_words, ranked, row_label, short_text
+from hyperval.figures.rows import criteria_of, decimals, effect_text, outcome_words, ranked, row_label, short_text
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
 
@@ -281,14 +281,18 @@ def last_line(rows: Iterable[Result]) -> str:
     return f"acceptance criteria: {outcome_words(gates)}" if gates else "acceptance criteria: none"
 
 
-def number_text(value: float, spread: float = math.nan) -> str:
-    """``value`` with two digits of its ``spread``, or with four significant digits without one."""
+def number_text(value: float, spread: float = math.nan, limits: Sequence[float] = ()) -> str:
+    """``value`` with two digits of its ``spread``, or with four significant digits without one; see :func:`decimals`.
+
+    >>> number_text(0.2031, 0.15), number_text(0.2031, 0.15, (-0.2, 0.2))
+    ('0.20', '0.203')
+    """
     if not math.isfinite(value):
         return "–" if math.isnan(value) else short_text(value)
     if value != 0 and not 1e-4 <= abs(value) < 1e6:
         text = f"{value:.3g}"
     elif 0 < spread < math.inf:
-        text = f"{value:z.{min(max(1 - math.floor(math.log10(spread)), 0), 6)}f}"
+        text = f"{value:z.{decimals(value, min(max(1 - math.floor(math.log10(spread)), 0), 6), limits)}f}"
     else:
         text = f"{value:z.4g}" if abs(value) < 1000 else f"{value:.0f}"
     return text.replace("-", "−")
@@ -300,7 +304,7 @@ def value_text(row: Result) -> str:
         if row.value < 1e-300:  # which the computer cannot tell from 0
             return "< 1e−300"
         return "> 0.999" if row.value > 0.999 else f"{row.value:.2g}".replace("-", "−")
-    text = number_text(row.value, (row.upper - row.lower) / 2)
+    text = number_text(row.value, (row.upper - row.lower) / 2, (row.limit_low, row.limit_high))
     return text if row.unit in ("1", "") or math.isnan(row.value) else f"{text} {row.unit}"
 
 
@@ -308,8 +312,8 @@ def interval_text(row: Result) -> str:
     """The interval of a row, empty when it has none."""
     if math.isnan(row.lower) and math.isnan(row.upper):
         return ""
-    spread = (row.upper - row.lower) / 2
-    return f"{number_text(row.lower, spread)} to {number_text(row.upper, spread)}"
+    about = (row.upper - row.lower) / 2, (row.limit_low, row.limit_high)
+    return f"{number_text(row.lower, *about)} to {number_text(row.upper, *about)}"
 
 
 def limits_text(row: Result) -> str:
