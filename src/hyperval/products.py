@@ -94,8 +94,9 @@ class ScoreDistribution:
     n : pixels behind them, None for a prediction
     grid, density : (G,) scores and the probability density at each [per unit of score]; None without
     greatest : (m,) the greatest scores of measured pixels, falling, all of them where they are few; None without
-    mean_error, mean_bias : standard error of the mean, and how far it lies on average from that of endless pixels,
-        where the filter was made of the pixels it scores; NaN where it was made of others
+    mean_error, sd_error : standard uncertainties of the mean, and of sd as a part of it: of a prediction by its inputs,
+        of a background by the clusters of its image; NaN where they are not stated
+    mean_bias : how far the mean lies from that of endless pixels, where those scored made the filter; else NaN
     """
 
     mean: float
@@ -106,6 +107,14 @@ class ScoreDistribution:
     greatest: Array | None = field(default=None, compare=False, repr=False)
     mean_error: float = field(default=float("nan"), compare=False)
     mean_bias: float = field(default=float("nan"), compare=False)
+    sd_error: float = field(default=float("nan"), compare=False)
+
+    @property
+    def errors(self) -> Array:
+        """(2,) mean_error and sd_error, those of n independent normal pixels where they are not stated; else NaN."""
+        free = (self.n or 1) - 1.0 or math.nan
+        plain, stated = [self.sd / math.sqrt(free + 1.0), math.sqrt(0.5 / free)], [self.mean_error, self.sd_error]
+        return np.where(np.isnan(stated), plain, stated)
 
 
 @dataclass(frozen=True)

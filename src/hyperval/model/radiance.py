@@ -206,6 +206,12 @@ def radiance_covariance(
     return result  # (3.11)
 
 
+def fill_squares(mean: float, variance: float, fine_texture: float = 0.0) -> tuple[float, float]:
+    """E[f^2] of the target, but E[f] of its texture that is finer than a pixel, and E[(1 - f)^2] (3.12)."""
+    f2 = mean**2 + variance
+    return f2 + fine_texture * (mean - f2), (1.0 - mean) ** 2 + variance
+
+
 def target_pixel_covariance(
     fill_mean: float,
     fill_variance: float,
@@ -217,7 +223,6 @@ def target_pixel_covariance(
     target_gain: float = 1.0,
     host_gain: float = 1.0,
     fine_texture: float = 0.0,
-    formulation: Formulation = "corrected",
 ) -> Array:
     """Reflectance covariance of pixels partly filled by the target (3.12, extended to random fill).
 
@@ -236,15 +241,12 @@ def target_pixel_covariance(
     -------
     (B, B)
     """
-    variance = fill_variance if formulation == "corrected" else 0.0
-    f2 = fill_mean**2 + variance  # E[f^2]
-    f2 += fine_texture * (fill_mean - f2)
-    g2 = (1.0 - fill_mean) ** 2 + variance  # E[(1-f)^2]
+    f2, g2 = fill_squares(fill_mean, fill_variance, fine_texture)
     result = (f2 * target_gain) * np.asarray(target_covariance, dtype=float)
     result += (g2 * host_gain) * np.asarray(host_covariance, dtype=float)
     d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
-    if variance or not np.all(np.isfinite(d)):  # a band without a mean has no covariance either
-        result += np.outer(variance * d, d)
+    if fill_variance or not np.all(np.isfinite(d)):  # a band without a mean has no covariance either
+        result += np.outer(fill_variance * d, d)
     return np.asarray(result)  # (3.12)
 
 
