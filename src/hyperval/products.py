@@ -91,7 +91,7 @@ class ScoreDistribution:
     Attributes
     ----------
     mean, sd : moments of the score [1]
-    n : pixels behind them, None for a prediction
+    n : pixels behind them; of a prediction those of the image that its classes are measured on, None without
     grid, density : (G,) scores and the probability density at each [per unit of score]; None without
     greatest : (m,) the greatest scores of measured pixels, falling, all of them where they are few; None without
     mean_error, sd_error : standard uncertainties of the mean, and of sd as a part of it: of a prediction by its inputs,
@@ -109,12 +109,14 @@ class ScoreDistribution:
     mean_bias: float = field(default=float("nan"), compare=False)
     sd_error: float = field(default=float("nan"), compare=False)
 
-    @property
-    def errors(self) -> Array:
-        """(2,) mean_error and sd_error, those of n independent normal pixels where they are not stated; else NaN."""
+    def errors(self, beside: ScoreDistribution | None = None) -> Array:
+        """(2,) mean_error and sd_error; where they are not stated, or what it stands ``beside`` has the clusters of the
+        same pixels, those of n independent normal pixels.
+        """
         free = (self.n or 1) - 1.0 or math.nan
         plain, stated = [self.sd / math.sqrt(free + 1.0), math.sqrt(0.5 / free)], [self.mean_error, self.sd_error]
-        return np.where(np.isnan(stated), plain, stated)
+        shared = bool(beside and beside.n) & np.array([math.isnan(self.mean_bias), True])
+        return np.where(np.isnan(stated) | shared, plain, stated)
 
 
 @dataclass(frozen=True)

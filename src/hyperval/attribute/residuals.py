@@ -389,7 +389,7 @@ def _scores(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
         # of its targets.
         if there is not None and there.sd > 0 and usable and not few_objects(observed, *key) and same not in seen:
             seen.add(same)
-            variances = score.errors**2 + [SCORE_FLOOR**2, LOG_FLOOR**2]
+            variances = score.errors(there) ** 2 + [SCORE_FLOOR**2, LOG_FLOOR**2]
             yield ResidualBlock("scores", *key, _moments(key, observed), np.diag(variances), partial(_moments, key))
 
 

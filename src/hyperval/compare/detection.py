@@ -42,10 +42,10 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
     [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
     ('score_sd_ratio', 0.8)]
     """
-    n, bias, (error, part) = observed.n, float(np.nan_to_num(observed.mean_bias)), observed.errors
+    n, bias, (error, part) = observed.n, float(np.nan_to_num(observed.mean_bias)), observed.errors(predicted)
     half = float(scipy.stats.t.ppf(0.975, (n or 1) - 1)) * error
     half = half if abs(observed.mean) > ROUNDING * observed.sd else math.nan
-    wide = Z95 * np.nan_to_num(predicted.errors)
+    wide = Z95 * np.nan_to_num([predicted.mean_error, predicted.sd_error])
     yield row("score_mean_predicted", predicted.mean, half=Z95 * predicted.mean_error, n=predicted.n)
     yield row("score_mean_observed", observed.mean, half=half, n=n)
     yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=math.hypot(half, wide[0]), n=n)

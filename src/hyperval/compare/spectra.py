@@ -588,7 +588,7 @@ def snr_beside_texture(predicted: Products, subject: str) -> Array:
     seen, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
     if seen is None or noise is None or seen.pixel_covariance is None or seen.mean.size < 3:
         return np.ones(len(predicted.axis))
-    return np.nan_to_num(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean, nan=1.0)
+    return np.fmin(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean, 1.0)
 
 
 def compare_spectra(

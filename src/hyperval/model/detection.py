@@ -619,6 +619,8 @@ def detect(
     UsageError : no filter, as the background can not be inverted.
     """
     processing, pfa, at = e.scenario.processing, e.pfa, np.array(points)
+    counts = [e.stated.surfaces[c].n or 0 for c in e.stated.classes]
+    n = sum(counts) if e.stated.of_pixels[: len(counts)].all() else None
     out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
     for target in e.targets:
         for name in processing.detectors:
@@ -637,11 +639,11 @@ def detect(
                     key, e.probits[population, name, unit] = (population, name, unit), roc.probit(curves)
                     for products, u, (_, preset) in zip(out, points, behind, strict=True):
                         products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
-                of_target = own.target(at, densities=densities)
                 e.moments[population, name], e.moments[background_of(population), name] = own.moments
-                for products, scored, (of_background, _) in zip(out, of_target, behind, strict=True):
+                each = zip(out, own.target(at, densities=densities), behind, strict=True)
+                for products, scored, (of_background, _) in each:
                     products["scores"][population, name] = scored
-                    products["scores"][background_of(population), name] = of_background
+                    products["scores"][background_of(population), name] = replace(of_background, n=n)
             for products, u in zip(out, points, strict=True):
                 if isinstance(own, AceScores):
                     text = f"{name} of {target.name}: {processing.samples} draws per class; {own.note(u)}"
