@@ -274,9 +274,10 @@ def test_invalid_pixels_have_no_score_and_count_nowhere(world):
     seen = world.observe()
     scores, observation = seen.detected.score_maps["paint-cem"], seen.observation
     assert np.argwhere(np.isnan(scores)).tolist() == [[20, 20], [25, 25]]
-    counted = observation.scores["fill 0.3", "cem"].n, observation.roc["fill 0.3", "cem", "object"].n_target
-    assert counted == (2, 2)
-    assert observation.scores[background_of("fill 0.3"), "cem"].n == (~near_targets()).sum() - 1
+    curve, n = observation.roc["fill 0.3", "cem", "object"], (~near_targets()).sum() - 1
+    counted = [observation.scores[name, "cem"].n for name in ("fill 0.3", background_of("fill 0.3"))]
+    # The ground that was looked at is that of pixels with a score, of 2 m.
+    assert [*counted, curve.n_target, curve.background_area_km2] == [2, n, 2, pytest.approx(4e-6 * n)]
 
 
 def test_two_spectra_of_one_material(world):

@@ -339,13 +339,14 @@ class _Curves:
         refuse(not np.isfinite(pixels).any(), "detection.no_pixel", subject=subject)
         self.products["scores"][subject, detector] = _moments(pixels[np.isfinite(pixels)])
         best = px.object_scores(scores, placed, halo)
-        found, looked_at = np.array(list(best.values())), int(np.count_nonzero(self.alarms))
-        sides = {"pixel": (pixels, noise, looked_at), "object": (found, noise, looked_at)}
+        found = np.array(list(best.values()))
+        # The ground that was looked at is that of pixels with a score.
+        sides = {"pixel": (pixels, noise, noise.scores.size), "object": (found, noise, noise.scores.size)}
         if halo:
             outside = self.alarms & ~px.with_halo(all_pixels(placed, self.place.cube.shape), halo)
             every = px.AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
             sides["object"] = found, *self._placements(scores, placed)
-            sides[BY_PIXEL] = found, every, int(np.count_nonzero(outside))
+            sides[BY_PIXEL] = found, every, every.scores.size
         else:  # the model does not know what a halo may catch
             self.products["object_scores"][subject, detector] = ObjectScores(found, tuple(best))
         for name, (values, background, count) in sides.items():
