@@ -101,8 +101,7 @@ class Components:
         """The components on some bands alone."""
         if bands.size == self.offsets.shape[1]:
             return self
-        cut = self.covariances[:, bands[:, None], bands]
-        return self._with(self.offsets[:, bands], cut)
+        return self._with(self.offsets[:, bands], self.covariances[:, bands[:, None], bands])
 
     def through(self, weights: Array) -> Components:
         """The components of ``weights`` (C, B) times the spectra, such as those on other bands."""
@@ -158,10 +157,8 @@ class SampleStatistics:
         s = self.covariance * ((self.n - 1) / self.n)
         mu = np.trace(s) / s.shape[0]
         d2 = float(np.sum((s - mu * np.eye(s.shape[0])) ** 2))
-        if d2 <= 0.0:
-            return 1.0
         b2 = max(0.0, (self.fourth - self.n * float(np.sum(s**2))) / self.n**2)
-        return min(1.0, b2 / d2)
+        return min(1.0, b2 / d2) if d2 > 0.0 else 1.0
 
     def shrunk(self, intensity: float | None = None) -> SampleStatistics:
         """With the well-conditioned covariance (1 - a) S + a (tr S/B) I; a is :attr:`shrinkage` unless given."""

@@ -91,11 +91,12 @@ class ScoreDistribution:
     Attributes
     ----------
     mean, sd : moments of the score [1]
-    n : pixels behind them, None for a prediction
+    n : pixels behind them; of a prediction those of the image that its classes are measured on, None without
     grid, density : (G,) scores and the probability density at each [per unit of score]; None without
     greatest : (m,) the greatest scores of measured pixels, falling, all of them where they are few; None without
-    mean_error, mean_bias : standard error of the mean, and how far it lies on average from that of endless pixels,
-        where the filter was made of the pixels it scores; NaN where it was made of others
+    mean_error, sd_error : standard uncertainties of the mean, and of sd as a part of it: of a prediction by its inputs,
+        of a background by the clusters of its image; NaN where they are not stated
+    mean_bias : how far the mean lies from that of endless pixels, where those scored made the filter; else NaN
     """
 
     mean: float
@@ -106,6 +107,16 @@ class ScoreDistribution:
     greatest: Array | None = field(default=None, compare=False, repr=False)
     mean_error: float = field(default=float("nan"), compare=False)
     mean_bias: float = field(default=float("nan"), compare=False)
+    sd_error: float = field(default=float("nan"), compare=False)
+
+    def errors(self, beside: ScoreDistribution | None = None) -> Array:
+        """(2,) mean_error and sd_error; where they are not stated, or what it stands ``beside`` has the clusters of the
+        same pixels, those of n independent normal pixels.
+        """
+        free = (self.n or 1) - 1.0 or math.nan
+        plain, stated = [self.sd / math.sqrt(free + 1.0), math.sqrt(0.5 / free)], [self.mean_error, self.sd_error]
+        shared = bool(beside and beside.n) & np.array([math.isnan(self.mean_bias), True])
+        return np.where(np.isnan(stated) | shared, plain, stated)
 
 
 @dataclass(frozen=True)

@@ -93,10 +93,7 @@ def statistics_of_samples(
     ------
     UsageError : fewer than two samples, another number of bands, or NaN.
     """
-    x = np.asarray(samples, dtype=float)
-    wrong = x.ndim != 2 or x.shape[0] < 2 or x.shape[1] != len(axis)
-    refuse(wrong, "class.samples", name=name, shape=x.shape, bands=len(axis))
-    sample = statistics_of(x)
+    sample = statistics_of(samples)
     return ClassStatistics(name, axis, sample.mean, sample.covariance, sample.n, source)
 
 

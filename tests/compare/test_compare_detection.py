@@ -129,25 +129,36 @@ def test_score_moments():
     rows, t = scores(ScoreDistribution(0.4, 0.1, 26)), stats.t.ppf(0.975, 25)
     difference, ratio = rows["score_mean_difference"], rows["score_sd_ratio"]
     assert (difference.value, difference.upper) == pytest.approx((0.1, 0.1 + t * 0.1 / np.sqrt(26)))
-    assert ratio.lower < ratio.value < ratio.upper
-    assert ratio.value == pytest.approx(2.0)
-    by_construction = scores(ScoreDistribution(1e-16, 0.1, 26))["score_mean_difference"]
-    assert np.isnan(by_construction.upper)  # 0 by construction of the filter: no chance is in it
+    # 0 by construction of the filter: no chance is in it.
+    assert np.isnan(scores(ScoreDistribution(1e-16, 0.1, 26))["score_mean_difference"].upper)
     own = scores(ScoreDistribution(0.4, 0.1, 26, mean_error=0.004, mean_bias=-0.01))["score_mean_difference"]
     assert (own.value, own.upper) == pytest.approx((0.09, 0.09 + t * 0.004))  # of pixels that the filter is made of
     assert scores(ScoreDistribution(0.4, 0.0, 1))["score_sd_ratio"].outcome is Outcome.SKIPPED
+    predicted = ScoreDistribution(0.5, 0.2, 26)  # of the same pixels, whose clusters both sides have
+    same = scores(ScoreDistribution(0.4, 0.1, 26, mean_error=0.9, sd_error=0.9)).values()
+    assert [row.upper for row in same] == pytest.approx([row.upper for row in rows.values()], nan_ok=True)
+    predicted = ScoreDistribution(0.5, 0.2, mean_error=0.03, sd_error=0.3)  # by its inputs
+    wide, wider = (scores(ScoreDistribution(0.4, 0.1, 26))[m] for m in ("score_mean_difference", "score_sd_ratio"))
+    assert wide.upper == pytest.approx(0.1 + np.hypot(t * 0.1 / np.sqrt(26), model.Z95 * 0.03))
+    assert np.log(wider.upper / 2.0) == pytest.approx(np.hypot(np.log(ratio.upper / 2.0), model.Z95 * 0.3))
 
 
-def test_sd_ratio_interval_covers():
-    # 1000 samples of 15: sd of the share 0.7 %, band 4 sd.
-    rng = np.random.default_rng(4)
-    hits = 0
-    for _ in range(1000):
-        x = rng.normal(0, 0.1, 15)
-        observed = ScoreDistribution(x.mean(), x.std(ddof=1), 15)
-        row = by_metric(compare.compare_scores(ScoreDistribution(0.0, 0.2), observed))["score_sd_ratio"]
-        hits += row.lower <= 2.0 <= row.upper
-    assert 0.92 < hits / 1000 < 0.98
+def clustered(rng):
+    common = np.kron(rng.normal(size=(9, 9)), np.ones((8, 8)))
+    return AlarmBlocks.of_map(0.3 + np.sqrt(0.5) * (common + rng.normal(size=(72, 72))), np.ones((72, 72), bool))
+
+
+def test_intervals_of_score_moments_cover():
+    # 1000 samples of 15 and 300 of clusters, which count as independent pixels hold 0.3 and 0.4: sd 0.7 and 1.3 %.
+    rng, truth = np.random.default_rng(4), {"score_mean_difference": 0.0, "score_sd_ratio": 1.0}
+    for seen in [lambda: AlarmBlocks.of_scores(rng.normal(0.3, 1.0, 15))] * 1000, [lambda: clustered(rng)] * 300:
+        hits = np.zeros(2)
+        for blocks in (make() for make in seen):
+            x, (mean, sd) = blocks.scores, blocks.moment_errors
+            observed = ScoreDistribution(x.mean(), x.std(ddof=1), x.size, mean_error=mean, sd_error=sd)
+            rows = compare.compare_scores(ScoreDistribution(0.3, 1.0), observed)
+            hits += [row.lower <= truth[row.metric] <= row.upper for row in rows if row.metric in truth]
+        assert np.all(np.abs(hits / len(seen) - 0.95) < 0.065), hits / len(seen)
 
 
 def test_every_subject_of_either_side_has_rows():
@@ -211,7 +222,7 @@ def test_no_alarm_at_all_still_has_an_upper_limit():
     t, b = np.arange(20) + 100.0, np.random.default_rng(0).normal(size=12_203)
     measured = with_summary(empirical_roc(t, b, unit="object", background_area_km2=KM2), t, b)
     row = roc(model_curve(9.0), measured)["far_measured@pd0.5"]
-    one_sided = model.zero_count_upper_limit(12_203) * 12_203 / KM2
+    one_sided = model.clopper_pearson(0, 12_203, 0.9)[1] * 12_203 / KM2
     assert (row.value, row.lower, row.upper >= one_sided) == (0.0, 0.0, True)
     assert f"at most {one_sided:.4g}" in row.reason
 

@@ -8,7 +8,7 @@ from scipy import stats
 
 from hyperval import compare
 from hyperval.errors import UsageError
-from hyperval.model import Z95, difference_ratio, difference_ratio_covariance, difference_ratio_uncertainty
+from hyperval.model import Z95, difference_ratio, difference_ratio_covariance
 from hyperval.products import EstimatedPart, SpectralEstimate
 from hyperval.results import Cause, Outcome, Result
 from hyperval.spectra import SpectralAxis, in_window
@@ -43,18 +43,6 @@ def test_ratio_covariance_by_monte_carlo():
     draws = (rng.multivariate_normal(side.mean, side.error_covariance, 40000) for side in (p, c))
     covariance = difference_ratio_covariance(p, c)
     assert np.cov(difference_ratio(*draws).T) == pytest.approx(covariance, rel=0.05)
-    u = difference_ratio_uncertainty(p.mean, c.mean, p.standard_uncertainty, c.standard_uncertainty)
-    assert u == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-12), "areas and figures, and the rows of spectra"
-
-
-def test_median_interval_covers():
-    # 41 bands, errors half common, half of each band: 2000 draws, sd of the share 0.005: four of them.
-    rng = np.random.default_rng(2)
-    covariance = 0.01**2 * (0.5 * np.ones((41, 41)) + 0.5 * np.eye(41))
-    draws = rng.multivariate_normal(np.full(41, 0.02), covariance, 2000)
-    limits = np.array([compare.summary_intervals(r, covariance)[0] for r in draws])
-    assert 0.93 < np.mean((limits[:, 0] <= 0.02) & (limits[:, 1] >= 0.02)) < 0.97
-    assert all(np.isnan(compare.summary_intervals(np.array([0.1, 0.2, 0.3]), np.zeros((3, 3)))[0]))
 
 
 def test_diagonal_and_full_agree_without_correlation():
@@ -214,10 +202,7 @@ def test_a_size_made_of_errors_alone_is_no_disagreement_and_a_true_one_is_held()
         low_of_nothing.append([ends[0] for ends in compare.summary_intervals(none, 0.0025 * c)[1:]])
         low, high = compare.summary_intervals(0.1 + 0.02 * rng.standard_normal(40), 0.0004 * c)[1]
         inside += low <= 0.1 <= high
-    median, greatest = np.array(low_of_nothing).T
-    # 95 % of 200 is 190, sd 3.1.
-    assert np.mean(median > 0.0) < 0.07
-    assert np.mean(greatest > 0.0) < 0.07
+    assert np.all(np.mean(np.array(low_of_nothing) > 0.0, axis=0) < 0.07)  # of the median, and of the greatest
     assert inside >= 186  # 95 % of 200 is 190, sd 3.1
 
 

@@ -75,14 +75,15 @@ def test_engine_error_grows_with_gas_absorption():
 
 def test_field_spectrum_error_from_its_file():
     surface = model.SurfaceStatistics(
-        "x", AXIS, np.full(10, 0.3), np.zeros((10, 10)), 16, "file", standard_deviation=np.full(10, 0.02)
-    )
+        "x", AXIS, np.full(10, 0.3), np.zeros((10, 10)), 16, "file", standard_deviation=np.full(10, 0.02),
+        sampled_deviation=(AXIS.centre_nm, np.full(10, 0.02)),
+    )  # fmt: skip
     spread = SpectrumUncertainty(subject="x", from_file=True)
     error = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")
-    assert model.spectrum_error_sd(spread, surface, AXIS) == pytest.approx(np.full(10, 0.02))
-    assert model.spectrum_error_sd(error, surface, AXIS) == pytest.approx(np.full(10, 0.02 / 4))
+    assert model.spectrum_error_rows(spread, surface)[0] == pytest.approx(np.full(10, 0.02))
+    assert model.spectrum_error_rows(error, surface)[0] == pytest.approx(np.full(10, 0.02 / 4))
     with pytest.raises(UsageError, match="how many spectra"):
-        model.spectrum_error_sd(error, replace(surface, n=None), AXIS)
+        model.spectrum_error_rows(error, replace(surface, n=None))
 
 
 def test_relative_covariance():

@@ -70,7 +70,7 @@ def few_pixels() -> Any:
         (lambda: Components(WEIGHTS, OFFSETS, TWO, 1.5), "exceed 2"),
         (lambda: builtin_class("lawn", AXIS), "unknown built-in surface"),
         (lambda: builtin_class("grey-panel-100", AXIS), "unknown built-in surface"),
-        (lambda: model.spectrum_error_sd(FROM_FILE, PANEL, AXIS), "no standard deviation"),
+        (lambda: model.spectrum_error_rows(FROM_FILE, PANEL), "no standard deviation"),
         (lambda: model.beta_fill(0.0, 0.1), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.5, 0.5), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.1, 0.31), "no fill fraction between 0 and 1 has mean"),

@@ -8,10 +8,11 @@ import pytest
 from scipy import stats
 from sklearn.covariance import ledoit_wolf
 
+from hyperval import model
 from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Origins, Sources, band_error_covariance, mean_error_covariance, predict, replicate_statistics
-from hyperval.scenario import Replicates, Scenario, SpectrumSource, Surface
+from hyperval.scenario import Replicates, Scenario, SpectrumSource, SpectrumUncertainty, Surface
 from hyperval.spectra import SpectralAxis, band_average
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860]), np.full(5, 10.0))
@@ -172,17 +173,17 @@ def test_errors_of_single_samples_partly_cancel_in_a_band():
     at = np.arange(400.0, 901.0)
     axis = SpectralAxis(np.arange(500.0, 580.0, 4.0), np.full(20, 6.0))
     u = 0.001 + 0.00001 * (at - 400.0)
-    rng = np.random.default_rng(12)
+    rng, nothing = np.random.default_rng(12), (np.zeros(20), np.zeros((20, 20)))
     for length in (1e-6, 40.0):
         c = np.outer(u, u) * np.exp(-0.5 * ((at[:, None] - at) / length) ** 2)
         values, vectors = np.linalg.eigh(c)
         drawn = rng.standard_normal((4000, at.size)) * np.sqrt(np.clip(values, 0, None)) @ vectors.T
         found = np.cov(band_average(at, drawn, axis), rowvar=False)
-        stated = band_error_covariance(at, u, length, axis)
+        own = SpectrumUncertainty(subject="x", from_file=True, correlation_nm=length)
+        rows = model.spectrum_error_rows(own, model.SurfaceStatistics("x", axis, *nothing, sampled_deviation=(at, u)))
+        stated = rows.T @ rows
         assert np.diag(stated) == pytest.approx(np.diag(found), rel=0.11)
         unit = np.sqrt(np.outer(np.diag(stated), np.diag(stated)))
         assert np.max(np.abs(stated - found) / unit) < 0.11
-    alone = band_error_covariance(at, u, 1e-6, axis)
-    assert np.all(np.sqrt(np.diag(alone)) < 0.5 * band_average(at, u, axis))  # what the plain average would say
-    wide = band_error_covariance(at, u, 1e6, axis)
+    wide = band_error_covariance(at, u, None, axis)
     assert np.sqrt(np.diag(wide)) == pytest.approx(band_average(at, u, axis), rel=1e-9)

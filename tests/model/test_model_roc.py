@@ -45,9 +45,7 @@ def test_points_of_the_curve_are_read_as_they_stand():
     assert model.detection_at(curve, curve.pfa) == pytest.approx(curve.pd, abs=0, rel=0)
     assert model.detection_at(curve, 1e-3, curve.pd_lower) == curve.pd_lower[6]
     assert np.isnan(model.detection_at(curve, [1e-7, 0.2])).all()
-
-
-def test_steps_of_a_measured_curve_that_have_no_probit():
+    # Steps of a measured curve that have no probit.
     curve = RocCurve(np.array([1e-3, 1e-2, 1e-1]), np.array([0.0, 0.5, 1.0]), *(np.zeros(3),) * 3)
     assert model.detection_at(curve, np.sqrt([1e-5, 1e-3])) == pytest.approx([0.25, 0.75])
     one = RocCurve(np.array([1e-2]), np.array([0.5]), *(np.zeros(1),) * 3)

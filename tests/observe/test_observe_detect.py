@@ -239,8 +239,10 @@ def test_areas_are_sums_of_scores_times_the_pixel_area(world):
     sd = scores[~near_targets()].std(ddof=1)
     assert area.standard_uncertainty == pytest.approx(sd * np.sqrt(9 / 2) * 4.0, rel=0.25)
     assert abs(area.area_m2 - 3.2) < 4.0 * area.standard_uncertainty
-    # The margin leaves out the pixels of neighbours.
-    world.text("targets.csv", target_rows({(10, 10): 0.8, (10, 11): 0.3}))
+    # The margin leaves out the pixels of neighbours; an object with a pixel that holds no data is not measured.
+    world.values[19, 19] = np.nan
+    world.write()
+    world.text("targets.csv", target_rows({(10, 10): 0.8, (10, 11): 0.3, (20, 20): 0.8}))
     seen = world.observe()
     scores, area = seen.detected.score_maps["paint-cem"], seen.observation.abundance["fill 0.8", "cem"]
     assert (area.n, area.area_m2) == (8, pytest.approx(4.0 * (scores[9:12, 9:12].sum() - scores[10, 11]), rel=1e-12))
@@ -272,9 +274,10 @@ def test_invalid_pixels_have_no_score_and_count_nowhere(world):
     seen = world.observe()
     scores, observation = seen.detected.score_maps["paint-cem"], seen.observation
     assert np.argwhere(np.isnan(scores)).tolist() == [[20, 20], [25, 25]]
-    counted = observation.scores["fill 0.3", "cem"].n, observation.roc["fill 0.3", "cem", "object"].n_target
-    assert counted == (2, 2)
-    assert observation.scores[background_of("fill 0.3"), "cem"].n == (~near_targets()).sum() - 1
+    curve, n = observation.roc["fill 0.3", "cem", "object"], (~near_targets()).sum() - 1
+    counted = [observation.scores[name, "cem"].n for name in ("fill 0.3", background_of("fill 0.3"))]
+    # The ground that was looked at is that of pixels with a score, of 2 m.
+    assert [*counted, curve.n_target, curve.background_area_km2] == [2, n, 2, pytest.approx(4e-6 * n)]
 
 
 def test_two_spectra_of_one_material(world):
@@ -302,7 +305,9 @@ def test_mean_score_has_its_own_error_where_the_filter_is_made_of_the_pixels_it_
     assert 0.0 < same.mean_error < same.sd / same.n**0.5
     assert abs(same.mean_bias) < same.mean_error
     world.detection["background"] = ["corner"]
-    assert np.isnan(world.observe().observation.scores[background_of("fill 0.8"), "cem-correlation"].mean_error)
+    other = world.observe().observation.scores[background_of("fill 0.8"), "cem-correlation"]
+    assert np.isnan(other.mean_bias)
+    assert other.mean_error > same.mean_error
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from scipy.special import logit
 from scipy.stats import norm
 
 from hyperval import model, pixels
-from hyperval.model import WHOLE, RocArea, bounded_mean_limits, clopper_pearson, mid_p_limits
+from hyperval.model import WHOLE, RocArea, mid_p_limits
 from hyperval.products import RocCurve
 
 # Empirical ROC, its areas and alarms: brute force, definitions, closed forms and coverage.
@@ -181,12 +181,6 @@ def test_areas_are_those_of_scikit_learn(decimals):
         part = metrics.roc_auc_score(truth, scores, max_fpr=0.1)
         area, ours = (2 * part - 1) * (1 - 0.05) + 0.05, pixels.roc_area(pixels.counts_of(t, b), RocArea(0.0, 0.1))
         assert 0.1 * ours == pytest.approx(0.1 * area, rel=1e-12, abs=1e-15)
-
-
-def test_limits_of_a_bounded_mean_are_the_binomial_ones_of_noughts_and_ones():
-    assert bounded_mean_limits([1.0] * 7 + [0.0] * 3) == pytest.approx([float(x) for x in clopper_pearson(7, 10)])
-    low, high = bounded_mean_limits([0.2, 0.9, 0.5])
-    assert 0.0 < low < 1.6 / 3 < high < 1.0
 
 
 # Intervals of proportions, and of alarms that come in clusters.

@@ -48,7 +48,7 @@ def radiometric_rows() -> list[str]:
 
     def pixel(form: str) -> np.ndarray:
         return target_pixel_covariance(
-            FILL, FILL_SD**2, plank.mean, plank.covariance, host.mean, host.covariance, formulation=form
+            FILL, (form == "corrected") * FILL_SD**2, plank.mean, plank.covariance, host.mean, host.covariance
         )  # type: ignore[arg-type]
 
     mixed = FILL * plank.mean + (1 - FILL) * host.mean

@@ -130,7 +130,7 @@ def test_3_12_by_hand():
     found = target_pixel_covariance(0.4, 0.01, [0.6], [[1e-4]], [0.1], [[2e-4]], **common)
     assert found == pytest.approx(np.array([[2.756e-3]]), rel=1e-12)
     # Printed: 0.16 * 2e-4 + 0.36 * 6e-4 = 2.48e-4
-    printed = target_pixel_covariance(0.4, 0.01, [0.6], [[1e-4]], [0.1], [[2e-4]], formulation="thesis", **common)
+    printed = target_pixel_covariance(0.4, 0.0, [0.6], [[1e-4]], [0.1], [[2e-4]], **common)
     assert printed == pytest.approx(np.array([[2.48e-4]]), rel=1e-12)
 
 
@@ -147,7 +147,7 @@ def test_3_12_by_monte_carlo():
     batches = np.array([np.cov(part.T) for part in x.reshape(200, -1, 2)])
     z = (batches.mean(axis=0) - expected) / (batches.std(axis=0, ddof=1) / np.sqrt(200))
     assert np.abs(z).max() < 5
-    printed = target_pixel_covariance(fill.mean, fill.variance, target, s_t, host, s_h, formulation="thesis")
+    printed = target_pixel_covariance(fill.mean, 0.0, target, s_t, host, s_h)
     assert expected[0, 0] / printed[0, 0] > 5  # the variance of the fill dominates at this contrast
 
 

@@ -289,6 +289,12 @@ class Causes:
         >>> found = causes(block("scores", 0.1, 0.9, 0.4), rarer=three).changed(told, simulated=False)
         >>> found.first, found.enough, asked
         ('date', True, ['haze', 'date'])
+
+        And none of it where there is nothing to explain:
+
+        >>> tried, none = causes(block("scores", 0.1, 0.9, 0.4), rarer=three), np.zeros(3)
+        >>> tried.or_rarer(none, np.arange(3), none + 1.0, {}).first, asked
+        ('nothing to explain', ['haze', 'date'])
         """
         sides = {name: [np.array(text.split(), dtype=float) for text in texts] for name, texts in told.items()}
         shared = self.stack.shared_with({name: bands for name, (bands, *_) in sides.items()})
@@ -358,7 +364,7 @@ class Causes:
         """What explains a change; where no single cause is enough, what is rarer too."""
         found = self.explained_change(moved, of, level, columns)
         for more in self.rarer:
-            if found.enough and len(found.best.causes) == 1:
+            if found.first == NOTHING or (found.enough and len(found.best.causes) == 1):
                 break
             if further := more():
                 columns = {**columns, **further}

@@ -389,8 +389,7 @@ def _scores(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
         # of its targets.
         if there is not None and there.sd > 0 and usable and not few_objects(observed, *key) and same not in seen:
             seen.add(same)
-            # Of n normal scores: s^2/n and 1/(2 (n - 1)).
-            variances = [score.sd**2 / n + SCORE_FLOOR**2, 0.5 / (n - 1) + LOG_FLOOR**2]
+            variances = score.errors(there) ** 2 + [SCORE_FLOOR**2, LOG_FLOOR**2]
             yield ResidualBlock("scores", *key, _moments(key, observed), np.diag(variances), partial(_moments, key))
 
 

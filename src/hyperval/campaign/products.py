@@ -133,7 +133,7 @@ LEAST_APART = 0.01  # of the greatest reflectance: spectra that lie nearer are o
 def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
     """Warnings where texture is in a measured signal-to-noise ratio, and not in the predicted one."""
     for region in side.campaign.collection.snr_regions:
-        part = snr_beside_texture(prediction, region)
+        part = float(np.median(snr_beside_texture(prediction, region)))
         if part < LEAST_OF_NOISE:
             words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
             yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
@@ -431,7 +431,7 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
     """
 
     def of_noise(seen: Products) -> Products:
-        kept = {s: e for s, e in seen.snr.items() if snr_beside_texture(prediction, s) >= LEAST_OF_NOISE}
+        kept = {s: e for s, e in seen.snr.items() if np.median(snr_beside_texture(prediction, s)) >= LEAST_OF_NOISE}
         return replace(seen, snr=kept)
 
     observation = of_noise(side.observed.observation)

@@ -15,7 +15,7 @@ from hyperval.compare.rows import Interval, named, of_sides, row, said, scientif
 from hyperval.compare.spectra import noncentrality
 from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
-from hyperval.model import Z95, clopper_pearson, zero_count_upper_limit
+from hyperval.model import Z95, clopper_pearson
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at, log10_false_alarm_at
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
 from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution
@@ -27,12 +27,13 @@ ROUNDING = 1e-9  # of a score's standard deviation; chance leaves a mean as smal
 def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) -> Iterator[Result]:
     """Rows ``score_mean_predicted``, ``score_mean_observed``, ``score_mean_difference``, ``score_sd_ratio``.
 
-    The difference (predicted - observed) has the interval of the observed mean, s/sqrt(n) with Student's t, or its
-    own error where the filter was made of the pixels it scores; their bias is taken off the observed mean there;
-    the ratio is predicted over observed, p/s: (n - 1) s^2/sigma^2 follows chi-square, so that p/sigma lies between
-    p/s sqrt(chi2_a/(n - 1)) and the same with chi2_(1 - a).  Scores of one object's pixels are correlated, and then
-    both intervals are too narrow: give n as the number of independent pixels.  A mean that is 0 to rounding is that of
-    a matched filter on the pixels it was made of: it is 0 whatever they are, says nothing, and has no interval.
+    The difference (predicted - observed) has the interval of the observed mean, its stated error or s/sqrt(n) with
+    Student's t, and in quadrature that of the predicted one; the bias of the observed mean is taken off.
+    The ratio is predicted over observed, p/s: k s^2/sigma^2 follows chi-square with k = 1/(2 u^2), u the stated error
+    of s as a part of it, or n - 1, so that p/sigma lies between p/s sqrt(chi2_a/k) and the same with chi2_(1 - a); the
+    predicted error widens that in the logarithm.  Without stated errors give n as the number of independent pixels.
+    A mean that is 0 to rounding is that of a matched filter on the pixels it was made of: it is 0 whatever they are,
+    says nothing, and has no interval.
 
     Examples
     --------
@@ -41,17 +42,17 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
     [('score_mean_predicted', 1.0), ('score_mean_observed', 0.9), ('score_mean_difference', 0.1),
     ('score_sd_ratio', 0.8)]
     """
-    n, half, bias = observed.n, math.nan, float(np.nan_to_num(observed.mean_bias))
-    if n is not None and n >= 2 and abs(observed.mean) > ROUNDING * observed.sd:
-        error = observed.sd / math.sqrt(n) if math.isnan(observed.mean_error) else observed.mean_error
-        half = float(scipy.stats.t.ppf(0.975, n - 1)) * error
-    yield row("score_mean_predicted", predicted.mean, n=predicted.n)
+    n, bias, (error, part) = observed.n, float(np.nan_to_num(observed.mean_bias)), observed.errors(predicted)
+    half = float(scipy.stats.t.ppf(0.975, (n or 1) - 1)) * error
+    half = half if abs(observed.mean) > ROUNDING * observed.sd else math.nan
+    wide = Z95 * np.nan_to_num([predicted.mean_error, predicted.sd_error])
+    yield row("score_mean_predicted", predicted.mean, half=Z95 * predicted.mean_error, n=predicted.n)
     yield row("score_mean_observed", observed.mean, half=half, n=n)
-    yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=half, n=n)
-    if observed.sd > 0 and n is not None and n >= 2:
-        ratio = predicted.sd / observed.sd
-        ends = ratio * np.sqrt(scipy.stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
-        yield row("score_sd_ratio", ratio, ends.tolist(), n=n)
+    yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=math.hypot(half, wide[0]), n=n)
+    if observed.sd > 0 and part > 0:
+        ratio, dof = predicted.sd / observed.sd, max(0.5 / part**2, 1.0)
+        sides = np.hypot(0.5 * np.log(scipy.stats.chi2.ppf([0.025, 0.975], dof) / dof), wide[1])
+        yield row("score_sd_ratio", ratio, (ratio * np.exp([-1.0, 1.0] * sides)).tolist(), n=n)
     else:
         yield from without("few_pixels.scores", "score_sd_ratio")
 
@@ -357,8 +358,8 @@ def compare_object_scores(
         yield from named(_of_subject(predicted[name], scores), "scores", name, method)
     lost = ", ".join(name for name, scores in found.items() if not scores.size)
     common = {name: scores for name, scores in found.items() if scores.size}
-    together = judged_together(predicted, common, f"; without {lost}" if lost else "")
-    yield from named(together, "scores", EVERY_OBJECT, method)
+    note = f"; without {lost}" if lost else ""
+    yield from named(judged_together(predicted, common, note), "scores", EVERY_OBJECT, method)
 
 
 def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
@@ -371,11 +372,12 @@ def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
         low, middle, high = (float(x) for x in np.quantile(model.values, [0.025, 0.5, 0.975]))
         (u,) = probability_integral_transform(scores, model.values)
         why = f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}"
-        about = Effect(float(scipy.special.ndtri(u)))
         yield row("object_score_measured", scores[0], n=1)
         yield row("object_score_predicted", middle, (low, high))
         yield row("object_score_pit", u, n=1)
-        yield row("object_score_inside_95", float(central(u)), n=1, reason=why, about=about)
+        yield row(
+            "object_score_inside_95", float(central(u)), n=1, reason=why, about=Effect(float(scipy.special.ndtri(u)))
+        )
 
 
 def ratio_limits(a: float, ua: float, b: float, ub: float) -> Interval:
@@ -569,7 +571,7 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
         if math.isnan(density):
             yield from without("no_ground_area.background", name("measured"))
             continue
-        at_most = zero_count_upper_limit(observed.n_background) * density if observed.n_background else math.nan
+        at_most = float(clopper_pearson(0, n, 0.9)[1]) * density if (n := observed.n_background) else math.nan
         why = said("far_measured", point=point, observed=observed, density=density, at_most=at_most)
         ends = point.pfa_lower * density, point.pfa_upper * density
         measured = row(name("measured"), point.pfa * density, ends, n=observed.n_target, reason=why)

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy
@@ -269,8 +269,7 @@ def tail_probability(row: Result) -> float:
 def _of_test(row: Result, level: float) -> Judgement:
     known = metric_of(row.metric)
     if tail_probability(row) < level:
-        wide = known.two_sided and row.value > 0.5
-        return Outcome.DISAGREES, Cause.TOO_WIDE if wide else Cause.NONE
+        return Outcome.DISAGREES, Cause.TOO_WIDE if known.two_sided and row.value > 0.5 else Cause.NONE
     if not row.detectable <= known.alternative:
         return Outcome.UNDECIDED, Cause.NO_POWER
     return Outcome.AGREES, Cause.NONE
@@ -445,9 +444,8 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(bad), n)[1])
     what = said("pooled", good=good, n=n, limit=gate.limit_text, undecided=undecided, bad=bad, whole=COMPARISON)
     names = "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction"
-    row = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, reason=what)
-    least = gate.fraction_at_least
-    row = replace(row, evidence=metric_of(gate.metric).evidence, set_after=gate.chosen_after)
+    how: dict[str, Any] = {"evidence": metric_of(gate.metric).evidence, "set_after": gate.chosen_after, "reason": what}
+    row, least = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, **how), gate.fraction_at_least
     out = _concluded(row, (least, math.inf), gate.reason)
     if out.outcome is Outcome.UNDECIDED and float(clopper_pearson(n, n)[0]) < least:
         out = replace(out, cause=Cause.NEVER)

@@ -56,8 +56,7 @@ def product_rows(products: Products, side: str) -> Iterator[Result]:
         if subject == ANOMALIES and exceedance.n is not None:  # no target is looked for
             yield from named(_thresholds(exceedance, exceedance.n), "scores", subject, detector)
     for key, area in products.abundance.items():
-        one = row("area", area.area_m2, half=Z95 * area.standard_uncertainty, n=area.n)
-        yield from named([one], "abundance", *key)
+        yield from named([row("area", area.area_m2, half=Z95 * area.standard_uncertainty, n=area.n)], "abundance", *key)
     for subject, distribution in products.distribution.items():
         yield from named(covariance.compare_distribution(None, distribution), "covariance", subject, "pixels")
     for key, errors in products.classification.items():
@@ -131,8 +130,13 @@ def compare_products(
         """Rows of every key of one field; a key is a subject, or a subject with a method and what it counts."""
         for key, p, o in _pairs(getattr(predicted, field), getattr(observed, field)):
             subject, name = (key, method) if isinstance(key, str) else (key[0], "/".join(key[1:]))
+            part = 1.0
+            if field == "snr" and o is not None:
+                beside = spectra.snr_beside_texture(predicted, subject)
+                # What texture takes of the estimate, as the model has it, takes it in all bands at once.
+                part, taken = float(np.median(beside)), (1.0 - beside) * np.nan_to_num(o.mean)
+                o = replace(o, error_covariance=o.error_covariance + np.outer(taken, taken))
             rows = compare(p, o, **options) if p is not None and o is not None else absent(field, subject, p, o)
-            part = spectra.snr_beside_texture(predicted, subject) if field == "snr" and o is not None else 1.0
             textured = part < spectra.LEAST_OF_NOISE
             yield from named(without("texture.snr", part=part) if textured else rows, field, subject, name)
 

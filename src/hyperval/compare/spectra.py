@@ -570,24 +570,23 @@ STATED_COVERAGE = 2.0
 LEAST_OF_NOISE = 0.9  # of the sensor's signal-to-noise ratio, which texture takes beyond what its estimate allows for
 
 
-def snr_beside_texture(predicted: Products, subject: str) -> float:
-    """Part of the sensor's SNR that its estimate from an image is expected to show, as texture counts as noise there.
+def snr_beside_texture(predicted: Products, subject: str) -> Array:
+    """(B,) part of the sensor's SNR that its estimate from an image is expected to show: texture counts as noise there.
 
-    Below ``LEAST_OF_NOISE`` what is measured is not what is predicted.  1 where no spread is predicted, or too few
-    bands tell.
+    Where its median is below ``LEAST_OF_NOISE`` what is measured is not what is predicted.  1 where no spread is
+    predicted, or too few bands tell.
 
     >>> axis, flat = SpectralAxis(np.arange(500.0, 900.0, 100.0), 10.0), np.full(4, 100.0)
     >>> class_, panel = (SpectralEstimate(flat, np.eye(4), c) for c in (26.0 * np.eye(4), None))
     >>> snr = {s: SpectralEstimate(flat, np.eye(4)) for s in ("field", "panel")}
     >>> products = Products(axis, radiance={"field": class_, "panel": panel}, snr=snr)
-    >>> [round(snr_beside_texture(products, s), 2) for s in ("field", "panel")]
-    [0.2, 1.0]
+    >>> [snr_beside_texture(products, s).round(2).tolist() for s in ("field", "panel")]
+    [[0.2, 0.2, 0.2, 0.2], [1.0, 1.0, 1.0, 1.0]]
     """
     seen, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
     if seen is None or noise is None or seen.pixel_covariance is None or seen.mean.size < 3:
-        return 1.0
-    part = np.nanmedian(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean)
-    return float(np.nan_to_num(part, nan=1.0))
+        return np.ones(len(predicted.axis))
+    return np.fmin(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean, 1.0)
 
 
 def compare_spectra(
@@ -631,7 +630,7 @@ def compare_spectra(
         if region.any() or name == "windows":  # what the sensor does not see was not planned
             yield from _summary(name, ratio, covariance, usable & region)
     if window.any():
-        yield from _consistency(predicted, observed, window, axis.centre_nm)
+        yield from _consistency(predicted, observed, window, axis.centre_nm, ratio, covariance)
     else:
         yield from without("no_bands.region", *_TESTS, "spectral_angle", region="windows")
     if product == "radiance":
@@ -687,9 +686,12 @@ _TESTS = (
 
 
 def _consistency(
-    predicted: SpectralEstimate, observed: SpectralEstimate, window: Mask, centre_nm: Array
-) -> Iterator[Result]:
-    """Rows over the windows: every test of the two spectra, and the angle between them."""
+    predicted: SpectralEstimate, observed: SpectralEstimate, window: Mask, centre_nm: Array, ratio: Array, errors: Array
+) -> Iterator[Result]:  # fmt: skip
+    """Rows over the windows: every test of the two spectra, and the angle between them.
+
+    ``ratio``, ``errors`` : (B,) differences and their covariance
+    """
     here, count = np.ix_(window, window), int(window.sum())
     p, o = predicted.mean[window], observed.mean[window]
     r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[here]
@@ -706,10 +708,9 @@ def _consistency(
         yield from _test_rows("diagonal", chi_square_diagonal(r, cov))
         yield from _test_rows("full", full, tilts[0], why)
         # A mean by the inverse covariance lies outside of all its data where shapes differ (Chiba & Smith 1991).
-        ratio, errors = difference_ratio(p, o), difference_ratio_covariance(predicted, observed)[here]
-        use = np.isfinite(ratio)
-        bias = float(ratio[use].sum()) / (np.count_nonzero(use) or math.nan)
-        yield row("bias_ratio", bias, half=half_of_mean(errors[np.ix_(use, use)]), n=int(np.count_nonzero(use)))
+        use = np.flatnonzero(window & np.isfinite(ratio))
+        bias, half = float(ratio[use].sum()) / (use.size or math.nan), half_of_mean(errors[np.ix_(use, use)])
+        yield row("bias_ratio", bias, half=half, n=use.size)
         yield from _test_rows("shape", chi_square_shape(r, o, tested), tilts[1])
         inside, limits = share_inside(r, cov)
         yield row("fraction_inside_95", inside, limits, n=count)

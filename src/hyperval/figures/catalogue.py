@@ -34,7 +34,7 @@ from hyperval.figures.spec import (
     robust_limits,
     single,
 )
-from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio, difference_ratio_uncertainty
+from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio
 from hyperval.pixels import EigenDirections, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable, grouped
@@ -166,7 +166,7 @@ def _view(
     if differ and len(known) == 2:
         (p, up), (m, um) = known
         gap = difference_ratio(p, m) if ratio else p - m
-        u = difference_ratio_uncertainty(p, m, up, um) if ratio else np.hypot(up, um)
+        u = np.hypot(up, (gap + 1.0) * um) / m if ratio else np.hypot(up, um)
         columns, below = {"x": axis.centre_nm, "y": gap, "half": Z95 * u}, f"difference{' ratio' * ratio}"
         parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
         if np.isfinite(gap[keep]).any():

@@ -69,7 +69,7 @@ from .inputs import (
     inputs_of,
     number_input,
     spectral_input,
-    spectrum_error_sd,
+    spectrum_error_rows,
     together,
 )
 from .intervals import (
@@ -79,11 +79,9 @@ from .intervals import (
     clopper_pearson,
     difference_ratio,
     difference_ratio_covariance,
-    difference_ratio_uncertainty,
     jackknife_directions,
     jeffreys_limits,
     mid_p_limits,
-    zero_count_upper_limit,
 )
 from .objects import HOST, PLACE, Shares, shares_of
 from .radiance import (
@@ -216,7 +214,6 @@ __all__ = [
     "detection_probability",
     "difference_ratio",
     "difference_ratio_covariance",
-    "difference_ratio_uncertainty",
     "direct_slope",
     "directions",
     "drawn_truths",
@@ -281,7 +278,7 @@ __all__ = [
     "shares_of",
     "spectral_input",
     "spectral_matched_filter",
-    "spectrum_error_sd",
+    "spectrum_error_rows",
     "target_pixel_covariance",
     "target_pixel_reflectance",
     "thresholds_at",
@@ -301,5 +298,4 @@ __all__ = [
     "with_truths",
     "with_values",
     "without_calibration_error",
-    "zero_count_upper_limit",
 ]

@@ -201,6 +201,7 @@ class Evaluation(Keeps):
         self.usable = usable_bands(self.at, self.light)
         self.kept: dict[Any, Any] = {}
         self.probits: dict[RocKey, Array] = {}
+        self.moments: dict[tuple[str, str], Array] = {}
         self.problems: dict[int, UsageError] = {}
 
     def __len__(self) -> int:
@@ -466,6 +467,11 @@ class AceScores(NamedTuple):
         """Area under the ROC (n,), or another."""
         return np.array([roc.curve_area(curve, area) for curve in self.curves])
 
+    @property
+    def moments(self) -> Array:
+        """(2, n, 2) mean and standard deviation of the scores of target pixels, and of the background."""
+        return np.array([[x.moments for x in each] for each in (self.scored, [p.background for p in self.pixels])])
+
     def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, None]]:
         """How the background scores in some truths, by draws; the preset P_FA of (3.30) is not known."""
         return [(_distribution(self.pixels[u].background), None) for u in at]
@@ -602,7 +608,8 @@ def detect(
     e: Evaluation, *, object_curves: bool = True, densities: bool = True, points: Sequence[int] = (0,),
     spectra: Sequence[PredictedProducts] = (),
 ) -> list[PredictedProducts]:  # fmt: skip
-    """Scores and ROC curves of all target populations (3.22-3.33) of some truths; the P_D of all into ``e.probits``.
+    """Scores and ROC curves of all target populations (3.22-3.33) of some truths; the P_D of all into ``e.probits``,
+    mean and spread of their scores into ``e.moments``.
 
     ``densities`` : also those of the scores;  ``spectra`` : predictions of these truths that they are put into; none:
     they stand alone
@@ -612,6 +619,8 @@ def detect(
     UsageError : no filter, as the background can not be inverted.
     """
     processing, pfa, at = e.scenario.processing, e.pfa, np.array(points)
+    counts = [e.stated.surfaces[c].n or 0 for c in e.stated.classes]
+    n = sum(counts) if e.stated.of_pixels[: len(counts)].all() else None
     out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
     for target in e.targets:
         for name in processing.detectors:
@@ -630,10 +639,11 @@ def detect(
                     key, e.probits[population, name, unit] = (population, name, unit), roc.probit(curves)
                     for products, u, (_, preset) in zip(out, points, behind, strict=True):
                         products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
-                of_target = own.target(at, densities=densities)
-                for products, scored, (of_background, _) in zip(out, of_target, behind, strict=True):
+                e.moments[population, name], e.moments[background_of(population), name] = own.moments
+                each = zip(out, own.target(at, densities=densities), behind, strict=True)
+                for products, scored, (of_background, _) in each:
                     products["scores"][population, name] = scored
-                    products["scores"][background_of(population), name] = of_background
+                    products["scores"][background_of(population), name] = replace(of_background, n=n)
             for products, u in zip(out, points, strict=True):
                 if isinstance(own, AceScores):
                     text = f"{name} of {target.name}: {processing.samples} draws per class; {own.note(u)}"

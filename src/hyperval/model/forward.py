@@ -609,18 +609,15 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
     shade = radiance.target_light(world, light, t)[2].ravel()
     own = _of_surface(world, target.name)[0] * np.outer(shade, shade)
     host, (behind, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
-    fills, weights = world.pixel_fills[number].values[0], world.pixel_fills[number].weights[0]
-    fill, fine = float(weights @ fills), world.column("fine_texture")[0, world.surface(target.name)]  # E[f] of (3.12)
-    variance = float(weights @ (fills - fill) ** 2)
-    parts = {target.host: weights @ (1.0 - fills) ** 2, target.name: weights @ (fills**2 + fine * (fills - fills**2))}
+    fills, fine = world.pixel_fills[number], world.column("fine_texture")[0, world.surface(target.name)]
+    f2, g2 = fills.mean**2 + fills.variance, (1.0 - fills.mean) ** 2 + fills.variance  # of (3.12)
     covariance = radiance.target_pixel_covariance(
-        fill, variance, full[target.name], own, host, behind,
-        target_gain=float(world.column("target_gain")[0, t]),
-        fine_texture=fine, formulation=stated.scenario.formulation,
+        fills.mean, fills.variance, full[target.name], own, host, behind,
+        target_gain=float(world.column("target_gain")[0, t]), fine_texture=fine,
     )  # fmt: skip
     shares = shares_at(world, number)
     errors = {} if shares is None else shares[0][shares[1][0]].errors(full, host, behind)
-    return covariance, gain, errors, parts
+    return covariance, gain, errors, {target.host: g2, target.name: f2 + fine * (fills.mean - f2)}
 
 
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:
@@ -764,7 +761,11 @@ def _prediction(
         prediction = with_law_errors(prediction, e, origins, truth)
     z = joined(((index, part.probits) for index, part in parts), every.size)
     up, down = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
-    return prediction, {key: (x[up] - x[0], x[down] - x[0]) for key, x in z.items()}
+    known = dict(prediction.scores)
+    for key, x in joined(((index, part.moments) for index, part in parts if moves), every.size).items():
+        mean, sd = np.sqrt(((0.5 * (x[up] - x[down])) ** 2).sum(axis=0)).tolist()
+        known[key] = replace(known[key], mean_error=mean, sd_error=sd / max(known[key].sd, 1e-300))
+    return replace(prediction, scores=known), {key: (x[up] - x[0], x[down] - x[0]) for key, x in z.items()}
 
 
 def _distribution(world: World, number: int) -> PixelDistribution:

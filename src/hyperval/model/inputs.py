@@ -15,7 +15,7 @@ import numpy as np
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.model.stated import SurfaceStatistics, Truth, correlation
+from hyperval.model.stated import SurfaceStatistics, Truth, band_error_covariance, correlation
 from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, SURROUNDINGS, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
@@ -77,20 +77,22 @@ def _arms(axis: SpectralAxis, sensor: Sensor | None) -> Mask:
     return np.asarray(inside & (np.cumsum(inside, axis=0) == 1))
 
 
-def spectrum_error_sd(item: SpectrumUncertainty, surface: SurfaceStatistics, axis: SpectralAxis) -> Array:
-    """Standard uncertainty (B,) of the field spectrum of one subject [1].
+def spectrum_error_rows(item: SpectrumUncertainty, surface: SurfaceStatistics, sensor: Sensor | None = None) -> Array:
+    """(K, B) directions of the error of the field spectrum of one subject [1].
 
     Raises
     ------
     UsageError : the file carries no standard deviation, or no n for a standard error.
     """
     if not item.from_file:
-        mean = np.nan_to_num(surface.mean)
-        return np.full(len(axis), item.absolute) if item.absolute else np.asarray((item.relative or 0.0) * mean)
-    deviation = needed(surface.standard_deviation, "uncertainty.deviation", subject=item.subject)
+        sd = (item.absolute or 0.0) + (item.relative or 0.0) * np.nan_to_num(surface.mean)
+        return directions(sd, item, surface.axis, sensor)
+    deviation = needed(surface.sampled_deviation, "uncertainty.deviation", subject=item.subject)
     n = (surface.n or 0) if item.divisor == "standard_error" else 1
     refuse(not n, "uncertainty.count", subject=item.subject)
-    return np.asarray(np.nan_to_num(deviation) / np.sqrt(n))
+    if item.correlation_nm is not None:
+        return covariance_directions(band_error_covariance(*deviation, item.correlation_nm, surface.axis) / n)
+    return directions(np.asarray(surface.standard_deviation) / np.sqrt(n), item, surface.axis, sensor)
 
 
 Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
@@ -258,8 +260,8 @@ def spectrum_inputs(world: World) -> Iterator[UncertainInput]:
         number[subject] = number.get(subject, 0) + 1
         name = field_spectrum_of(subject) + ("" if number[subject] == 1 else f" ({number[subject]})")
         surface = replace(world.stated.surfaces[subject], mean=world.mean[0, world.surface(subject)])
-        sd = spectrum_error_sd(item, surface, world.stated.axis)
-        yield spectral_input(world, name, "surface", f"surfaces.[{subject}].mean", sd, item)
+        rows, path = spectrum_error_rows(item, surface, world.stated.sensor), f"surfaces.[{subject}].mean"
+        yield number_input(world, name, "surface", path, 0.0, words=form_in_words(item), rows=rows)
     for subject, surface in world.stated.surfaces.items():
         if subject not in number and surface.mean_error is not None:
             rows = covariance_directions(np.nan_to_num(surface.mean_error))

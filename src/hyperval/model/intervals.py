@@ -53,6 +53,8 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
     >>> low, high = clopper_pearson(15, 20)
     >>> print(f"{low:.3f} {high:.3f}")
     0.509 0.913
+    >>> bool(clopper_pearson(0, 12203, 0.9)[1] < 2.5e-4)  # no event: one-sided 95 %, 1 - 0.05^(1/total)
+    True
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
     _check(k, n)
@@ -133,18 +135,6 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
     return lower[at].reshape(counts.shape), upper[at].reshape(counts.shape)
 
 
-def zero_count_upper_limit(total: int) -> float:
-    """One-sided 95 % upper limit of a probability after no event in ``total`` trials: 1 - 0.05^(1/total).
-
-    Examples
-    --------
-    >>> zero_count_upper_limit(12203) < 2.5e-4
-    True
-    """
-    _check(np.asarray(0.0), np.asarray(float(total)))
-    return float(-np.expm1(np.log(0.05) / total))
-
-
 def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[float, float]:
     """Limits of the mean of a population within [0, 1], of which values (m,) were drawn; nothing else is assumed.
 
@@ -180,23 +170,6 @@ def difference_ratio(predicted: npt.ArrayLike, collected: npt.ArrayLike) -> Arra
     """
     p, c = np.asarray(predicted, dtype=float), np.asarray(collected, dtype=float)
     return np.where(c > 0, p - c, np.nan) / np.where(c > 0, c, 1.0)
-
-
-def difference_ratio_uncertainty(
-    predicted: npt.ArrayLike, collected: npt.ArrayLike, u_predicted: npt.ArrayLike, u_collected: npt.ArrayLike
-) -> Array:
-    """(B,) standard uncertainty of the difference ratio, to first order: hypot(u_p, p/c u_c)/c.
-
-    The root of the diagonal of :func:`difference_ratio_covariance`.  Source: JCGM 100:2008, 5.1.
-
-    Examples
-    --------
-    >>> difference_ratio_uncertainty([1.0, 1.0], [1.0, 0.0], [0.03, 0.03], [0.04, 0.04]).round(3).tolist()
-    [0.05, nan]
-    """
-    p, c = np.asarray(predicted, dtype=float), np.asarray(collected, dtype=float)
-    c = np.where(c > 0, c, np.nan)
-    return np.asarray(np.hypot(u_predicted, p / c * np.asarray(u_collected)) / c)
 
 
 def difference_ratio_covariance(predicted: SpectralEstimate, collected: SpectralEstimate) -> Array:

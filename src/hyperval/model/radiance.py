@@ -214,7 +214,6 @@ def target_pixel_covariance(
     target_gain: float = 1.0,
     host_gain: float = 1.0,
     fine_texture: float = 0.0,
-    formulation: Formulation = "corrected",
 ) -> Array:
     """Reflectance covariance of pixels partly filled by the target (3.12, extended to random fill).
 
@@ -233,15 +232,13 @@ def target_pixel_covariance(
     -------
     (B, B)
     """
-    variance = fill_variance if formulation == "corrected" else 0.0
-    f2 = fill_mean**2 + variance  # E[f^2]
+    f2, g2 = fill_mean**2 + fill_variance, (1.0 - fill_mean) ** 2 + fill_variance  # E[f^2], E[(1-f)^2]
     f2 += fine_texture * (fill_mean - f2)
-    g2 = (1.0 - fill_mean) ** 2 + variance  # E[(1-f)^2]
     result = (f2 * target_gain) * np.asarray(target_covariance, dtype=float)
     result += (g2 * host_gain) * np.asarray(host_covariance, dtype=float)
     d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
-    if variance or not np.all(np.isfinite(d)):  # a band without a mean has no covariance either
-        result += np.outer(variance * d, d)
+    if fill_variance or not np.all(np.isfinite(d)):  # a band without a mean has no covariance either
+        result += np.outer(fill_variance * d, d)
     return np.asarray(result)  # (3.12)
 
 

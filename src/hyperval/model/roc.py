@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 import numpy.typing as npt
@@ -546,11 +546,16 @@ class RocScores:
 
     def target(self, at: Index, *, densities: bool) -> list[ScoreDistribution]:
         """How the target pixels score in some evaluations."""
-        first, which = distinct([self.which[at], self.means[at], self.sds[at], self.weights[at]], at.size)
-        some = self.rows(at[first])
-        moments = some.weights, some.means, some.sds
-        distributions = score_distributions(*moments, some.target_density if densities else None)
-        return [distributions[i] for i in which]
+        return score_distributions(self.moments[0][at], self.rows(at).target_density if densities else None)
+
+    @cached_property
+    def moments(self) -> Array:
+        """(2, n, 2) mean and standard deviation of the scores of target pixels, and of the background."""
+        c, out = self.classes.rows(self.which), []
+        for weights, means, sds in ((self.weights, self.means, self.sds), (c.fraction, c.mean, c.sd)):
+            mean = (weights * means).sum(axis=1)
+            out.append([mean, np.sqrt((weights * (sds**2 + (means - mean[:, None]) ** 2)).sum(axis=1))])
+        return np.swapaxes(out, 1, 2)
 
     def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, Array]]:
         """How the background scores in some evaluations, and the preset P_FA (K,) of (3.30) whose least P_D (3.32) has
@@ -559,7 +564,7 @@ class RocScores:
         which, first, same = np.unique(self.which[at], return_index=True, return_inverse=True)
         c, x = self.classes.rows(which), thresholds[first]
         density = partial(score_density, scores=c) if densities else None
-        distributions = score_distributions(c.fraction, c.mean, c.sd, density)
+        distributions = score_distributions(self.moments[1][at[first]], density)
         rows = self.classes.rows(np.repeat(which, x.shape[1]))
         preset = greatest_class_false_alarm(x.ravel(), rows).reshape(x.shape)
         return [(distributions[i], preset[i]) for i in same]
@@ -595,12 +600,9 @@ class RocScores:
 _GRID, _REACH = 201, 6.0
 
 
-def score_distributions(
-    weights: Array, means: Array, sds: Array, density: Callable[[Array], Array] | None
-) -> list[ScoreDistribution]:
-    """Moments of a score of several laws (n, K) in n evaluations, and its density where that is wanted."""
-    mean = (weights * means).sum(axis=1)
-    sd = np.sqrt((weights * (sds**2 + (means - mean[:, None]) ** 2)).sum(axis=1))
+def score_distributions(moments: Array, density: Callable[[Array], Array] | None) -> list[ScoreDistribution]:
+    """Mean and standard deviation (n, 2) of a score in n evaluations, and its density where that is wanted."""
+    mean, sd = moments.T
     if density is None:
         return [ScoreDistribution(m, s) for m, s in zip(mean.tolist(), sd.tolist(), strict=True)]
     grid = np.linspace(mean - _REACH * sd, mean + _REACH * sd, _GRID, axis=-1)

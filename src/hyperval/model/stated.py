@@ -122,9 +122,11 @@ def replicate_statistics(
     covariance[at] = sample.shrunk().covariance if few else sample.covariance
     error[at] = mean_error_covariance(sample.covariance, sample.n)
     words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
+    sampled = axis.centre_nm, deviation
     return SurfaceStatistics(
-        "", axis, mean, covariance, sample.n, words, standard_deviation=deviation, mean_error=error
-    )
+        "", axis, mean, covariance, sample.n, words, standard_deviation=deviation, sampled_deviation=sampled,
+        mean_error=error,
+    )  # fmt: skip
 
 
 def mean_error_covariance(covariance: Array, n: int) -> Array:
@@ -195,14 +197,14 @@ def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralA
 
 
 def band_error_covariance(
-    wavelength_nm: Array, standard_deviation: Array, correlation_nm: float, axis: SpectralAxis
+    wavelength_nm: Array, standard_deviation: Array, correlation_nm: float | None, axis: SpectralAxis
 ) -> Array:
     """(B, B) covariance in the bands of an error of standard deviation (n,) and correlation length at its samples.
 
     Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): errors that are each sample's own partly cancel within a band,
-    which the band average of their standard deviation alone does not know.
+    which the band average of their standard deviation alone does not know.  None: one error for all.
     """
-    u, gap = np.nan_to_num(standard_deviation), (wavelength_nm[:, None] - wavelength_nm) / correlation_nm
+    u, gap = np.nan_to_num(standard_deviation), (wavelength_nm[:, None] - wavelength_nm) / (correlation_nm or np.inf)
     covariance = np.outer(u, u) * np.exp(np.maximum(-0.5 * gap**2, -100.0))  # below it nothing is left
     return covariance_in_bands(wavelength_nm, covariance, axis)
 

@@ -299,26 +299,27 @@ class _Curves:
     def add(self, key: str, target: str, detector: str, groups: Groups, scores: Array) -> None:
         """Scores and curves of every subject of a target by one detector, on the score map of this key."""
         found, noise = self.products["scores"], self.background(scores, target, detector)
-        error, bias = self._mean_sampling(key, detector, noise.scores.size)
-        background = replace(_moments(noise.scores), mean_error=error, mean_bias=bias)
+        background = replace(_moments(noise.scores), **self._sampling(key, detector, noise))
         for subject, members in groups.items():
             refuse((subject, detector) in found, "detection.subject", "detection.group", subject=subject)
             found[background_of(subject), detector] = background
             self._add_subject(subject, detector, members, scores, noise)
 
-    def _mean_sampling(self, key: str, detector: str, n: int) -> tuple[float, float]:
-        """Error and bias of the background's mean score where the filter was made of the same pixels, else NaN."""
+    def _sampling(self, key: str, detector: str, noise: px.AlarmBlocks) -> dict[str, Any]:
+        """Errors of the background's scores, and bias of their mean where the filter was made of the same pixels."""
         place, bank, detection = self.place, self.bank, self.detection
+        found = dict(zip(("mean_error", "sd_error"), noise.moment_errors, strict=True))
         if detector != "cem-correlation" or bank.background is None or bank.shrinkage or detection.local_window:
-            return np.nan, np.nan
+            return found
         if not np.array_equal(place.pixels_of(*detection.background), self.alarms):
-            return np.nan, np.nan
+            return found
         lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
         order = np.lexsort((samples, lines))
         lines, samples = lines[order], samples[order]
         pixels, usable = place.pixels_at(lines, samples, bank.bands)
-        stratum = place.classes[lines, samples][usable]
-        return own_mean_sampling(bank.detectors[key].weights[0], *bank.background, pixels[usable], stratum, n)
+        weights, stratum = bank.detectors[key].weights[0], place.classes[lines, samples][usable]
+        error, bias = own_mean_sampling(weights, *bank.background, pixels[usable], stratum, noise.scores.size)
+        return found | {"mean_error": error, "mean_bias": bias}
 
     def _add_subject(
         self, subject: str, detector: str, members: Sequence[TargetObject], scores: Array, noise: px.AlarmBlocks
@@ -338,13 +339,14 @@ class _Curves:
         refuse(not np.isfinite(pixels).any(), "detection.no_pixel", subject=subject)
         self.products["scores"][subject, detector] = _moments(pixels[np.isfinite(pixels)])
         best = px.object_scores(scores, placed, halo)
-        found, looked_at = np.array(list(best.values())), int(np.count_nonzero(self.alarms))
-        sides = {"pixel": (pixels, noise, looked_at), "object": (found, noise, looked_at)}
+        found = np.array(list(best.values()))
+        # The ground that was looked at is that of pixels with a score.
+        sides = {"pixel": (pixels, noise, noise.scores.size), "object": (found, noise, noise.scores.size)}
         if halo:
             outside = self.alarms & ~px.with_halo(all_pixels(placed, self.place.cube.shape), halo)
             every = px.AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
             sides["object"] = found, *self._placements(scores, placed)
-            sides[BY_PIXEL] = found, every, int(np.count_nonzero(outside))
+            sides[BY_PIXEL] = found, every, every.scores.size
         else:  # the model does not know what a halo may catch
             self.products["object_scores"][subject, detector] = ObjectScores(found, tuple(best))
         for name, (values, background, count) in sides.items():
@@ -449,8 +451,12 @@ def target_areas(
 
 
 def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
-    """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere."""
-    totals, pixels, elsewhere = zip(*objects, strict=True)
+    """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere.
+
+    An object with a pixel that holds no data is not measured: what lies there is no part of 0.
+    """
+    measured = [o for o in objects if not math.isnan(o[0])] or [(math.nan, 0, ())]
+    totals, pixels, elsewhere = zip(*measured, strict=True)
     each = needed(place.pixel_area_m2, "areas.ground") / len(totals)
     variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
     return Abundance(sum(totals) * each, math.sqrt(variance) * each, sum(pixels), nominal)
@@ -473,7 +479,7 @@ def _footprint_sums(
         key = shape.shape, shape.tobytes()
         if key not in spread:
             spread[key] = px.footprint_tiles(scores, shape, taken)[0].sum(axis=1)
-        return float(np.nansum(scores[near][summed])), int(summed.sum()), spread[key]
+        return float(np.sum(scores[near][summed])), int(summed.sum()), spread[key]
 
     return of
 
@@ -490,13 +496,14 @@ class _Footprints(NamedTuple):
     pixels : (N, F) reflectance of the pixels of all footprints
     place : (N,) footprint that each belongs to
     background : (P, F) mean reflectance around each footprint
-    ring : pixels around the object
+    ring, whole : pixels around the object; whether all of its own hold data
     """
 
     pixels: Array
     place: Index
     background: Array
     ring: int
+    whole: bool
 
 
 def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resolve: Resolve) -> Unmixed:
@@ -548,7 +555,7 @@ def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite 
     between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
     parts = fully_constrained(whitened(found.pixels, noise), whitened(between, noise)[found.place])[:, 0]
     own, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
-    return own, int(np.count_nonzero(found.place == 0)), elsewhere
+    return own if found.whole else math.nan, int(np.count_nonzero(found.place == 0)), elsewhere
 
 
 def _footprints(
@@ -577,4 +584,4 @@ def _footprints(
     pairs = pairs[:1] + [(x, r) for x, r in pairs[1:] if len(r) and len(x) == len(own)]
     of = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in pairs])
     means = np.array([r.mean(axis=0) for _, r in pairs])
-    return _Footprints(np.concatenate([x for x, _ in pairs]), of, means, len(read[1]))
+    return _Footprints(np.concatenate([x for x, _ in pairs]), of, means, len(read[1]), len(read[0]) == len(own))

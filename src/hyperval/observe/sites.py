@@ -112,8 +112,7 @@ def path_estimate(source: PathRadiance, axis: SpectralAxis, resolve: Resolve) ->
     scene = scenario.scene.model_copy(update={"sites": [*scenario.scene.sites, black], "targets": []})
 
     def beside(reference: str) -> Path:  # references of a scenario are relative to its own file
-        parent = PurePath(source.scenario).parent
-        return resolve(reference if ":" in reference else (parent / reference).as_posix())
+        return resolve(reference if ":" in reference else (PurePath(source.scenario).parent / reference).as_posix())
 
     return predict(scenario.model_copy(update={"scene": scene}), Origins(axis, resolve=beside)).radiance[BLACK]
 
@@ -122,8 +121,7 @@ def field_reflectance(panel: PanelReference, axis: SpectralAxis, resolve: Resolv
     """Reflectance (B,) of a panel as measured on the ground, and its error covariance (B, B).
 
     What replicate spectra say, or the standard error that the file carries, and the stated relative uncertainty;
-    the latter two with the stated correlation length, common to all bands without one.  The file's standard error
-    holds between its own samples, of which a band may average several.
+    the latter two with the stated correlation length, common to all bands without one.
     """
     field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
     stated = panel.relative_uncertainty * field.mean
@@ -131,10 +129,8 @@ def field_reflectance(panel: PanelReference, axis: SpectralAxis, resolve: Resolv
     n = 1 if panel.divisor == "spread" else field.n or 1
     if field.mean_error is not None:
         covariance = covariance + field.mean_error
-    elif field.sampled_deviation is not None and panel.correlation_nm is not None:
+    elif field.sampled_deviation is not None:
         covariance = covariance + band_error_covariance(*field.sampled_deviation, panel.correlation_nm, axis) / n
-    elif field.standard_deviation is not None:
-        covariance = covariance + np.outer(field.standard_deviation, field.standard_deviation) / n
     return field.mean, covariance
 
 

@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 from scipy.special import chdtrc, digamma, fdtrc, gammaln, ndtr
 
 from hyperval.data import Array, Components, Index
@@ -202,7 +203,7 @@ def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
 
     if slope(LEAST_DOF) <= 0.0:
         return LEAST_DOF
-    return MOST_DOF if slope(MOST_DOF) >= 0.0 else _root(slope, LEAST_DOF, MOST_DOF)
+    return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_DOF, MOST_DOF))
 
 
 def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
@@ -483,28 +484,7 @@ def _t_width(d: Array, p: int, nu: float) -> float:
         return (nu + p) / p * float(np.mean(d / (math.exp(log_width) + d))) - 1.0
 
     low, high = 1e-6 * float(np.median(d)) * nu / p, 1e6 * float(d.max()) * nu
-    return math.exp(_root(excess, math.log(low), math.log(high), 1e-9))
-
-
-# SciPy's optimisers take 16 MB of memory, more than the pixels that tails are fitted to.
-def _root(function: Callable[[float], float], low: float, high: float, tolerance: float = 1e-12) -> float:
-    """Where a function whose signs at ``low`` and ``high`` differ is 0, by false position.
-
-    The value at an end that stays is halved, so that the other end comes in as well (Illinois: Dowell & Jarratt, BIT
-    11, 168-174, 1971).
-    """
-    ends, values = [low, high], [function(low), function(high)]
-    while abs(ends[1] - ends[0]) > tolerance and values[1] != 0.0:
-        x = ends[1] - values[1] * (ends[1] - ends[0]) / (values[1] - values[0])
-        value = function(x)
-        if value * values[1] < 0.0:
-            ends[0], values[0] = ends[1], values[1]
-        else:
-            values[0] *= 0.5
-        moved, ends[1], values[1] = abs(x - ends[1]), x, value
-        if moved <= tolerance:
-            break
-    return ends[1]
+    return math.exp(scipy.optimize.brentq(excess, math.log(low), math.log(high), xtol=1e-9))
 
 
 def _greatest(function: Callable[[float], float], low: float, high: float, tolerance: float) -> tuple[float, float]:
@@ -580,8 +560,8 @@ def fit_tail_dof(
     at, top = _greatest(fit, start, end, 1e-8)
     if start == 0.0 and (at <= 2.0 * _LEAST or top <= normal):
         at, top = 0.0, max(normal, top)
-    high = end if drop(end) < 0 else _root(drop, at, end)
-    low = start if at == start or drop(start) <= 0 else _root(drop, start, at)
+    high = end if drop(end) < 0 else scipy.optimize.brentq(drop, at, end)
+    low = start if at == start or drop(start) <= 0 else scipy.optimize.brentq(drop, start, at)
     a = at + offset
     scale = float(np.mean(d)) / dimension if a < _LEAST else _t_width(d, dimension, 1.0 / a) / (1.0 / a - 2.0)
     # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range

@@ -153,6 +153,21 @@ class AlarmBlocks:
         dof = 2.0 * v**2 / np.maximum(scatter, 1e-300) - 1.0
         return np.maximum(alone, together), np.maximum(dof, 1.0)
 
+    @property
+    def moment_errors(self) -> tuple[float, float]:
+        """Standard errors of the mean score, and of the standard deviation as a part of it; NaN in one block.
+
+        By :meth:`variance_of_sum` of departures and of their squares, widened by (t/1.96)^2 as a design effect is.
+        """
+        if self.stratum.size < 2:
+            return np.nan, np.nan
+        away = self.scores - self.scores.mean()
+        square = float(np.mean(away**2))
+        sums = [np.bincount(self.block, x) for x in (away, away**2 - square)]
+        variance, dof = self.variance_of_sum(np.array(sums))
+        mean, second = (np.sqrt(variance) / away.size * special.stdtrit(dof, 0.975) / intervals.Z95).tolist()
+        return mean, 0.5 * second / square
+
     def pfa_limits(self, threshold: Array) -> tuple[Counts, Array, Array]:
         """Alarms (T,) above thresholds (T,) that fall, and the 95 % limits (T,) of P_FA at each.
 

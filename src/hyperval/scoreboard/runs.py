@@ -33,7 +33,7 @@ from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures import Axis, ColourScale, Figure, Mark, Panels, Part
 from hyperval.figures.spec import a_view_each, columns_of, measured_mark, single
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
-from hyperval.model import AREAS, predict, zero_count_upper_limit
+from hyperval.model import AREAS, clopper_pearson, predict
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
 from hyperval.pixels import LEAST_EXPECTED_ALARMS, AlarmBlocks, detect, interval_of_mean, object_scores
 from hyperval.products import Products
@@ -285,7 +285,7 @@ def ranked(
     low, high = rank_sets(best, drawn, m) if enough else (np.ones(value.size, int), np.full(value.size, value.size))
     if measure.of_look is None:  # percentiles of the draws, and above no alarm at all the exact limit
         lower, upper = np.quantile(both, [0.025, 0.975], axis=1)
-        upper = np.maximum(upper, zero_count_upper_limit(n))
+        upper = np.maximum(upper, clopper_pearson(0, n, 0.9)[1])
     else:
         lower, upper = _limits(item, measure.of_look(*shares)[:, :, 0], still, n)
     rank = np.array([1 + np.sum(best > x + 1e-12) for x in best], dtype=np.int64)

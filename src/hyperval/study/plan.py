@@ -427,7 +427,11 @@ def answers(
 
 
 def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:
-    """Number of the interval that holds the lowest root, -1 without, and what is to be said of it."""
+    """Number of the interval that holds the lowest root, -1 without, and what is to be said of it.
+
+    >>> _bracket(np.arange(4.0), 1e-13 * np.array([-2.0, 3.0, 1.0, 4.0]), Required.model_construct())
+    (0, 'not monotone over the range, one solution nevertheless')
+    """
     if not np.all(np.isfinite(gap)):
         return -1, f"{question.output} cannot be evaluated over the whole range"
     signs = np.sign(gap)
@@ -438,7 +442,7 @@ def _bracket(x: Array, gap: Array, question: Required) -> tuple[int, str]:
         side, best = ("below", int(np.argmax(gap))) if gap[0] < 0 else ("above", int(np.argmin(gap)))
         reached = f"{gap[best] + question.equals:.4g} at {x[best]:.4g}"
         return -1, f"no solution: {question.output} stays {side} {question.equals:g}; the nearest is {reached}"
-    steps = np.diff(gap)
+    steps = np.diff(gap) / (np.ptp(gap) or 1.0)
     monotone = bool(np.all(steps >= -1e-12) or np.all(steps <= 1e-12))
     if change.size > 1:
         return int(change[0]), f"not monotone: {change.size} solutions; the lowest is reported"
