@@ -125,7 +125,7 @@ def test_every_mistake_is_listed_in_the_order_of_the_file():
     found = [line.strip() for line in str(caught.value).splitlines()]
     assert [line.split(": ")[0] for line in found] == [f"c.yaml:{n}" for n in (1, 1, 2, 3, 4, 5)]
     assert "c.yaml:4: inner.altitud_km: unknown key; did you mean 'altitude_km'?" in found
-    assert sum("name: Field required" in line for line in found) == 1
+    assert sum("name: is missing" in line for line in found) == 1
 
 
 class Powered(config.Model):

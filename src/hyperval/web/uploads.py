@@ -217,7 +217,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         try:
             stated = StatedCollection.model_validate(given)
         except ValidationError as error:
-            mistakes += mistakes_of(error, given)
+            mistakes += mistakes_of(error.errors())
     deny(mistakes, 422)
     if not is_cube:
         return list(own.names())
