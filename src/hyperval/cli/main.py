@@ -377,7 +377,7 @@ def init(
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     path = output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml"
     called = path.stem if path == output else output.resolve().name
-    own = name or re.sub(r"[^a-z0-9]+", "-", called.lower()).strip("-") or "campaign"
+    own = re.sub(r"[^a-z0-9]+", "-", (name or called).lower()).strip("-") or "campaign"
     given = cube, regions or (), targets, spectra or (), header, quantity, unit
     sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key, scale)
     text, guesses = campaign.starter_campaign(sources, path.parent, own)
@@ -654,7 +654,7 @@ def keep_caches(place: Path) -> None:
 INTERRUPTED, OUTPUT_CLOSED, TERMINATED = 130, 141, 143
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # Files and folders that a command was told to use and that cannot be.
-_PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR)
+_PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
 
 
 class _Terminated(BaseException):
