@@ -231,6 +231,7 @@ def test_a_name_too_long_for_a_file_is_a_mistake_of_the_user(tmp_path, capsys, m
     monkeypatch.setattr("hyperval.baseline.check", check)
     assert cli.run(["check", "--sensors", "casi-1500", "--junit", "n" * 300 + ".xml"]) == 2
     assert "name another file or folder" in capsys.readouterr().err
+    assert cli.run(["sensor", "new", "x", "-o", f"{__file__}/x.yaml"]) == 2  # in what is a file
 
 
 # Words for internal errors.

@@ -101,18 +101,13 @@ def test_any_text_is_read_or_refused_with_a_message(text):
 
 def test_files_that_are_no_text_and_one_of_windows(tmp_path):
     path = tmp_path / "a.yaml"
-    with pytest.raises(InputError, match="name a file in it, such as"):
-        config.load_yaml(tmp_path)
-    with pytest.raises(InputError, match="no such file") as caught:
-        config.load_yaml(path)
-    assert caught.value.exit_code == 3
-    with open(path, "wb") as stream:
-        stream.truncate(config.MAX_BYTES + 1)
-    with pytest.raises(UsageError, match="larger than"):
-        config.load_yaml(path)
-    path.write_bytes("name: Köln".encode("latin-1"))
-    with pytest.raises(UsageError, match="UTF-8"):
-        config.load_yaml(path)
+    for file, words in ((tmp_path, "name a file in it, such as"), (path, "no such file")):
+        with pytest.raises(InputError, match=words):
+            config.load_yaml(file)
+    for content, words in ((bytes(config.MAX_BYTES + 1), "larger than"), ("name: Köln".encode("latin-1"), "UTF-8")):
+        path.write_bytes(content)
+        with pytest.raises(UsageError, match=words):
+            config.load_yaml(path)
     path.write_bytes(b"\xef\xbb\xbfname: x\r\ninner:\r\n  altitude_km: 1.5\r\n")
     assert config.load_model(Outer, path) == Outer(name="x", inner=Inner(altitude_km=1.5))
 
@@ -125,7 +120,7 @@ def test_every_mistake_is_listed_in_the_order_of_the_file():
     found = [line.strip() for line in str(caught.value).splitlines()]
     assert [line.split(": ")[0] for line in found] == [f"c.yaml:{n}" for n in (1, 1, 2, 3, 4, 5)]
     assert "c.yaml:4: inner.altitud_km: unknown key; did you mean 'altitude_km'?" in found
-    assert sum("name: Field required" in line for line in found) == 1
+    assert sum("name: is missing" in line for line in found) == 1
 
 
 class Powered(config.Model):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from hyperval.config import Model, OneOf, RadianceUnit, WavelengthUnit, twice, unknown
 from hyperval.pixels import ANOMALY_DETECTORS, LOCAL_DETECTORS, detector_names
-from hyperval.scenario import SpectrumSource
+from hyperval.scenario import CorrelationLength, SpectrumSource
 
 _PLAIN = ("", ".img", ".bil", ".bip", ".bsq", ".dat", ".raw", ".bin", ".hdr", ".mat", ".npy")
 Fwhm = Annotated[float, Field(ge=0, le=8)]
@@ -69,9 +69,7 @@ class RadCalNetSource(Model):
     fwhm_nm: float | None = Field(
         None, gt=0, le=100, description="width of the bands; None: as the oxygen band at 760 nm shows it"
     )
-    correlation_nm: float | None = Field(
-        None, gt=0, description="correlation length of the stated uncertainty; None: fully correlated"
-    )
+    correlation_nm: CorrelationLength = None
     shared_inputs: bool = Field(
         False,
         description="true: the prediction starts from the same surface and state as the network's computation, "
@@ -277,9 +275,7 @@ class PanelReference(Model):
     region: str
     spectrum: SpectrumSource
     relative_uncertainty: float = Field(0.0, ge=0, lt=1, description="of the panel reflectance, standard")
-    correlation_nm: float | None = Field(
-        None, gt=0, description="correlation length of that error between bands; None: fully correlated"
-    )
+    correlation_nm: CorrelationLength = None
     divisor: Literal["standard_error", "spread"] = Field(
         "standard_error",
         description="the standard deviation that the spectrum's file carries is divided by the root of its n, or "
@@ -454,7 +450,7 @@ class UnmixedTarget(Model):
     relative_uncertainty: float = Field(
         0.0, ge=0, lt=1, description="of the endmember as a picture of the target, standard"
     )
-    correlation_nm: float | None = Field(None, gt=0, description="of that uncertainty; None: fully correlated")
+    correlation_nm: CorrelationLength = None
 
 
 class Unmixing(Model):
@@ -522,6 +518,7 @@ class Detection(Model):
     unmixing: Unmixing | None = None
 
     refused: ClassVar = {
+        "detectors: unknown detector {!r}; one of {}": lambda d: unknown(d.detectors, detector_names()),
         f"without targets the detectors can only be {', '.join(ANOMALY_DETECTORS)}": lambda d: (
             not d.targets and not set(d.detectors) <= set(ANOMALY_DETECTORS)
         ),
@@ -542,10 +539,3 @@ class Detection(Model):
             (area.detector for area in d.areas), d.detectors
         ),
     }
-
-    @field_validator("detectors")
-    @classmethod
-    def _known(cls, names: list[str]) -> list[str]:
-        if wrong := unknown(names, detector_names()):
-            raise ValueError("unknown detector {!r}; one of {}".format(*wrong))
-        return names

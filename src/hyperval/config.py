@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
@@ -45,6 +45,16 @@ UNITS = {
     "_g_cm2": "g cm-2", "_atm_cm": "atm cm", "_percent": "%", "_pixels": "pixels", "cm2_sr": "cm2 sr", "_mrad": "mrad",
     "_deg": "deg", "_km": "km", "_nm": "nm", "_um": "um", "_au": "au", "_m": "m", "_s": "s", "_electrons": "electrons",
 }  # fmt: skip
+_MEMBER = re.compile(r"[a-z-]*\[.*|\(.*\)|(?:constrained-)?(?:float|int|str)|bool")  # of a union, in its mistakes
+# Kind of mistake that pydantic finds -> what was expected.
+_EXPECTED = {
+    **dict.fromkeys(("float_type", "finite_number"), "a finite number, such as 0.5"), "literal_error": "{expected}",
+    **dict.fromkeys(("int_type", "int_from_float", "int_parsing_size"), "a whole number"), "bool_type": "true or false",
+    **dict.fromkeys(("tuple_type", "list_type"), "a list, such as [450, 700]"), "string_type": "a text",
+    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), "keys and values, such as {{VNIR: 0.3}}"),
+    "too_short": "{min_length} or more, not {actual_length}", "too_long": "{max_length} or fewer, not {actual_length}",
+    "string_too_short": "a text that is not empty",
+}  # fmt: skip
 _BRACKETS = re.compile(r" ?\[([^\]\[]{1,24})\]")
 
 
@@ -68,7 +78,8 @@ def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
             field["description"] = _BRACKETS.sub("", words).strip()
 
 
-# Words -> whether the entries of a model contradict each other so; a list holds what stands in the words where they do.
+# Words, of one entry after its key and a colon -> whether the entries of a model contradict each other so; a list holds
+# what stands in the words where they do.
 Refused = Mapping[str, Callable[[Any], object]]
 
 
@@ -195,20 +206,19 @@ class _Loader(Composer, Resolver, CParser):  # type: ignore[misc]
         return event
 
 
-# Kind of a scalar -> what it looks like, the letters that it begins with, and the value of its text.
-_SCALARS: dict[str, tuple[str, str, Callable[[str], Any]]] = {
-    "bool": (r"^(?:true|True|TRUE|false|False|FALSE)$", "tTfF", lambda text: text.lower() == "true"),
-    "int": (r"^[-+]?(?:0|[1-9][0-9]*)$", "-+0123456789", int),
+# Kind of a scalar -> what it looks like, and the value of its text.
+_SCALARS: dict[str, tuple[str, Callable[[str], Any]]] = {
+    "bool": (r"^(?:true|True|TRUE|false|False|FALSE)$", lambda text: text.lower() == "true"),
+    "int": (r"^[-+]?(?:0|[1-9][0-9]*)$", int),
     "float": (
         r"^[-+]?(?:(?:\.[0-9]+|(?:0|[1-9][0-9]*)\.[0-9]*)(?:[eE][-+]?[0-9]+)?|[1-9][0-9]*[eE][-+]?[0-9]+)$|^[-+]?\.(?:inf|Inf|INF)$|^\.(?:nan|NaN|NAN)$",
-        "-+.0123456789", lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
+        lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
     ),
-    "null": (r"^(?:~|null|Null|NULL|)$", "~nN\0", lambda text: None),
-}  # fmt: skip
+    "null": (r"^(?:~|null|Null|NULL|)$", lambda text: None),
+}
 _Loader.yaml_implicit_resolvers = {}
-for _kind, (_pattern, _first, _) in _SCALARS.items():
-    _letters = [*_first, *([""] if _kind == "null" else [])]
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(_pattern), _letters)
+for _kind, (_pattern, _) in _SCALARS.items():
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_kind}", re.compile(_pattern), None)
 
 
 def shipped(package: str, folder: str) -> dict[str, Path]:
@@ -287,7 +297,7 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
     kind = node.tag.rpartition(":")[2]
     if kind == "int" and len(node.value) > _MAX_DIGITS:
         raise UsageError(f"a number of {len(node.value)} digits", where=f"{name}:{node.start_mark.line + 1}")
-    return _SCALARS[kind][2](node.value) if kind in _SCALARS else node.value
+    return _SCALARS[kind][1](node.value) if kind in _SCALARS else node.value
 
 
 def texts_of(data: Any, at: Location = ()) -> Iterator[tuple[Location, str]]:
@@ -320,54 +330,82 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
     ...     refused: ClassVar = {"low is 0 or more": lambda ends: ends.low < 0.0}
     >>> validate(Ends, {"low": -1.0}, {}, "a.yaml")
     Traceback (most recent call last):
-    hyperval.errors.UsageError: a.yaml:1: low is 0 or more
+    hyperval.errors.UsageError: a.yaml: low is 0 or more
     """
-    to_fill_in = placeholders(data, lines, name)
-    if to_fill_in:
+    if to_fill_in := placeholders(data, lines, name):
         raise unfilled(to_fill_in)
     try:
         return model.model_validate(data)
     except ValidationError as error:
         problems: list[tuple[int, str]] = []
-        for item in error.errors(include_url=False):
-            # Locations of unions carry the name of the tried member, which is no key of the file.
-            at: Location = ()
-            for part in item["loc"]:
-                if (*at, part) in lines:
-                    at = (*at, part)
-            line = lines.get(at, 1)
-            key = ".".join(str(p) for p in item["loc"] if not str(p).endswith(("]", ")")))
-            if item["type"] == "string_type" and item["loc"][-1] == "str" and isinstance(item["input"], dict):
-                continue  # a name or the thing itself: it is the thing, and the rest tells its mistake
-            text = item["msg"].removeprefix("Value error, ")
-            if item["type"] == "string_pattern_mismatch":
-                text = spelled(item["ctx"]["pattern"]) or text
-            if item["type"] == "float_type" and isinstance(item["input"], dict) and "distribution" in item["input"]:
-                text = f"a number; {GONE['distribution']}"
-            if item["type"] == "extra_forbidden":
-                few = len(problems) < MOST_MISTAKES  # what is looked for takes long beside what is listed
-                own = str(item["loc"][-1])
-                near = difflib.get_close_matches(own, _keys_of(model), n=1) if few else []
-                hints = (" here; it belongs elsewhere" if k == own else f"; did you mean {k!r}?" for k in near)
-                text = f"this key is gone; {GONE[own]}" if own in GONE else "".join(("unknown key", *hints))
-            problems.append((line, ": ".join(filter(None, (f"{name}:{line}", key, text)))))
-        problems.sort()
-        if not problems:
-            raise UsageError(f"{name}: {error}") from error
-        first, *rest = [text for _, text in problems[:MOST_MISTAKES]]
-        if len(problems) > MOST_MISTAKES:
-            rest.append(f"and {len(problems) - MOST_MISTAKES} more")
-        raise UsageError("\n  ".join([first, *rest])) from error
+        for at, text in mistakes_in(error.errors(include_url=False), model):
+            line = next((lines[at[:n]] for n in range(len(at), -1, -1) if at[:n] in lines), 1)
+            where = f"{name}:{line}" if lines else name
+            problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, at)), text)))))
+        listed, more = [text for _, text in sorted(problems)], len(problems) - MOST_MISTAKES
+        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])])) from error
 
 
-def spelled(pattern: str) -> str:
-    """What a pattern of names allows, in words; empty for another pattern."""
-    allowed = {
-        "a-z0-9-": "small letters, digits and hyphens, a letter or digit first",
-        "A-Za-z0-9_.-": "letters, digits and _ . -, a letter or digit first",
-    }
-    patterns = re.findall(r"\[([^\]]*)\]\*\$$", pattern)
-    return f"a name of {allowed[patterns[0]]}" if patterns and patterns[0] in allowed else ""
+def mistakes_in(
+    items: Sequence[Mapping[str, Any]], model: type[BaseModel] | None = None
+) -> Iterator[tuple[Location, str]]:
+    """Place of each mistake that pydantic tells of plain data, and what it is; kinds that one place may have once.
+
+    ``model`` : which may have a key like one that is unknown
+
+    >>> made = type("Made", (Model,), {"__annotations__": {"heading_deg": float | Literal["random"]}})
+    >>> try:
+    ...     made(heading_deg="x", shape=1)
+    ... except ValidationError as error:
+    ...     [words for _, words in mistakes_in(error.errors())]
+    ['unknown key', "expected a finite number, such as 0.5, or 'random'"]
+    """
+    expected: dict[Location, list[str]] = {}
+    for number, item in enumerate(fitting(items)):
+        at = tuple(part for part in item["loc"] if not _MEMBER.fullmatch(str(part)))
+        kind, words = item["type"].replace("_parsing", "_type"), str(item["msg"]).removeprefix("Value error, ")
+        if kind == "float_type" and isinstance(item["input"], dict) and "distribution" in item["input"]:
+            yield at, f"expected a number; {GONE['distribution']}"
+        elif kind in _EXPECTED:
+            expected.setdefault(at, []).append(_EXPECTED[kind].format(**item.get("ctx", {})))
+        elif kind == "extra_forbidden":  # what is looked for takes long beside what is listed
+            yield at, _unknown_key(str(at[-1]), model if number < MOST_MISTAKES else None)
+        elif kind == "string_pattern_mismatch":
+            letters = re.findall(r"\w-\w|[^]]", item["ctx"]["pattern"].rpartition("[")[2].rpartition("]")[0])
+            yield at, f"expected a name of {' '.join(letters)}, a letter or digit first"
+        elif kind == "value_error" and (of_key := re.fullmatch(r"([a-z_0-9.]+): (.*)", words, re.DOTALL)):
+            yield (*at, *of_key[1].split(".")), of_key[2]
+        else:
+            yield at, "is missing" if kind == "missing" else words.replace("Input should be", "expected a value")
+    for at, nouns in expected.items():
+        yield at, f"expected {', or '.join(dict.fromkeys(nouns))}"
+
+
+def _unknown_key(key: str, model: type[BaseModel] | None) -> str:
+    schema = model.model_json_schema() if model else {}
+    every = [k for each in (schema, *schema.get("$defs", {}).values()) for k in each.get("properties", {})]
+    near = next(iter(difflib.get_close_matches(key, every, n=1)), "")
+    hint = " here; it belongs elsewhere" if near == key else near and f"; did you mean {near!r}?"
+    return f"this key is gone; {GONE[key]}" if key in GONE else f"unknown key{hint}"
+
+
+def fitting(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """What models found wrong; where something may be one of several, as that which it is nearest to.
+
+    >>> wrong = [{"type": "literal_error", "loc": ("mix", "literal['a']")}]
+    >>> wrong += [{"type": "float_type", "loc": ("mix", "function-after[f(), M]", "a")}]
+    >>> wrong += [{"type": "missing", "loc": ("mix", "function-after[f(), N]", key)} for key in "bc"]
+    >>> [item["loc"][-1] for item in fitting(wrong)]
+    ['a']
+    """
+    members, costs = list[Location](), Counter[Location]()
+    for kind, place in ((item["type"], tuple(item["loc"])) for item in items):
+        number = next((i for i, part in enumerate(place) if _MEMBER.fullmatch(str(part))), -1)
+        members.append(place[: number + 1])
+        is_of_kind = number < len(place) - 1 or not kind.endswith(("_type", "_parsing", "literal_error"))
+        costs[members[-1]] += 9 if not is_of_kind else 2 if kind in ("missing", "extra_forbidden") else 1
+    least = {member[:-1]: costs[member] for member in sorted(costs, key=costs.__getitem__, reverse=True)}
+    return [i for i, m in zip(items, members, strict=True) if not m or costs[m] == least[m[:-1]]]
 
 
 # What editors that know the language server of YAML read of a file's first line.
@@ -379,14 +417,9 @@ def schema_text(kind: str) -> str:
     return installed_file("hyperval", "schemas", f"{kind}.json").read_text("utf-8")
 
 
-def unwritten(path: Path) -> Path:
-    """The path of a draft; UsageError where something stands there."""
-    refuse(path.exists(), "file.exists", str(path))
-    return path
-
-
 def write_draft(path: Path, kind: str, text: str) -> None:
-    """Write the draft of a file and, beside it, the schema that its first line names: a path that holds anywhere."""
+    """Write a draft where nothing stands, and beside it the schema that its first line names, which holds anywhere."""
+    refuse(path.exists(), "file.exists", str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     write_text(path.with_name(f"{kind}.schema.json"), schema_text(kind))
     write_text(path, f"{SCHEMA_LINE}{kind}.schema.json\n{text}")
@@ -400,9 +433,3 @@ def load_model(model: type[M], path: Path) -> M:
     if isinstance(loaded, FileModel):
         loaded._folder = Path(path).resolve().parent
     return loaded
-
-
-def _keys_of(model: type[BaseModel]) -> list[str]:
-    """Every key that occurs in ``model`` or in the models it holds: candidates for "did you mean"."""
-    schema = model.model_json_schema()
-    return [key for each in (schema, *schema.get("$defs", {}).values()) for key in each.get("properties", {})]

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from hyperval.atmosphere import AtmosphericState
 from hyperval.config import FileModel, Model, OneOf, file_of, load_model, load_yaml, shipped, twice, unknown
@@ -95,11 +95,14 @@ class CovarianceSource(OneOf):
 Spread = Annotated[float, Field(gt=0)]
 
 
+CorrelationLength = Annotated[float | None, Field(gt=0, description="correlation length; None: fully correlated")]
+
+
 class SpectralForm(OneOf):
     """How an error hangs together between bands."""
 
     at_most_one_of = ("correlation", "correlation_nm")
-    correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
+    correlation_nm: CorrelationLength = None
     correlation: Literal["systematic", "random", "arms"] | None = Field(
         None,
         description="systematic: one error for all bands; random: one for each; arms: one for each arm of the sensor; "
@@ -153,7 +156,7 @@ class CollectedReflectance(Model):
 
     relative: float = Field(0.0, ge=0, lt=1, description="as a part of the reflectance")
     absolute: float = Field(0.0, ge=0, lt=1, description="in reflectance")
-    correlation_nm: float | None = Field(None, gt=0, description="correlation length; None: fully correlated")
+    correlation_nm: CorrelationLength = None
 
 
 class RelativeUncertainty(SpectralForm):
@@ -399,10 +402,11 @@ class Scene(Model):
         "classes: their fractions sum to {:g}, not 1": lambda s: (
             abs((total := sum(c.fraction for c in s.classes)) - 1.0) > 1e-6 and [total]
         ),
-        "names of subjects occur twice: {names}": lambda s: twice(
-            x.name for x in (*s.classes, *s.panels, *s.sites, *(p for t in s.targets for p in t.populations))
+        "names of subjects occur twice: {names}": lambda s: (
+            twice(x.name for x in (*s.classes, *s.panels, *s.sites, *(p for t in s.targets for p in t.populations)))
+            or twice(x.name for x in (*s.classes, *s.panels, *s.sites, *s.targets))
         ),
-        "target {!r}: host {!r} is not one of {}": lambda s: next(
+        "targets: {!r}: host {!r} is not one of {}": lambda s: next(
             ([t.name, *wrong] for t in s.targets if (wrong := unknown([t.host], (c.name for c in s.classes)))), []
         ),
     }
@@ -461,7 +465,7 @@ class Processing(Model):
     filter_classes: list[str] = Field([], description="classes that give the filter its statistics; empty: all of them")
     false_alarm_grid: FalseAlarmGrid = FalseAlarmGrid()
 
-    refused: ClassVar = {"unknown detector {!r}; one of {}": lambda p: unknown(p.detectors, MODEL_DETECTORS)}
+    refused: ClassVar = {"detectors: unknown detector {!r}; one of {}": lambda p: unknown(p.detectors, MODEL_DETECTORS)}
 
     @property
     def linear_detectors(self) -> list[str]:
@@ -487,34 +491,26 @@ class Scenario(FileModel):
         ),
         "sensor_operation needs a sensor": lambda s: s.sensor_operation and not s.sensor,
         "sensor_changes needs a sensor": lambda s: s.sensor_changes and not s.sensor,
-        "filter_classes: {!r} is not one of {}": lambda s: unknown(
+        "processing.filter_classes: {!r} is not one of {}": lambda s: unknown(
             s.processing.filter_classes, (c.name for c in s.scene.classes)
         ),
-    }
-
-    @field_validator("uncertainty")
-    @classmethod
-    def _is_of_what_is_stated(cls, value: Uncertainty, info: ValidationInfo) -> Uncertainty:
-        """Of no number that the atmosphere leaves to the engine, and of no subject that the scene does not have."""
-        atmosphere, scene = info.data.get("atmosphere"), info.data.get("scene")
-        for name in (
-            "meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm", "angstrom_exponent",
-            "aerosol_share_below",
-        ):  # fmt: skip
-            if atmosphere is not None and getattr(value, name) is not None and getattr(atmosphere, name) is None:
-                raise ValueError(f"{name} is given, but atmosphere.{name} is not: state it there, too")
-        if scene is None:
-            return value
-        surfaces = {s.name for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
-        for items, known, what in (
-            (value.field_spectra, surfaces, "field_spectra: no class, panel, site or target"),
-            (value.fills, {n for t in scene.targets for n in (t.name, *(p.name for p in t.populations))},
-             "fills: no target or subject"),
-            (value.fractions, {c.name for c in scene.classes}, "fractions: no class"),
-        ):  # fmt: skip
-            if wrong := unknown((item.subject for item in items), sorted(known)):
-                raise ValueError("{} {!r}; there are {}".format(what, *wrong))
-        return value
+        "uncertainty.{0}: is given, but atmosphere.{0} is not: state it there, too": lambda s: s.atmosphere and [
+            name for name in ("meteorological_range_km", "water_vapour_g_cm2", "ozone_atm_cm", "angstrom_exponent",
+                              "aerosol_share_below")
+            if getattr(s.uncertainty, name) is not None and getattr(s.atmosphere, name) is None
+        ],
+        "uncertainty.field_spectra: no class, panel, site or target {!r}; there are {}": lambda s: unknown(
+            (one.subject for one in s.uncertainty.field_spectra),
+            sorted(x.name for x in (*s.scene.classes, *s.scene.panels, *s.scene.sites, *s.scene.targets)),
+        ),
+        "uncertainty.fills: no target or subject {!r}; there are {}": lambda s: unknown(
+            (one.subject for one in s.uncertainty.fills),
+            sorted({n for t in s.scene.targets for n in (t.name, *(p.name for p in t.populations))}),
+        ),
+        "uncertainty.fractions: no class {!r}; there are {}": lambda s: unknown(
+            (one.subject for one in s.uncertainty.fractions), sorted(c.name for c in s.scene.classes)
+        ),
+    }  # fmt: skip
 
     def with_values(self, values: Mapping[str, Any]) -> Scenario:
         """A copy with other values at dotted paths, checked as a file is; None takes an entry back.

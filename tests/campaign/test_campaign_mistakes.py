@@ -42,7 +42,7 @@ def test_each_mistake_is_named_with_its_line_and_nothing_else(tmp_path, old, new
     assert caught.value.exit_code == 2
     # Of a scenario alone: neither of a day that it is not, nor keys that a scenario has as unknown.
     assert "did you mean 'scene'" not in str(caught.value)
-    assert "radcalnet: Field" not in str(caught.value) or "radcalnet" in message
+    assert "radcalnet: is missing" not in str(caught.value) or "radcalnet" in message
 
 
 # Bad input through the command line: one clear error, the contract's exit code, no traceback, no output.

@@ -179,8 +179,11 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_pa
     before = (folder / "campaign.yaml").read_bytes()  # what is there is not replaced
     assert (cli.run([*told, UNIT]), (folder / "campaign.yaml").read_bytes()) == (2, before)
     assert "already exists" in capsys.readouterr().err
-    assert cli.run([*told, "W m-2 sr-1 nm-1", "-o", str(draft / "b")]) == 0  # no such values
+    assert cli.run([*told, "W m-2 sr-1 nm-1", "-o", str(draft / "b"), "--name", "../B 2"]) == 0  # no such values
     assert "(--scale)" in capsys.readouterr().err
+    assert "\nname: b-2\n" in (draft / "b" / "campaign.yaml").read_text()  # one that a campaign may have
+    np.save(tmp_path / "c.npy", np.ones((4, 4, 3)))  # regions of a bare image are not read yet, and must be there
+    assert cli.run(["init", "--cube", str(tmp_path / "c.npy"), "-o", str(draft / "c"), "--regions", "none.xml"]) == 3
 
 
 @pytest.mark.parametrize(("region", "records", "matched"), data_of("names_of_spectra"))

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
-from itertools import combinations, filterfalse, permutations, product
+from itertools import combinations, permutations, product
+from numbers import Real
 from pathlib import Path
 from typing import Any, get_args
 
@@ -27,7 +28,7 @@ from hyperval.data import Array
 from hyperval.errors import UsageError, package_table, refuse
 from hyperval.model import Origins, Truth, UncertainInput, inputs_of, number_input, predict, read, value_at
 from hyperval.model.inputs import Kind, directions, field_spectrum_of, form_in_words, spectral_input
-from hyperval.model.world import World, find, in_file
+from hyperval.model.world import World, column_of, find, in_file
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
@@ -264,8 +265,7 @@ def candidates(
             first = next(m for m in members if m is not None)
             one = Candidate(name, first.kind, first.correlation, budgeted, members)
             if one.size == 1:
-                kind = name.partition(" of ")[0]
-                further = () if budgeted else _SIZES.get(name, _SIZES.get(kind, _OTHER_SIZES))
+                further = () if budgeted else _SIZES.get(name, _SIZES.get(name.partition(" of ")[0], _OTHER_SIZES))
                 one = replace(one, sizes=(1.0, -1.0, *further))
             out.setdefault(name, one)
     return list(out.values())
@@ -292,13 +292,10 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     if any(s is not None and s.engine == "table" for s in states):
         states = [None for _ in states]
 
-    def shifted(units: float) -> list[Truth]:
-        return [_shifted(world, nm=SHIFT_NM * units) for world in worlds]
-
     def wider(units: float) -> list[Truth]:  # or spectra that were smoothed over bands
         return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
 
-    sizes = (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
+    shifted, sizes = partial(_elsewhere, worlds, 1.0), (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
     out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
     out.append(Candidate("band width", "sensor", "10 %", False, moved=wider, sizes=(-4.0, 10.0, 30.0)))
     if any(s is not None and s.time_utc for s in states):
@@ -362,8 +359,7 @@ def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth
     [{'atmosphere.time_utc': '2012-10-06T16:00:00+00:00'}]
     """
     by = units * step if step < timedelta(days=1) else timedelta(days=round(units * step.days))
-    states = [world.stated.scenario.atmosphere for world in worlds]
-    times = [s and s.time_utc and parse_utc(s.time_utc) + by for s in states]
+    times = [s and s.time_utc and parse_utc(s.time_utc) + by for s in (w.stated.scenario.atmosphere for w in worlds)]
     return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
 
 
@@ -613,8 +609,7 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
         f"{key.partition('_')[0]} with the other sign": [{} if x is None else {f"atmosphere.{key}": -x} for x in at]
         for key in ("latitude_deg", "longitude_deg") if any(at := [getattr(s, key, None) for s in states])
     }  # fmt: skip
-    if signs:
-        out.append(_one_of("place on the globe", "atmosphere", signs))
+    out += [_one_of("place on the globe", "atmosphere", signs)] if signs else []
     models, suns = get_args(AtmosphereModel), tuple(SOLAR_SPECTRA)
     for name, key, words in (("solar spectrum", "solar_spectrum", suns), ("standard atmosphere", "model", models)):
         stated = [getattr(s, key, None) for s in states]
@@ -661,8 +656,7 @@ def _files_changed(levels: Mapping[str, Sequence[Mapping[str, Array]]]) -> dict[
 
 
 def _level(name: str, means: Sequence[Mapping[str, Array]]) -> Candidate:
-    moved = partial(_levelled, means)
-    return Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=moved)
+    return Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=partial(_levelled, means))
 
 
 def _levelled(values: Sequence[Mapping[str, Any]], units: float) -> list[Truth]:
@@ -679,19 +673,19 @@ def arms_of(world: World) -> dict[str, Array]:
     return {"{:.0f}-{:.0f} nm".format(*axis.centre_nm[arm][[0, -1]]): 1.0 * arm for arm in arms if several}
 
 
+def _elsewhere(worlds: Sequence[World], of: Array | float, units: float) -> list[Truth]:
+    return [_shifted(world, nm=SHIFT_NM * units * of) for world in worlds]
+
+
 def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
     """Wavelengths, electrons per radiance and fixed noise of one arm."""
     out = list[Candidate]()
     for where, arm in arms_of(worlds[0]).items():
-
-        def shifted(units: float, arm: Array = arm) -> list[Truth]:
-            return [_shifted(world, nm=SHIFT_NM * units * arm) for world in worlds]
-
         noises = {"electrons": "electrons per radiance", "fixed_noise": "noise without signal"}
         for key, name in noises.items() if all(world.stated.noise is not None for world in worlds) else ():
             out.append(_noise(worlds, key, f"{name} of {where}", _SIZES[name], arm))
-        name, step = f"wavelength shift of {where}", f"{SHIFT_NM:g} nm"
-        out.append(Candidate(name, "sensor", step, False, sizes=(-25.0, -5.0, 5.0, 25.0), moved=shifted))
+        name, moved = f"wavelength shift of {where}", partial(_elsewhere, worlds, arm)
+        out.append(Candidate(name, "sensor", f"{SHIFT_NM:g} nm", False, sizes=(-25.0, -5.0, 5.0, 25.0), moved=moved))
     return out
 
 
@@ -776,38 +770,58 @@ def injected_prediction(
     --------
     >>> from hyperval.api import load_scenario
     >>> scenario = load_scenario("panels").with_values({"atmosphere.engine": "emulator"})
-    >>> seen = [injected_prediction(scenario, lambda _, x=x: {"line.gain": x})[0] for x in (1.0, 1.02)]
-    >>> of, more = (prediction.reflectance["grass"].mean for prediction in seen)
-    >>> float(np.abs(more / of - 1.02).max().round(9))
-    0.0
-    >>> for value in (-1.0, float("nan"), None, "loud", [1.0, 2.0]):
+    >>> gains = 1.0, np.linspace(1.0, 1.02, 360).tolist()
+    >>> seen = [injected_prediction(scenario, lambda _, x=x: {"line.gain": x})[0].reflectance["grass"] for x in gains]
+    >>> of, more = (estimate.pixel_covariance for estimate in seen)
+    >>> bool(np.allclose(more, np.outer(gains[1], gains[1]) * of)), float(seen[1].mean[-1] / seen[0].mean[-1])
+    (True, 1.02)
+    >>> noise, tail = "sensor.noise", "scene.classes.grass.tail_dof"
+    >>> for path, value in (noise, float("nan")), (noise, "loud"), (noise, [1.0, [2.0]]), (tail, 2.0):
     ...     try:
-    ...         injected_prediction(scenario, lambda _: {"sensor.noise": value})
+    ...         injected_prediction(scenario, lambda _: {path: value})
     ...     except UsageError as error:
     ...         print(error.what, "expected:", error.expected)
-    sensor.noise at -1.0 expected: a number from 0.001 to inf
-    sensor.noise at nan expected: a number from 0.001 to inf
-    sensor.noise at None expected: a number from 0.001 to inf
-    sensor.noise at loud expected: a number from 0.001 to inf
-    sensor.noise at [1.0, 2.0] expected: a number from 0.001 to inf
+    sensor.noise at nan expected: a number from 0.001, or a list of 360
+    sensor.noise at 'loud' expected: a number from 0.001, or a list of 360
+    sensor.noise at [1.0, [2.0]] expected: a number from 0.001, or a list of 360
+    scene.classes.grass.tail_dof at 2.0 expected: a number above 2
     """
     world = read(scenario, origins)
     try:
         truth = error(world)
-        sizes = {path: (1, np.size(value_at(world, path)), len(world.stated.axis)) for path in truth}
+        for path in truth:
+            value_at(world, path)
     except UsageError as why:
         raise (UsageError if why.mend else NotInjectable)(why.what, expected=why.expected, mend=why.mend) from why
-    for path in filterfalse(in_file, truth):
-        entry, value = find(world.stated, path), np.asarray(truth[path])
-        is_number = value.dtype.kind in "fiu" and value.size in sizes[path]
-        is_taken = is_number and np.all((entry.low <= value) & (value <= entry.high))
-        refuse(not is_taken, "study.limits", path=path, number=truth[path], low=entry.low, high=entry.high)
+    check_numbers(world, truth)
     prediction = predict(scenario, origins, truth=truth, objects=objects)
     if {"line.gain", "line.offset"} & truth.keys():  # what was collected is through its own line: it shows in its own
-        gain, offset = truth.get("line.gain", 1.0), truth.get("line.offset", 0.0)
+        gain, offset = (np.asarray(truth.get(f"line.{name}", x)) for name, x in (("gain", 1.0), ("offset", 0.0)))
         seen = {name: _through_line(estimate, gain, offset) for name, estimate in prediction.reflectance.items()}
         prediction = replace(prediction, reflectance=seen)
     return prediction, truth
+
+
+def check_numbers(world: World, truth: Truth) -> None:
+    """Refuse what is beyond the limits of a path of the model, or is neither a number nor a list of as many as it has.
+
+    Raises
+    ------
+    UsageError : the path, what was given, and what was expected.
+    """
+    for path, given in truth.items():
+        entry, is_zenith = find(world.stated, path), path.endswith("_zenith_deg")  # which is taken beyond the zenith
+        of_column = isinstance(given, Real) and entry.field and not path.startswith("atmosphere.")
+        if in_file(path) and not is_zenith and not of_column:  # the file's own rules hold
+            continue
+        value = np.asarray(column_of(given) if isinstance(given, list | tuple) else given)
+        counts = {1, *((np.size(value_at(world, path)), len(world.stated.axis)) if entry.shape == "vector" else ())}
+        is_number = value.dtype.kind in "fiu" and value.ndim <= (entry.shape == "vector") and value.size in counts
+        is_taken = is_number and np.all((entry.low <= value) & (value <= entry.high))
+        ends = {"above" if entry.low > float(f"{entry.low:g}") else "from": entry.low, "to": entry.high}
+        words = [f" {word} {end:g}" for word, end in ends.items() if np.isfinite(end)]
+        words += [f", or a list of {count}" for count in sorted(counts - {1})]
+        refuse(not is_taken, "study.limits", path=path, given=f"{given!r:.80}", words="".join(words))
 
 
 def _each(world: World, path: str) -> dict[str, Any]:
@@ -822,15 +836,13 @@ def _names(world: World, what: str) -> list[str]:
     """Classes, those that cover most first; or targets."""
     scene = world.stated.scenario.scene
     names = [x.name for x in (scene.targets if what == "target" else sorted(scene.classes, key=lambda c: -c.fraction))]
-    if not names:
-        raise NotInjectable(f"there is no {what}")
+    refuse(not names, "attribution.none", what=f"there is no {what}")
     return names
 
 
 def _times(world: World, *, path: str, factor: float) -> Truth:
     nominal = _each(world, path)
-    if not any(map(np.any, nominal.values())):
-        raise NotInjectable(f"{path} is 0")
+    refuse(not any(map(np.any, nominal.values())), "attribution.none", what=f"{path} is 0")
     return {each: factor * value for each, value in nominal.items()}
 
 
@@ -846,8 +858,7 @@ def _shifted(world: World, *, bands: float = 0.0, nm: float | Array = 0.0) -> Tr
 
 def _without_tails(world: World) -> Truth:
     heavy = {path: NORMAL_DOF for path, dof in _each(world, "surfaces.[{class}].tail_dof").items() if dof < NORMAL_DOF}
-    if not heavy:
-        raise NotInjectable("no class has tails")
+    refuse(not heavy, "attribution.none", what="no class has tails")
     return heavy
 
 
@@ -861,16 +872,14 @@ def _other_material(world: World) -> Truth:
 def _fine_texture(world: World) -> Truth:
     """All of the targets' spread."""
     names = [name for name in _names(world, "target") if np.any(world.stated.surfaces[name].covariance)]
-    if not names:
-        raise NotInjectable("no target has a spread")
+    refuse(not names, "attribution.none", what="no target has a spread")
     return {f"surfaces.[{name}].fine_texture": 1.0 for name in names}
 
 
 def _exchanged(world: World, names: Sequence[str] = (), what: str = "surface") -> Truth:
     """Each surface has the mean spectrum of the next one, where that is known; the two classes that cover most."""
     names = names or (_names(world, what)[:2] if what == "class" else _names(world, what))
-    if len(names) < 2:
-        raise NotInjectable(f"there is one {what}")
+    refuse(len(names) < 2, "attribution.none", what=f"there is one {what}")
     moves = {}
     for name, other in zip(names, (*names[1:], names[0]), strict=True):
         own, there = world.stated.surfaces[name].mean, world.stated.surfaces[other].mean
@@ -882,11 +891,10 @@ def _line(world: World, *, gain: float, offset: float) -> Truth:
     """An empirical line that is off for the detectors; where reflectance was collected, in the surfaces' own."""
     if world.stated.scenario.atmosphere is None:
         return {"sensor.gain": gain, "sensor.offset": offset}
-    if world.stated.scenario.processing.elm == "none":
-        raise NotInjectable("there is no empirical line")
+    refuse(world.stated.scenario.processing.elm == "none", "attribution.none", what="there is no empirical line")
     return {"line.gain": gain, "line.offset": offset}
 
 
-def _through_line(estimate: SpectralEstimate, gain: float, offset: float) -> SpectralEstimate:
-    pixels = None if estimate.pixel_covariance is None else gain**2 * estimate.pixel_covariance
+def _through_line(estimate: SpectralEstimate, gain: Array, offset: Array) -> SpectralEstimate:
+    pixels = None if estimate.pixel_covariance is None else np.multiply.outer(gain, gain) * estimate.pixel_covariance
     return replace(estimate, mean=gain * estimate.mean + offset, pixel_covariance=pixels)

@@ -249,10 +249,10 @@ class Lookup:
             self.add(location, ": ".join(filter(None, (error.where, error.what + expected))))
             return None
 
-    def one(self, location: Location, name: str, known: Sequence[str], lacks: str) -> None:
-        """A mistake where a name is none of ``known``."""
-        if name not in known:
-            self.add(location, f"{lacks} {name!r}; expected: one of {', '.join(known) or 'none'}")
+    def one(self, at: Location, name: str, known: Sequence[str], lacks: str, fits: Any = str.__eq__) -> None:
+        """A mistake where a name is none of ``known``, or fits none."""
+        if not any(fits(one, name) for one in known):
+            self.add(at, f"{lacks} {name!r}; expected: one of {', '.join(known) or 'none'}")
 
     def spectra(
         self, at: Location, entry: Any, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
@@ -292,13 +292,13 @@ def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scen
         noun, *more = NAMES.get(".".join(part for part in at if isinstance(part, str)), ("",))
         if noun in known:
             lookup.one(at, name, (*more, *known[noun]), f"no {noun}")
-    measured = cube is not None and (cube.quantity != "radiance" or campaign.collection.empirical_line is not None)
     regions, subjects = known.get("region", ()), known.get("subject", ())
-    given = axis, regions if measured else ()
+    given = axis, regions if cube and (cube.quantity != "radiance" or campaign.collection.empirical_line) else ()
     predicted = [name for scenario, own in scenarios for name in _predicted(scenario, own, *given)]
     # Metrics that a product does not have, and subjects of spectra and curves that neither side has.
     pools = [pool.name for pool in detection.pools] if detection else []
     both = {**{name: [*regions, *subjects] for name in SPECTRA}, "roc": [*subjects, *pools]}
+    both[""] = [*regions, *both["roc"]]
     for i, gate in enumerate(campaign.comparisons):
         if wrong := foreign(gate.metric, gate.product):
             lookup.add(("comparisons", i, "metric"), wrong)
@@ -308,6 +308,8 @@ def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scen
                 lookup.one(("comparisons", i, "subjects", k), pattern, names, "the collection has no")
             elif gate.product != "roc" and not any(fnmatchcase(name, pattern) for name in (*predicted, *TOGETHER)):
                 lookup.one(("comparisons", i, "subjects", k), pattern, predicted, "no scenario has a subject")
+    for i, pattern in enumerate(campaign.attribution.each if campaign.attribution and both[""] else ()):
+        lookup.one(("attribution", "each", i), pattern, both[""], "the collection has no", fnmatchcase)
     return lookup.mistakes
 
 

@@ -12,10 +12,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import scipy
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from hyperval.atmosphere.solar import reference_of
 from hyperval.atmosphere.state import pressure_at, standard_profile
@@ -204,23 +204,21 @@ class Campaign(Outline):
 
     attribution: AttributionOptions | None = Field(None, description="attribute the differences to causes")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Campaign:
-        if self.simulated == "dirsig" and (self.collection.simulate or not self.collection.cube):
-            raise ValueError("simulated: dirsig reads DIRSIG's files: give collection.cube, and no simulate")
-        if self.collection.simulate and not self.simulated:
-            raise ValueError("a campaign with a simulated collection says 'simulated: true'")
-        for key in ("detection", "classification"):
-            if getattr(self, key) and not self.collection.cube:
-                raise ValueError(f"{key} needs a cube")
-        by_number = self.collection.cube is not None and self.collection.cube.by_number
-        if by_number and (self.classification or (self.detection and self.detection.bands == "windows")):
-            raise ValueError("by_number: atmospheric windows need wavelengths; set detection.bands to good or all")
-        named = [(g.product, g.metric, g.method, g.bands_nm, s) for g in self.comparisons for s in g.subjects]
-        if twice := [name for name in named if named.count(name) > 1]:
-            product, metric, *_, subject = twice[0]
-            raise ValueError(f"comparisons: {product} {metric} of {subject} is compared twice")
-        return self
+    refused: ClassVar = {
+        "simulated: dirsig reads DIRSIG's files: give collection.cube, and no simulate": lambda c: (
+            c.simulated == "dirsig" and (c.collection.simulate or not c.collection.cube)
+        ),
+        "simulated: must be true, as collection.simulate is given": lambda c: c.collection.simulate and not c.simulated,
+        "{}: needs a cube": lambda c: [
+            key for key in ("detection", "classification") if getattr(c, key) and not c.collection.cube
+        ],
+        "collection.cube.by_number: atmospheric windows need wavelengths; set detection.bands to good or all":
+            lambda c: (cube := c.collection.cube) and cube.by_number
+            and (c.classification or (c.detection and c.detection.bands == "windows")),
+        "comparisons: {} {} of {} is compared twice": lambda c: (
+            named := [(g.product, g.metric, s, g.method, g.bands_nm) for g in c.comparisons for s in g.subjects]
+        ) and next(([*one] for one in named if named.count(one) > 1), []),
+    }  # fmt: skip
 
 
 FILE_KEYS = frozenset({

@@ -28,7 +28,7 @@ from hyperval.data import Mask
 from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
 from hyperval.imagery import Raster, TargetObject, all_pixels, groups_by_size, guard, objects, open_raster, read_regions
 from hyperval.observe import Place, open_place
-from hyperval.paths import head_of
+from hyperval.paths import checked_store, head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
@@ -191,7 +191,7 @@ class Draft:
 
     def reference(self, path: Path) -> str:
         """A file as the campaign names it: relative to the campaign's own folder."""
-        return os.path.relpath(path.resolve(), self.folder.resolve())
+        return os.path.relpath(checked_store(path).resolve(), self.folder.resolve())
 
     def guess(self, name: str, /, **words: object) -> None:
         """Mark the value at a place of the content, as ``draft.yaml`` has both under a name."""

@@ -371,9 +371,9 @@ def init(
     name: Annotated[str | None, Option(help="Name of the campaign; default: that of the folder.")] = None,
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
-    path = hyperval.config.unwritten(output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml")
+    path = output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml"
     called = path.stem if path == output else output.resolve().name
-    own = name or re.sub(r"[^a-z0-9]+", "-", called.lower()).strip("-") or "campaign"
+    own = re.sub(r"[^a-z0-9]+", "-", (name or called).lower()).strip("-") or "campaign"
     given = cube, regions or (), targets, spectra or (), header, quantity, unit
     sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key, scale)
     text, guesses = campaign.starter_campaign(sources, path.parent, own)
@@ -572,7 +572,7 @@ def sensor_new(
     arms: Annotated[str, Option(help="Its spectrometers, with commas between.")] = "VNIR",
 ) -> int:
     """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
-    path = hyperval.config.unwritten(output or Path(f"{name}.yaml"))
+    path = output or Path(f"{name}.yaml")
     text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")])
     hyperval.config.write_draft(path, "sensor", text)
     note(f"{path}: replace every FILL_IN, then: {as_typed('sensor', 'check', path)}")
@@ -650,7 +650,7 @@ def keep_caches(place: Path) -> None:
 INTERRUPTED, OUTPUT_CLOSED, TERMINATED = 130, 141, 143
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # Files and folders that a command was told to use and that cannot be.
-_PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR)
+_PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
 
 
 class _Terminated(BaseException):

@@ -113,7 +113,7 @@ function tips(mark, x, y, data) {
 function styleAxis(ruler, axis, narrow) {
   Object.assign(ruler, {
     axis_line_color: SOFT, major_tick_line_color: SOFT, minor_tick_line_color: null, major_label_text_color: INK, major_label_text_font_size: "12px",
-    axis_label: axis.label ?? "", axis_label_text_color: INK, axis_label_text_font_size: "12px", axis_label_text_font_style: "normal",
+    axis_label: (axis.label ?? "").replace(/(.{1,40})(?: |$)/g, "$1\n").trim(), axis_label_text_color: INK, axis_label_text_font_size: "12px", axis_label_text_font_style: "normal",
   });
   if (axis.scale === "log" && axis.ends[1] / axis.ends[0] < FEW_DECADES) { // plain numbers at 1, 2 and 5
     const ticks = [];

@@ -7,6 +7,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from textwrap import fill
 from typing import Any
 
 import matplotlib.style
@@ -27,7 +28,7 @@ _MARKERS = {
     "x": "X", "hex": "h", "tick": "|", "left": "<", "right": ">",
 }  # fmt: skip
 _ABSORPTION = "#e9e9e9"
-_ROW_IN = 0.3  # [in] of a named row
+_ROW_IN, _LABEL = 0.3, 40  # [in] of a named row; letters along an axis
 _FEW_DECADES = 2.5  # below which an axis has plain numbers at 1, 2 and 5
 _JOURNAL_SCALE = 0.72  # of 10 in: 183 mm, two columns
 _METADATA: dict[str, dict[str, Any]] = {
@@ -89,7 +90,7 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
                 axes.set_title("\n".join(name), loc="left")
             draw_part(axes, view, part)
             last = number == len(view.parts) - 1
-            axes.set_ylabel(plain(part.y.label).replace(" [", "\n[") if column == 0 else "")
+            axes.set_ylabel(fill(plain(part.y.label), _LABEL).replace(" [", "\n[") if column == 0 else "")
             axes.set_xlabel(plain((part.x or view.x).label) if part.x or (last and at + columns >= len(views)) else "")
             if not last and not part.x:
                 axes.tick_params(labelbottom=False)
@@ -107,9 +108,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
 def _height_in(view: Panels) -> float:
     """Height of a row of panels [in]."""
     rows = sum(len(part.y.names) for part in view.parts)
-    if not rows:
-        return 1.3 + 1.2 * len(view.parts)
-    return 0.5 + _ROW_IN * (rows + 1.5 * (len(view.parts) - 1)) + (1.0 if view.x.scale == "names" else 0.0)
+    named = 0.5 + _ROW_IN * (rows + 1.5 * (len(view.parts) - 1)) + (1.0 if view.x.scale == "names" else 0.0)
+    return named if rows else 1.3 + 1.2 * len(view.parts)
 
 
 def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:

@@ -704,7 +704,7 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
     return _of(job.campaign, rows, record, notes=notes)
 
 
-def _of(campaign: Campaign, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> Benchmarked:
+def _of(campaign: Any, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> Benchmarked:
     more |= {"campaign": campaign.name, "title": campaign.title, "simulated": bool(campaign.simulated)}
     return Benchmarked(ResultTable(of_campaign(rows, campaign.name)), record, **more)
 
@@ -712,8 +712,8 @@ def _of(campaign: Campaign, rows: Iterable[Result], record: Mapping[str, Any], *
 def _stopped(job: Job, outcome: Outcome, reason: str, code: int | None = None) -> Benchmarked:
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     row = Result("", PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
-    record = record_of(InputLog.of_file(job.path), [], None, {"campaign": job.campaign}, [])
-    return _of(job.campaign, [row], record, exit_code=code)
+    record = record_of(InputLog.of_file(job.path), [], None, {"campaign": job.outline}, [])
+    return _of(job.outline, [row], record, exit_code=code)
 
 
 def benchmark(

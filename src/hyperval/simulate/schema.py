@@ -66,7 +66,7 @@ class TargetGroup(OneOf):
     material: str = Field(description="built-in surface of the planks")
     host: str = Field(description="built-in surface they lie on")
     fill: float | None = Field(
-        None, gt=0.0, lt=1.0, description="fill fraction of a pixel with a plank at its centre: sets the side"
+        None, ge=1e-4, lt=1.0, description="fill fraction of a pixel with a plank at its centre: sets the side"
     )
     side_m: float | None = Field(None, gt=0.0, description="side [m], when given instead of the fill")
     count: int = Field(ge=1, le=100_000)
@@ -172,7 +172,7 @@ class SceneFile(Model):
     panels: list[Panel] = Field([])
     targets: list[TargetGroup] = Field([])
     regions: list[SimulatedRegion] = Field([])
-    target_guard_pixels: int = Field(3, ge=0, description="around planks, left out of the regions")
+    target_guard_pixels: int = Field(3, ge=0, le=10_000, description="around planks, left out of the regions")
     field_spectra: FieldSpectra = FieldSpectra()
     header: dict[str, str] = Field(
         {}, description="further entries of the cube's header, as files of this sensor carry them"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.optimize.elementwise import find_root
 from scipy.stats import qmc
 
 from hyperval.atmosphere.between import spaced
+from hyperval.attribute import check_numbers
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, needed, refuse
@@ -22,7 +24,7 @@ from hyperval.model.forward import reflectances
 from hyperval.model.radiance import Light, mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
 from hyperval.model.stated import plain, state_entries
-from hyperval.model.world import column_of, find, in_file
+from hyperval.model.world import column_of, in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
@@ -266,23 +268,20 @@ def try_values(study: StudyFile, world: World) -> None:
             try:
                 try_changes(world, point_of(item, value))
             except UsageError as error:
-                raise UsageError(f"input {item.name!r} at {value!r}: {error}") from error
+                raise UsageError(f"input {item.name!r} at {value!r:.80}: {error}") from error
 
 
 def try_changes(world: World, changes: dict[str, Any]) -> None:
     """Refuse values at dotted paths that the scenario or the model does not take; None: an entry that is left alone."""
     at = changes.get(PFA, 0.5)
-    refuse(not (isinstance(at, int | float) and 0.0 < at < 1.0), "study.pfa", at=at)
+    refuse(not (isinstance(at, Real) and 0.0 < float(at) < 1.0), "study.pfa", at=at)
     changes = {path: value for path, value in changes.items() if value is not None and path != PFA}
-    for path in [path for path in changes if not in_file(path)]:
-        entry, number = find(world.stated, path), changes.pop(path)
-        is_inside = isinstance(number, int | float) and entry.low <= number <= entry.high
-        refuse(not is_inside, "study.limits", path=path, number=number, low=entry.low, high=entry.high)
+    check_numbers(world, changes)
     state = world.stated.scenario.atmosphere
-    own = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.")}
+    own = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and isinstance(v, Real)}
     # With what gives way to them, such as time and place to the sun.
-    changes = {f"atmosphere.{k}": v for k, v in (state_entries(state, own) if state else {}).items()} | changes
-    with_settings(world.stated.scenario, changes)
+    given = {f"atmosphere.{k}": v for k, v in (state_entries(state, own) if state else {}).items()}
+    with_settings(world.stated.scenario, {path: v for path, v in (changes | given).items() if in_file(path)})
 
 
 def point_of(item: Moving, value: Any) -> dict[str, Any]:

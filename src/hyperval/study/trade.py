@@ -214,14 +214,16 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     Traceback (most recent call last):
     hyperval.errors.UsageError: at:atmosphere.meteorological_range_km: 5 km is beyond the emulator of the atmosphere
       expected: 7.716 km or more
-    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_from=-5.0), prepared("panels", Trade()))
+    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_from=-95.0), prepared("panels", Trade()))
     Traceback (most recent call last):
-    hyperval.errors.UsageError: x_from: -5 deg: it should be greater than or equal to 0
+    hyperval.errors.UsageError: x_from: -95 deg: atmosphere.solar_zenith_deg at -95.0
+      expected: a number from -85 to 84.9
     >>> at = {"time_utc": "2012-09-20T16:00:00Z", "latitude_deg": 43.0, "longitude_deg": -77.7}
     >>> at |= dict.fromkeys(("solar_zenith_deg", "solar_azimuth_deg", "day_of_year"))
     >>> lit = load_scenario("panels").with_values({f"atmosphere.{key}": value for key, value in at.items()})
     >>> world = plan.read(lit)
-    >>> plan.try_changes(world, {"atmosphere.solar_zenith_deg": 35.0})  # place and time give way
+    >>> plan.try_changes(world, {"atmosphere.solar_zenith_deg": 35.0, "atmosphere.view_zenith_deg": -5.0,  # past nadir
+    ...                          "sensor.gain": np.int64(1)})  # place and time give way
 
     Raises
     ------
@@ -268,8 +270,9 @@ def _check(p: Prepared, where: str, key: str, value: float, is_emulated: bool = 
     try:
         plan.try_changes(p.world, dict.fromkeys(offer.paths, value))
     except UsageError as error:
-        what = error.what.rpartition(": ")[2].replace("Input should", "it should")
-        raise UsageError(f"{offer.told(value)}: {what}", where=where, expected=error.expected) from error
+        raise UsageError(
+            f"{offer.told(value)}: {error.what.rpartition(': ')[2]}", where=where, expected=error.expected
+        ) from error
     if key.startswith("atmosphere.") and not (is_emulated or _is_emulated(p, {name: value})):
         while abs(outside - inside) > 1e-6 * max(abs(inside), abs(value)):
             middle = 0.5 * (inside + outside)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import AsyncIterator, Mapping
+import re
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
+from dataclasses import replace
 
 import anyio.to_thread
 from fastapi import FastAPI, Request
@@ -21,7 +22,7 @@ from hyperval.executors import TaskPool
 from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes)
 from hyperval.web.guard import Guard
 from hyperval.web.pages import api, page, pages
-from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, field_name, fitting, mistake_of, problems, said
+from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, problems, said
 from hyperval.web.store import Runs, ServerSettings
 
 _THREADS = 128  # requests that wait for a worker hold one each
@@ -82,8 +83,10 @@ def _told(request: Request, error: Exception) -> Response:
     if isinstance(error, Refused):
         mistakes = list(error.mistakes)
     elif isinstance(error, RequestValidationError):
-        status, items = 422, fitting(error.errors())
-        mistakes = [_of_field(item, error.body) for item in items[:MOST_MISTAKES]]
+        status, unread = 422, isinstance(error.body, str)
+        mistakes = [
+            replace(m, field="body" if unread else re.sub(r"^\w+\.", "", m.field)) for m in mistakes_of(error.errors())
+        ]
     elif isinstance(error, HypervalError):
         status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))]
     if request.url.path.startswith("/api/"):
@@ -95,10 +98,3 @@ def _told(request: Request, error: Exception) -> Response:
         answer.headers.update(headers)
         return answer
     return problems(status, mistakes, headers)
-
-
-def _of_field(item: Mapping[str, Any], body: Any) -> FieldMistake:
-    """A mistake of a request by the schema of its route."""
-    place, *rest = item["loc"]
-    name = field_name(rest, body, item["type"] == "missing") if place == "body" else ".".join(map(str, rest))
-    return mistake_of(item, name or str(place))

@@ -401,7 +401,7 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
-        raise Refused(422, [*mistakes_of(error, data), *mistakes][:MOST_MISTAKES]) from error
+        raise Refused(422, [*mistakes_of(error.errors()), *mistakes][:MOST_MISTAKES]) from error
     deny(mistakes or list(_of_cost(scenario)), 422)
     return scenario
 

@@ -216,7 +216,7 @@ def predictions(request: Request, order: PredictionOrder, wait: Wait = 10.0) -> 
         data = plain(with_settings(scenario, order.settings) if order.settings else scenario)
     except UsageError as error:
         if isinstance(cause := error.__cause__, ValidationError):
-            raise Refused(422, mistakes_of(cause, plain(scenario))) from error
+            raise Refused(422, mistakes_of(cause.errors())) from error
         raise Refused(422, [FieldMistake("settings", said(error)[:500])]) from error
     return run(request, order_prediction(request, data).id, wait)
 
@@ -275,7 +275,7 @@ def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, T
         p = prepared(source, trade)
         return source, completed(trade, p), p
     except ValidationError as error:
-        mistakes = mistakes_of(error, data)
+        mistakes = mistakes_of(error.errors())
         raise Refused(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error
     except UsageError as error:
         raise Refused(422, [FieldMistake(error.where or "", said(error))]) from error

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 from unicodedata import normalize
 
 from fastapi import Request
-from pydantic import AfterValidator, BaseModel, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, ValidationInfo, field_validator
 from starlette.datastructures import FormData, UploadFile
 from starlette.responses import RedirectResponse, Response
 
@@ -143,9 +143,14 @@ class Uploads:
 class StatedCollection(BaseModel):
     """What a person says of a collection; blank entries are left out.
 
-    >>> for wrong in ({"time_utc": "4.6.2018 10:00"}, {"unit": "furlongs"}):
-    ...     with suppress(ValidationError):
+    >>> percent = {"quantity": "reflectance", "unit": "percent"}
+    >>> for wrong in ({"time_utc": "4.6.2018 10:00"}, {"unit": "furlongs"}, percent):
+    ...     try:
     ...         StatedCollection(**wrong)
+    ...     except ValidationError as error:
+    ...         told = mistakes_of(error.errors())
+    >>> told
+    [FieldMistake(field='unit', message='a reflectance has none; of percent the scale is 0.01')]
     """
 
     name: str = Field("mine", max_length=60, pattern="^[a-z0-9][a-z0-9-]*$")
@@ -156,6 +161,13 @@ class StatedCollection(BaseModel):
     altitude_km: float | None = Field(None, ge=0.01, le=100_000, allow_inf_nan=False)
     pixel_size_m: float | None = Field(None, ge=0.001, le=10_000, allow_inf_nan=False)
     scale: float | None = Field(None, gt=0.0, allow_inf_nan=False)
+
+    @field_validator("unit", mode="before")
+    @classmethod
+    def _is_of_radiance(cls, value: Any, info: ValidationInfo) -> Any:
+        if info.data.get("quantity") == "reflectance":
+            raise ValueError("a reflectance has none; of percent the scale is 0.01")
+        return value
 
 
 @pages.get("/bring")
@@ -217,7 +229,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         try:
             stated = StatedCollection.model_validate(given)
         except ValidationError as error:
-            mistakes += mistakes_of(error, given)
+            mistakes += mistakes_of(error.errors())
     deny(mistakes, 422)
     if not is_cube:
         return list(own.names())
