@@ -148,7 +148,8 @@ def reader(function: Callable[P, R]) -> Callable[P, R]:
         except Exception as error:
             words = str(error).splitlines()[0][:200] if str(error) else "no more is known"
             what = f"damaged, or not of the kind that its name says ({type(error).__name__}: {words})"
-            raise InputError(what, where=str(named)[:300]) from error
+            place = f"{str(named)[:300]}:{getattr(error, 'lineno', '')}".rstrip(":")
+            raise InputError(what, where=place, mend="correct it there, or copy the file again") from error
 
     return read
 

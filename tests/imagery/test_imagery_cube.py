@@ -129,8 +129,7 @@ def test_sparse_120_gb_file_is_read_by_blocks(edit):
 
 
 def test_two_headers_must_be_chosen_from(cube_file):
-    second = cube_file.with_name("cube.img.hdr")
-    shutil.copy(cube_file.with_suffix(".hdr"), second)
+    second = shutil.copy(cube_file.with_suffix(".hdr"), cube_file.with_name("cube.img.hdr"))
     with pytest.raises(UsageError, match="two headers"):
         open_cube(cube_file, quantity="reflectance")
     assert open_cube(cube_file, quantity="reflectance", header=second).lines == 6
@@ -139,11 +138,8 @@ def test_two_headers_must_be_chosen_from(cube_file):
 def test_what_is_no_cube_and_pixels_outside_are_refused(tmp_path, cube_file):
     with pytest.raises(InputError, match=r"is a folder, not an image(?s:.*)gdalbuildvrt"):
         open_cube(tmp_path, quantity="reflectance")
-    for thing, message in (
-        (7, "is not a cube"),
-        (np.zeros((3, 4, 5)), "is not a cube"),
-        ("GTIFF_DIR:1:a", "not a path of a l"),
-    ):
+    others = (7, "is not a cube"), (np.zeros((3, 4, 5)), "is not a cube"), ("GTIFF_DIR:1:a", "not a path of a l")
+    for thing, message in others:
         with pytest.raises(UsageError, match=message):
             open_cube(thing, quantity="other")
     for where in ((np.array([6]), np.array([0])), (np.array([0]), np.array([-1])), np.ones((5, 6), bool)):
