@@ -47,7 +47,7 @@ def test_damaged_and_unknown_text_is_refused_by_name(tmp_path, case):
         ("Continuum removed", "continuum removed"), ("Transmittance (percent)", "transmittance"),
         ("Emissivity", "emissivity"), ("spectral irradiance", "irradiance"),
         ("ABS plastic", None), ("Abs. reflectance", None), ("grass_rfl", None), ("gradient", None), ("Edna", None),
-        ("SNRI 3", None), ("K-Mart lot", None),
+        ("SNRI 3", None), ("K-Mart lot", None), ("a.asd.rad", "radiance"), ("irrad_b.asd.rad", "irradiance"),
     ],
 )  # fmt: skip
 def test_a_title_says_the_quantity_and_a_name_of_a_sample_none(tmp_path, title, quantity):

@@ -35,7 +35,8 @@ _NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^
 is_number = _NUMBER.match  # a text, and nothing else
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 _WHOLE = re.compile(r"^[-+]?[0-9]+$")
-_END = re.compile(r"^>+\s*End\b")  # of the numbers, in files of Ocean Optics
+_END = re.compile(r"^>+\s*End\b|^\[END\]")  # of the numbers, in files of Ocean Optics and TriOS
+_PER_SR = r"(?<![a-z])rrs(?![a-z])|[\[(] *(1 */ *sr|sr *\^? *[-−]1) *[\])]", "sr-1"
 _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
 # Of the words of a title: those that say standard deviation, and those that name nothing of their own.
 _SPREAD = re.compile(
@@ -47,8 +48,8 @@ _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
 # What titles say of values that are no reflectance.
 _QUANTITIES = {
-    "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])",
-    "irradiance": r"(?<![a-z])irradiance",
+    "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])|^(?!.*irrad).*\.asd\.rad$",  # the last as ViewSpec exports it
+    "irradiance": r"(?<![a-z])irradiance|irrad.*\.asd\.rad$",
     "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
     "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
     "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
@@ -170,8 +171,7 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
     InputError : no numbers, rows of different length, text among the numbers, too many rows, or not as many as the
         file says.
     """
-    header: list[str] = []
-    rows: list[list[float]] = []
+    header, rows = list[str](), list[list[float]]()
     start, stated, ended = 0, None, False
     for number, line in enumerate(text.splitlines(), start=first):
         if not line.strip(" \t,;"):
@@ -181,7 +181,7 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
         if not rows and not (numbers and (len(cells) > 1 or not header or is_number(line.strip()))):
             header.append(line.strip())
             continue
-        if rows and _END.match(line) and not ended:
+        if rows and _END.match(line):
             ended = True
             continue
         refuse(not numbers or ended, "text.row", where, text=line.strip()[:60])
@@ -234,13 +234,13 @@ def check_last_line(text: str, where: str) -> None:
 def percent_in(title: str) -> str | None:
     """The unit of a reflectance that a column title states, None when it states none.
 
-    A percent behind a number is part of a name.
+    A percent behind a number is part of a name; a remote-sensing reflectance, Rrs, is one per steradian.
 
-    >>> [percent_in(t) for t in ("reflectance (%)", "% reflectance", "plot 99% [%]", "plot 99%", "5 % grey")]
-    ['percent', 'percent', 'percent', None, None]
+    >>> [percent_in(t) for t in ("reflectance (%)", "% reflectance", "plot 99% [%]", "plot 99%", "5 % grey", "Rrs_sd")]
+    ['percent', 'percent', 'percent', None, None, 'sr-1']
     """
     percent = r"(?:^|[^0-9\s])\s*(?:%|percent)"
-    units = (r"%\s*\*\s*100", "scaled:10000"), (percent, "percent"), (r"\[1(\.0)?\]|fraction", "fraction")
+    units = (r"%\s*\*\s*100", "scaled:10000"), (percent, "percent"), (r"\[1(\.0)?\]|fraction", "fraction"), _PER_SR
     return next((unit for said, unit in units if re.search(said, title, re.IGNORECASE)), None)
 
 
@@ -280,8 +280,7 @@ def power_unit_in(text: str) -> str | None:
 
     None where the text holds none that is known.
     """
-    match = _POWER.search(text)
-    return None if match is None else power_unit(match.group().strip())
+    return power_unit(match.group().strip()) if (match := _POWER.search(text)) else None
 
 
 def _entry(header: str, key: str) -> str | None:
@@ -351,7 +350,7 @@ def _titled(header: list[str]) -> int:
 
 def _split_titles(line: str, count: int) -> list[str]:
     """The parts of a line that are as many as there are columns; others may follow behind an entry, "UT: , 18.3"."""
-    line = line.lstrip(_REMARK)
+    line = line.removeprefix("/fields=").lstrip(_REMARK)
     two, one, best = re.sub(r"\s{2,}", "\t", line), " ".join(line.split()), list[str]()
     for delimiter, text in ((";", line), ("\t", line), (",", line), ("\t", two), (" ", one)):
         parts = _without_end(_parts_of(text, delimiter), count)
@@ -376,7 +375,7 @@ def _column(wanted: str | int, titles: list[str], where: str) -> int:
 
 FEWEST_BANDS, FEWEST_BANDS_OF_A_DETECTOR = 4, 25
 # What stands before a wavelength in a title, and behind it; no b: that counts bands.
-_BEFORE = r"(?:(?:[xrw]|wl|wvl|wav|wave|wavelength|lambda|spc|spec|rfl|refl|reflectance|nm|scan_visnir)[_. ]?)?"
+_BEFORE = r"(?:(?:[xrw]|wl|wvl|wav|wave|wavelength|lambda|spc|spec|rfl|rrs|refl|reflectance|nm|scan_visnir)[_. ]?)?"
 _WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?[(\[]?(nm|um)?[)\]]?(?:_ref)?$", re.IGNORECASE)
 _FIRST_TITLE = re.compile(r"^\W*(wave|wvl|wl\b|lambda|nm\b)(?!.*units)", re.IGNORECASE)
 _NAMES = ("name", "sample_name", "sample name", "spectrum", "spectra", "sample", "sample_id", "id", "fname", "names")
@@ -447,11 +446,12 @@ def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str
         raise refusal("text.cell", where, title=titles[numbers.index(None)])
     values, suffix = np.array(numbers, dtype=float), _WAVELENGTH.match(titles[0])
     unit = (suffix[2] if suffix else None) or wavelength_unit_in(about.get("wavelength units", ""), "", where)
-    percent, greatest = "percent" in about.get("measurement units", "").lower(), np.nanmax(values, initial=0.0)
-    doubt = f"the file says percent, and the values reach {greatest:.3g}" if percent and greatest <= 1.5 else None
+    said = "percent" if "percent" in about.get("measurement units", "").lower() else percent_in(titles[0])
+    doubtful = said == "percent" and (most := np.nanmax(values, initial=0.0)) <= 1.5
+    doubt = f"the file says percent, and the values reach {most:.3g}" if doubtful else None
+    known: dict[str, Any] = {"wavelength_unit": unit, "unit": None if doubt else said, "source": where, "doubt": doubt}
     quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "")))
-    known: dict[str, Any] = {"unit": "percent" if percent and doubt is None else None, "wavelength_unit": unit}
-    return FieldSpectrum(name, _wavelengths(titles), values, source=where, quantity=quantity, doubt=doubt, **known)
+    return FieldSpectrum(name, _wavelengths(titles), values, quantity=quantity, **known)
 
 
 def _wavelengths(titles: list[str]) -> Array:
