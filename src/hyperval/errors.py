@@ -74,8 +74,8 @@ def told_of(whose: str, file: str = "") -> Iterator[None]:
 def refusal(name: str, where: object = None, /, **values: object) -> HypervalError:
     """The error of a name in ``refusals.yaml``: what is wrong, what was expected, how to mend it, filled with values.
 
-    >>> str(refusal("header.missing", "a.hdr", key="bands"))
-    "a.hdr: the key 'bands' is missing"
+    >>> refusal("header.missing", "a.hdr", key="bands").what
+    "the key 'bands' is missing"
     """
     words = package_table("refusals.yaml")[name]
     parts = {key: str(words[key]).format(**values) for key in ("expected", "mend") if key in words}
