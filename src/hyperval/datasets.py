@@ -6,7 +6,6 @@ then the user's cache, which ``hyperval data fetch SET`` fills from the addresse
 
 from __future__ import annotations
 
-import csv
 import gzip
 import hashlib
 import os
@@ -24,8 +23,9 @@ from urllib.parse import quote
 
 import platformdirs
 
+from hyperval.envi_header import DATA_SUFFIXES, data_beside, header_beside
 from hyperval.errors import HypervalError, MissingDataError, needed, package_table, refusal, refuse
-from hyperval.paths import checked_store, is_pattern, matching, nearest
+from hyperval.paths import checked_store, is_pattern, matching, nearest, read_table
 from hyperval.progress import track
 from hyperval.storage import has_digest, installed_file, sha256_of, size_of, whole_file
 
@@ -152,7 +152,7 @@ class DataSet:
 def registry() -> Mapping[str, DataSet]:
     """Every registered data set by name."""
     sets, files = package_table("registry/sets.yaml"), defaultdict[str, list[DataFile]](list)
-    for row in csv.DictReader(installed_file("hyperval", "registry", "files.csv").read_text("utf-8").splitlines()):
+    for _, row in read_table(installed_file("hyperval", "registry", "files.csv"))[1]:
         folder = "{repository}/{commit}/{upstream}".format_map(sets[row["set"]])
         inside = row["upstream"][1:] if row["upstream"].startswith("@") else f"{folder}/{row['upstream']}"
         address = f"https://raw.githubusercontent.com/{quote(inside.replace('//', '/'))}"
@@ -307,6 +307,11 @@ class InputLog:
                 self.resolve((PurePosixPath(reference).parent / one.name).as_posix(), base)
             return path
         is_own = base in (None, self.base) and not Path(reference).is_absolute()
+        ending, beside = path.suffix.lower(), None
+        with suppress(HypervalError):  # which of several is read is the reader's to say
+            beside = data_beside(path) if ending == ".hdr" else header_beside(path) if ending in DATA_SUFFIXES else None
+        if beside is not None:
+            self.add(beside)
         return self.add(path, reference if is_own or reference.startswith(PREFIX) else None)
 
     def add(self, path: Path, reference: str | None = None) -> Path:

@@ -18,12 +18,9 @@ MAX_KEYS = 1000
 MAX_WORDS = 40  # characters of a byte order in words
 
 # ENVI data type code -> NumPy kind and size. Complex types (6, 9) have no meaning here.
-DATA_TYPES: dict[int, str] = {
-    1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8",
-}  # fmt: skip
+DATA_TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
 DATA_SUFFIXES = ("", ".img", ".dat", ".raw", ".bil", ".bsq", ".bip", ".rad", ".cub", ".sli", ".lib")
 INTERLEAVES = ("bsq", "bil", "bip")
-BYTE_ORDERS = {0: "<", 1: ">"}
 # Words that have one meaning; "host" alone and "ieee" alone have two.
 _ORDER_WORDS = {
     0: r"(host\s*)?\(?intel\)?|lsf|ieee-le|little([- ]endian)?|0\s*\(.*(intel|little).*\)",
@@ -68,7 +65,7 @@ class EnviHeader:
     @property
     def dtype(self) -> np.dtype:
         """Type of one stored value, byte order included."""
-        return np.dtype(BYTE_ORDERS[self.byte_order] + DATA_TYPES[self.data_type])
+        return np.dtype("<>"[self.byte_order] + DATA_TYPES[self.data_type])
 
     @property
     def expected_bytes(self) -> int:
@@ -184,15 +181,14 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     """Parse header text by the rules of :func:`read_header`; ``path`` stands in messages."""
     entries, line_of, notes = _entries(text, str(path))
 
-    def where(key: str) -> str:
-        return f"{path}:{line_of[key]}" if key in line_of else str(path)
+    where = EnviHeader(path, 0, 0, 0, 0, "", 0, 0, line_of=line_of).where
 
     def integer(key: str, default: str | None = None, least: int = 0) -> int:
         value = needed(entries.get(key, default), "header.missing", path, key=key)
-        if not re.fullmatch(r"[+-]?[0-9]{1,18}", _bare(value)) or int(_bare(value)) < least:
-            kind = "a positive integer" if least == 1 else "an integer of 0 or more"
-            raise refusal("header.integer", where(key), key=key, text=_bare(value)[:40], kind=kind)
-        return int(_bare(value))
+        bare, kind = _bare(value), "a positive integer" if least == 1 else "an integer of 0 or more"
+        wrong = not re.fullmatch(r"[+-]?[0-9]{1,18}", bare) or int(bare) < least
+        refuse(wrong, "header.integer", where(key), key=key, text=bare[:40], kind=kind)
+        return int(bare)
 
     samples, lines, bands = (integer(key, least=1) for key in ("samples", "lines", "bands"))
     data_type = integer("data type", "0" if sidecar else None)
@@ -207,12 +203,12 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     # A single band has one order only.
     interleave = _bare(entries.get("interleave", "tif" if sidecar else "bsq")).lower().replace("tiff", "tif")
     allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
-    if interleave not in allowed:
-        raise refusal("header.interleave", where("interleave"), interleave=interleave, allowed=", ".join(allowed))
+    told = {"interleave": interleave, "allowed": ", ".join(allowed)}
+    refuse(interleave not in allowed, "header.interleave", where("interleave"), **told)
     refuse(integer("file compression", "0") != 0, "header.compressed", where("file compression"))
     for key in ("major frame offsets", "minor frame offsets"):
-        if any(part.strip() not in ("", "0") for part in entries.get(key, "").split(",")):
-            raise refusal("header.frames", where(key), key=key)
+        offset = any(part.strip() not in ("", "0") for part in entries.get(key, "").split(","))
+        refuse(offset, "header.frames", where(key), key=key)
     layout = samples, lines, bands, data_type, interleave, byte_order, integer("header offset", "0")
     return EnviHeader(path, *layout, _bare(entries.get("file type", "")), entries, line_of, tuple(notes))
 
@@ -232,9 +228,7 @@ def _byte_order(value: str | None, where: str) -> tuple[int, str]:
 
 def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list[str]]:
     """Keys with their texts and lines, and notes of keys that stand twice; linear in the length of the text."""
-    entries: dict[str, str] = {}
-    line_of: dict[str, int] = {}
-    notes: list[str] = []
+    entries, line_of, notes = dict[str, str](), dict[str, int](), list[str]()
 
     def add(key: str, value: str, number: int) -> None:
         if key in entries:
@@ -249,8 +243,7 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
 
     lines = text.rstrip("\0\x1a \t\r\n").splitlines()  # some programs fill up a block, or mark the end of the text
     refuse(not lines or lines[0].strip() != "ENVI", "header.first", f"{name}:1")
-    key, start, depth = "", 0, 0
-    parts: list[str] = []
+    key, start, depth, parts = "", 0, 0, list[str]()
     for number, line in enumerate(map(str.strip, lines[1:]), start=2):
         if not line or line.startswith(";"):
             continue

@@ -74,8 +74,8 @@ def told_of(whose: str, file: str = "") -> Iterator[None]:
 def refusal(name: str, where: object = None, /, **values: object) -> HypervalError:
     """The error of a name in ``refusals.yaml``: what is wrong, what was expected, how to mend it, filled with values.
 
-    >>> str(refusal("header.missing", "a.hdr", key="bands"))
-    "a.hdr: the key 'bands' is missing"
+    >>> refusal("header.missing", "a.hdr", key="bands").what
+    "the key 'bands' is missing"
     """
     words = package_table("refusals.yaml")[name]
     parts = {key: str(words[key]).format(**values) for key in ("expected", "mend") if key in words}
@@ -148,7 +148,8 @@ def reader(function: Callable[P, R]) -> Callable[P, R]:
         except Exception as error:
             words = str(error).splitlines()[0][:200] if str(error) else "no more is known"
             what = f"damaged, or not of the kind that its name says ({type(error).__name__}: {words})"
-            raise InputError(what, where=str(named)[:300]) from error
+            place = f"{str(named)[:300]}:{getattr(error, 'lineno', '')}".rstrip(":")
+            raise InputError(what, where=place, mend="correct it there, or copy the file again") from error
 
     return read
 

@@ -14,12 +14,12 @@ import re
 import shlex
 import stat
 import zlib
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
-from hyperval.errors import InputError, package_table, reader, refuse
+from hyperval.errors import InputError, package_table, reader, refusal, refuse
 from hyperval.storage import decoded
 
 Resolve = Callable[[str], Path]  # the path that a reference of a file leads to
@@ -164,19 +164,24 @@ def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list
     """
     text = read_text(path)
     divider = next((d for d in ",;\t" if d in text.split("\n", 1)[0]), ",")
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=divider, skipinitialspace=divider != "\t")
-    try:
-        fields = [f.lower() if f.lower() in known else f for f in map(str.strip, next(reader, []))]
-        refuse(len(set(fields)) < len(fields), "table.twice", f"{path}:1")
-        rows = []
-        for cells in reader:
-            if len(cells) > len(fields):
-                raise InputError(f"{len(cells)} cells for {len(fields)} columns", where=f"{path}:{reader.line_num}")
-            if any(cell.strip() for cell in cells):
-                padded = [cell.strip() for cell in cells] + [""] * (len(fields) - len(cells))
-                if divider == ";":
-                    padded = [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in padded]
-                rows.append((reader.line_num, dict(zip(fields, padded, strict=True))))
-    except csv.Error as error:
-        raise InputError(f"not a CSV file: {error}", where=f"{path}:{reader.line_num}") from error
+    table = csv_rows(text, path, divider)
+    fields = [f.lower() if f.lower() in known else f for f in map(str.strip, next(table, (1, []))[1])]
+    refuse(len(set(fields)) < len(fields), "table.twice", f"{path}:1")
+    rows = []
+    for number, cells in table:
+        refuse(len(cells) > len(fields), "table.cells", f"{path}:{number}", cells=len(cells), columns=len(fields))
+        if any(cell.strip() for cell in cells):
+            padded = [cell.strip() for cell in cells] + [""] * (len(fields) - len(cells))
+            if divider == ";":
+                padded = [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in padded]
+            rows.append((number, dict(zip(fields, padded, strict=True))))
     return fields, rows
+
+
+def csv_rows(text: str, path: Path, divider: str) -> Iterator[tuple[int, list[str]]]:
+    """The rows of a table and their lines; InputError with the line of what is none, such as an endless cell."""
+    table = csv.reader(io.StringIO(text, newline=""), delimiter=divider, skipinitialspace=divider != "\t")
+    try:
+        yield from ((table.line_num, cells) for cells in table)
+    except csv.Error as error:
+        raise refusal("table.csv", f"{path}:{table.line_num}", why=error) from error

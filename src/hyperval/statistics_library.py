@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import MOST_COMPONENTS, Array, Components, check_covariances, statistics_of
-from hyperval.errors import UsageError, reader, refusal, refuse, told_of
+from hyperval.errors import reader, refuse, told_of
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
@@ -73,14 +73,13 @@ class ClassStatistics:
         mean = np.asarray(self.mean, dtype=float)
         cov = np.asarray(self.covariance, dtype=float)
         bands = len(self.axis)
-        if mean.shape != (bands,) or cov.shape != (bands, bands):
-            raise refusal("class.shapes", name=self.name, mean=mean.shape, covariance=cov.shape, bands=bands)
+        unlike = mean.shape != (bands,) or cov.shape != (bands, bands)
+        refuse(unlike, "class.shapes", name=self.name, mean=mean.shape, covariance=cov.shape, bands=bands)
         refuse(not (np.all(np.isfinite(mean)) and np.all(np.isfinite(cov))), "class.finite", name=self.name)
         check_covariances(cov, f"class {self.name!r}: the covariance")
-        if self.tail_dof is not None and not self.tail_dof > 2:
-            raise UsageError(f"class {self.name!r}: tail_dof must exceed 2, got {self.tail_dof:g}")
-        if self.components is not None and self.components.offsets.shape[1] != bands:
-            raise UsageError(f"class {self.name!r}: its components do not fit {bands} bands")
+        refuse(not (self.tail_dof is None or self.tail_dof > 2), "class.tail", name=self.name, dof=self.tail_dof)
+        unlike = self.components is not None and self.components.offsets.shape[1] != bands
+        refuse(unlike, "class.components", name=self.name, bands=bands)
         vars(self).update(mean=mean, covariance=cov)
 
 

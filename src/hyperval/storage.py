@@ -142,7 +142,7 @@ def content_of(path: Path, names: tuple[str, str], *, most: int) -> bytes:
     >>> content_of(Path("/dev/zero"), ("header.none", "header.large"), most=4)  # a device tells no size
     Traceback (most recent call last):
         ...
-    hyperval.errors.InputError: /dev/zero: the header is larger than 4 bytes
+    hyperval.errors.InputError: /dev/zero: the header is larger than 4 bytes...
     """
     try:
         with open(path, "rb") as stream:

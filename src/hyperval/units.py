@@ -70,9 +70,9 @@ def to_internal(unit: str, quantity: str) -> float:
 
 
 def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
-    """The unit, nm or um, in which all of the wavelengths are plausible; None where both are, or neither is."""
+    """The unit, nm, um or m, in which all of the wavelengths are plausible; None where none is."""
     numbers = np.asarray(values, dtype=float)
-    fits = [unit for unit in ("nm", "um") if numbers.size and plausible(numbers * to_internal(unit, "wavelength"))]
+    fits = [unit for unit in ("nm", "um", "m") if numbers.size and plausible(numbers * to_internal(unit, "wavelength"))]
     return fits[0] if len(fits) == 1 else None
 
 

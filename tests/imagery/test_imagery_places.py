@@ -207,6 +207,16 @@ def test_tables_of_another_size_or_without_places(tmp_path, bent, axis):
         imagery.open_lookup_table(tmp_path / "f01_rdn_igm", (BENT[0], BENT[1] + 1))
 
 
+@pytest.mark.parametrize(
+    ("named", "step", "system"), [(4269, 1e-5, 4269), (32618, 1e-5, 4326), (32618, 2.0, 32618), (None, 2.0, None)]
+)
+def test_degrees_are_told_from_metres_near_an_origin_by_the_step_of_a_pixel(tmp_path, named, step, system):
+    wkt = CRS.from_epsg(named).to_wkt(version="WKT1_ESRI") if named else ""
+    places, extra = 3.3 + step * np.stack(np.mgrid[:20, 20:0:-1], -1), {"coordinate system string": f"{{{wkt}}}"}
+    table = imagery.open_lookup_table(imagery.write_cube(tmp_path / "igm", places, data_type=5, extra=extra), (20, 20))
+    assert (table.crs and table.crs.to_epsg(), table.meridian is None) == (system, step == 2.0)
+
+
 def test_swath_products_place_regions_by_longitude_and_latitude(tmp_path):
     shells.tree(tmp_path / "p.he5", "prisma")
     cube = imagery.open_cube(tmp_path / "p.he5", quantity="radiance")

@@ -44,16 +44,14 @@ def test_a_day_as_it_stands_and_as_spectra_like_others(tmp_path):
     assert (top.quantity, np.isfinite(top.values[:, -1]).tolist()) == ("top-of-atmosphere reflectance", [False, True])
 
 
-@pytest.mark.parametrize("case", yaml.safe_load(Path(__file__).with_name("days.yaml").read_text("utf-8")))
+DAYS = yaml.safe_load(Path(__file__).with_name("days.yaml").read_text("utf-8"))
+
+
+@pytest.mark.parametrize("case", [*DAYS, {"old": RADCALNET_ERRORS, "new": "", "words": "end of the file"}])
 def test_a_day_that_cannot_be_is_refused(tmp_path, case):
     assert case["old"] in RADCALNET
     with pytest.raises(InputError, match=case["words"]):
         spectra.read_radcalnet(day_file(tmp_path, RADCALNET.replace(case["old"], case["new"], 1)))
-
-
-def test_a_day_without_its_uncertainties_is_refused(tmp_path):
-    with pytest.raises(InputError, match="end of the file"):
-        spectra.read_radcalnet(day_file(tmp_path, RADCALNET.replace(RADCALNET_ERRORS, "")))
 
 
 def test_a_series_and_its_errors(tmp_path):

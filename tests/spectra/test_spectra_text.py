@@ -15,7 +15,6 @@ from hyperval.spectra import read_records, read_spectrum
 
 TEXTS = yaml.safe_load(Path(__file__).with_name("texts.yaml").read_text("utf-8"))
 PLAIN = "nm,rho\n" + rows(WAVE, RHO)
-GER = "///GER SIGNATUR FILE///\nname= lawn\ninstrument= 3700: 1234\naveraging= 1, 1\ncomm= \ndata= \n"
 
 
 @pytest.mark.parametrize("text", TEXTS["read"])
@@ -24,10 +23,13 @@ def test_text_with_one_meaning_is_read(tmp_path, text):
     np.testing.assert_allclose(found.wavelength_nm, WAVE, rtol=1e-12)
     np.testing.assert_allclose(found.values, RHO, rtol=1e-12)
     assert found.standard_deviation is None
-    assert found.name == ("Paint" if text.startswith("Name") else found.name)
+    assert found.name == {"Name": "Paint", "///G": "lawn"}.get(text[:4], found.name)
 
 
-@pytest.mark.parametrize("case", [*TEXTS["refused"], {"message": "more than 100000 rows", "text": "1 2\n" * 100_001}])
+LONG = [("more than 100000 rows", "1 2\n" * 100_001), (r"s.txt:2: not a CSV", "a,400,500,600,700\n" + "1" * 200_000)]
+
+
+@pytest.mark.parametrize("case", [*TEXTS["refused"], *({"message": m, "text": t} for m, t in LONG)])
 def test_damaged_and_unknown_text_is_refused_by_name(tmp_path, case):
     name = case.get("name", "s.txt")
     with pytest.raises(InputError, match=case["message"]) as caught:
@@ -45,7 +47,7 @@ def test_damaged_and_unknown_text_is_refused_by_name(tmp_path, case):
         ("Continuum removed", "continuum removed"), ("Transmittance (percent)", "transmittance"),
         ("Emissivity", "emissivity"), ("spectral irradiance", "irradiance"),
         ("ABS plastic", None), ("Abs. reflectance", None), ("grass_rfl", None), ("gradient", None), ("Edna", None),
-        ("SNRI 3", None), ("K-Mart lot", None),
+        ("SNRI 3", None), ("K-Mart lot", None), ("a.asd.rad", "radiance"), ("irrad_b.asd.rad", "irradiance"),
     ],
 )  # fmt: skip
 def test_a_title_says_the_quantity_and_a_name_of_a_sample_none(tmp_path, title, quantity):
@@ -89,8 +91,10 @@ def test_units_that_nobody_states_or_that_disagree(tmp_path):
     percent = read(tmp_path, rows(WAVE, (0.4 + RHO) * 100), reflectance_unit="percent")
     assert np.allclose(percent.values, 0.4 + RHO, rtol=1e-5)
     for text, options, message in (
-        (rows([4.0, 500.0, 700.0], RHO[:3]), {}, "4 to 700 may be nm or um"),
+        (rows([4.0, 500.0, 700.0], RHO[:3]), {}, "4 to 700 are wavelengths in neither"),
         (rows(WAVE / 1000, RHO), {"wavelength_unit": "nm"}, "cannot be in nm"),
+        (rows([4000.0, 2000.0, 400.0], RHO[:3]), {}, "400 to 4000 may be nm, angstrom or wavenumbers"),
+        (rows([3000.0, 5000.0, 9000.0], RHO[:3]), {}, "(?s)may be nm, angstrom.*1e7 over"),
         ("nm,r\n" + rows(WAVE, RHO), {"wavelength_unit": "um"}, "states wavelengths in nm, wavelength_unit says um"),
         ("nm,r [%]\n" + rows(WAVE, RHO), {"reflectance_unit": "fraction"}, "percent, the caller in fraction"),
         *((rows(WAVE, RHO), {"reflectance_unit": u}, "scaled:10000") for u in ("per mille", "scaled:0", "scaled:nan")),
@@ -141,6 +145,11 @@ def test_records_by_name_part_number_and_mean(tmp_path):
     for record, message in ((None, "3 spectra"), ("blue", "2 records match"), ("green", "no record"), (3, "0 to 2")):
         with pytest.raises(UsageError, match=message):
             read(tmp_path, text, record=record)
+    # What is empty between commas moves no other column; the names stand in the row that says so.
+    assert read(tmp_path, "400,,2\n410,1,\n420,1,2\n430,1,2\n", record=1, quantity="other").values.tolist() == [2.0] * 3
+    assert read(tmp_path, "File Name,a,b\nTime,34,34\n" + rows(WAVE, RHO, RHO), record="b").name == "b"
+    pairs = "nm,a,nm,b\n400,0.1,401,0.5\n500,0.2,501,0.5\n600,0.3,,\n"
+    assert read(tmp_path, pairs, record="b").wavelength_nm.tolist() == [401.0, 501.0]
     # A column that repeats the wavelengths is none of them; spectra that go by a number are no bands of a row.
     assert read(tmp_path, rows(WAVE, RHO, WAVE, RHO * 3), record="mean").n == 2
     numbered = "Wavelength,1001,1002,1003,1004\n" + rows(WAVE, *[RHO] * 4)
@@ -199,14 +208,6 @@ def test_svc_joins_three_detectors_and_converts_percent(tmp_path):
         assert np.allclose(found.values, rho[keep], rtol=1e-4)
         assert found.name == "plank_1"
         assert any("990.0, 1895.0" in note for note in found.notes)
-
-
-@pytest.mark.parametrize("percent", [True, False])
-def test_ger_is_percent_or_target_over_reference(tmp_path, percent):
-    columns = [WAVE, 5000 * RHO, [5000.0] * 4] + ([100 * RHO] if percent else [])
-    found = read(tmp_path, GER + rows(*columns, sep="  "), "gr070601.001")
-    assert found.name == "lawn"
-    np.testing.assert_allclose(found.values, RHO)
 
 
 @pytest.mark.parametrize(("title", "factor"), [("Reflect. %", 100), ("Reflect. [1.0]", 1)])

@@ -151,6 +151,7 @@ def _tree(path: Path, engine: str | None) -> xr.DataTree:
         raise refusal("array.no_engine", path, why=str(error).split("\n", 1)[0], known=known) from error
 
 
+@reader
 def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
     """The arrays of variables of a MATLAB 5 file, read whole, or the one of a NumPy file, which is mapped.
 
@@ -159,6 +160,13 @@ def _matrix(path: Path, kind: str, *names: str) -> dict[str, Numbers]:
     ...     scipy.io.savemat(path := Path(folder) / "x.mat", {"map": scipy.sparse.csc_array([[0.0, 2.0]])})
     ...     _shapes(path, "MATLAB 5"), _matrix(path, "MATLAB 5", "map")["map"].tolist()
     ({'map': (1, 2)}, [[0.0, 2.0]])
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "x.mat", {"a": np.arange(999.0)}, do_compression=True)
+    ...     _ = path.write_bytes(path.read_bytes()[:-4])
+    ...     Store(path, _matrix, "MATLAB 5", "a").read("a", ())
+    Traceback (most recent call last):
+    hyperval.errors.InputError: ...: damaged, or not of the kind that its name says (...
+      to fix it: correct it there, or copy the file again
     """
     if kind == "NumPy":
         return {path.stem: np.load(path, mmap_mode="r", allow_pickle=False)}

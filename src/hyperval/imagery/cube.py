@@ -360,7 +360,6 @@ _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which no
 _HIERARCHIES = {b"\x89HDF\r\n\x1a\n": HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
 _MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | arrays.MATRICES | _HIERARCHIES | _OTHERS
 MATRICES = (*arrays.MATRICES.values(), HDF5)  # arrays that bear no labels, or need not
-_MATLAB_SUFFIX = ".mat"  # of HDF5 that another program has written in its order, and of MATLAB 4: without its mark
 
 
 @reader
@@ -435,7 +434,7 @@ def kind_of(path: Path) -> str | None:
     with open(checked_file(path), "rb") as stream:
         head = stream.read(16)
     kind = next((name for mark, name in _MARKS.items() if head.startswith(mark)), None)
-    if path.suffix.lower() == _MATLAB_SUFFIX:
+    if path.suffix.lower() == ".mat":  # without its mark: HDF5 of another program, in its order, and MATLAB 4
         return {HDF5: "MATLAB 7.3", None: "MATLAB 5"}.get(kind, kind)
     return _TIFF if path.suffix.lower() in TIFF_SUFFIXES else kind
 

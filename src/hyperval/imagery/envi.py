@@ -33,15 +33,17 @@ _LENGTHS |= dict.fromkeys(("feet", "foot", "ft"), 0.3048) | {"us survey feet": 1
 _DEGREES = ("degrees", "degree", "deg")
 # Names of datums, without blanks and signs: EPSG code of longitude and latitude, of UTM zone 0 north and south, and
 # the zones that EPSG lists.
-_DATUMS: dict[str, tuple[int, int, int | None, range]] = {
+_DATUMS: dict[str, tuple[int, int | None, int | None, range]] = {
     "WGS84": (4326, 32600, 32700, range(1, 61)),
     "WGS72": (4322, 32200, 32300, range(1, 61)),
     "NORTHAMERICA1983": (4269, 26900, None, range(1, 24)),
     "NORTHAMERICA1927": (4267, 26700, None, range(1, 23)),
     "EUROPEAN1950": (4230, 23000, None, range(28, 39)),
     "ETRS1989": (4258, 25800, None, range(28, 39)),
+    "GEOCENTRICDATUMOFAUSTRALIA1994": (4283, None, 28300, range(48, 59)),
 }
 _ALIASES = {"NAD83": "NORTHAMERICA1983", "NAD27": "NORTHAMERICA1927", "ED50": "EUROPEAN1950", "ETRS89": "ETRS1989"}
+_ALIASES["GDA94"] = "GEOCENTRICDATUMOFAUSTRALIA1994"
 _HEMISPHERES = {"NORTH": False, "SOUTH": True} | dict.fromkeys("CDEFGHJKLM", True) | dict.fromkeys("NPQRSTUVWX", False)
 _ORDERS = {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}  # of lines, samples and bands in a file
 _PACKED = {
@@ -79,8 +81,8 @@ def transform_of(header: EnviHeader) -> Affine | None:
 def crs_of(header: EnviHeader) -> CRS | None:
     """Coordinate reference system from the WKT string, or from ``map info``; None when unknown.
 
-    ``map info`` tells it for UTM in metres and Geographic Lat/Lon in degrees on a common datum.  The hemisphere
-    stands as a word ("South") or as the letter of a latitude band: C to M lie south of the equator, N to X north.
+    ``map info`` tells it for UTM or MGA 94 in metres and Geographic Lat/Lon in degrees on a common datum.  The
+    hemisphere stands as a word ("South") or as the letter of a latitude band: C to M lie south, N to X north.
     """
     stated = crs_of_wkt((header.text("coordinate system string") or "").replace("\n", ""))
     parts = header.strings("map info") or ()
@@ -93,16 +95,16 @@ def crs_of(header: EnviHeader) -> CRS | None:
     if projection.startswith("geographic lat"):
         codes = _datum(parts[7]) if len(parts) > 7 else None
         return CRS.from_epsg(codes[0]) if codes is not None else None
+    if grid := re.fullmatch(r"map grid of australia \(mga 94\) zone (4[89]|5[0-8])", projection):
+        return CRS.from_epsg(28300 + int(grid[1]))
     if projection != "utm" or len(parts) < 10 or not re.fullmatch(r"[0-9]{1,2}", parts[7]):
         return None
     codes, zone, south = _datum(parts[9]), int(parts[7]), _HEMISPHERES.get(parts[8].strip().upper())
-    if codes is None or south is None or zone not in codes[3]:
-        return None
-    base = codes[2] if south else codes[1]
+    base = None if codes is None or south is None or zone not in codes[3] else (codes[2] if south else codes[1])
     return CRS.from_epsg(base + zone) if base is not None else None
 
 
-def _datum(name: str) -> tuple[int, int, int | None, range] | None:
+def _datum(name: str) -> tuple[int, int | None, int | None, range] | None:
     short = re.sub(r"[^A-Z0-9]", "", name.upper())
     return _DATUMS.get(_ALIASES.get(short, short))
 

@@ -234,8 +234,8 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loc
     """The places of the pixels of an image of ``shape`` (lines, samples) by a file, or its raster; all is checked.
 
     Whole numbers are a GLT, in the system of its header; so are floats that are whole, of an image on a map.  Others
-    are x and y of every pixel: where they all lie within 180 and 90, longitude and latitude on WGS 84, else in the
-    system that the header names, which may be unknown.
+    are x and y of every pixel: longitude and latitude, on WGS 84 unless the header names another datum, where they all
+    lie within 180 and 90 and a pixel is smaller than a hundredth; else in the system of the header, perhaps unknown.
 
     A GLT of cells five pixels wide, on a map near its origin in a system that is not known:
 
@@ -261,9 +261,9 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loc
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     places = LocationTable(raster, None)
     x, y = places._coarse[0].data.T
-    degrees = not is_table and bool(np.all(np.abs(x) <= 180.0) and np.all(np.abs(y) <= 90.0))
+    within = np.all(np.abs([x, y]).max(axis=1) <= (180.0, 90.0)) and (places._area or 0.0) < 1e-4  # a kilometre wide
     named = raster.crs is not None and raster.crs.is_geographic
-    crs = CRS.from_epsg(4326) if degrees and not named else raster.crs
+    crs = CRS.from_epsg(4326) if within and not is_table and not named else raster.crs
     return LocationTable(raster, crs, float(x[0]) if crs is not None and crs.is_geographic else None)
 
 

@@ -98,8 +98,8 @@ class ProductTree:
     def numbers(self, reference: str, count: int, what: str) -> Array:
         """(count,) numbers; InputError when the file does not have as many."""
         out = self.floats(reference)
-        if out.size != count:
-            raise refusal("product.numbers", self.path, size=out.size, what=what, reference=reference, count=count)
+        told = {"what": what, "reference": reference, "count": count}
+        refuse(out.size != count, "product.numbers", self.path, size=out.size, **told)
         return out
 
     def floats(self, reference: str | None) -> Array:
@@ -415,11 +415,10 @@ def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> De
         items = [item for _, item in sorted(zip(numbers, items, strict=True), key=lambda pair: pair[0])]
     tags = (sidecar.wavelength, sidecar.fwhm, sidecar.gain, sidecar.offset)
     table = np.array([[_number(item.findtext(tag), tag, path) for tag in tags] for item in items])
-    detector = re.search(r"_(VNIR|SWIR)", image.name.upper())
+    detector = next((one for one in ("VNIR", "SWIR") if f"_{one}" in image.name.upper()), None)
     if len(table) != bands:
-        if detector is None or len(table) < bands:
-            raise refusal("sidecar.bands", path, stated=len(table), bands=bands)
-        table = table[:bands] if detector[1] == "VNIR" else table[-bands:]
+        refuse(detector is None or len(table) < bands, "sidecar.bands", path, stated=len(table), bands=bands)
+        table = table[:bands] if detector == "VNIR" else table[-bands:]
     wavelength, width, gain, offset = table.T
     levels = [root.findtext(sidecar.level), root.findtext("base/format"), path.name]
     level = next((found[0] for text in levels if (found := re.search(r"L[0-4][A-D]", (text or "").upper()))), None)

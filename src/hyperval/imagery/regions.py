@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from itertools import chain, combinations
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -567,11 +568,10 @@ def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
     Where neither the file nor ``grid`` says otherwise they are longitude and latitude on WGS 84, as RFC 7946
     has it.
     """
-    data = json.loads(read_text(path), object_pairs_hook=_once)
+    data = json.loads(read_text(path), object_pairs_hook=partial(_once, path))
     kind = data.get("type") if isinstance(data, dict) else None
     items = data.get("features") if kind == "FeatureCollection" else [data]
-    if kind is None or not isinstance(items, list):
-        raise refusal("geojson.object", path)
+    refuse(kind is None or not isinstance(items, list), "geojson.object", path)
     name = _within(data, "crs", "properties", "name")
     stated = named_crs(name, str(path)) if isinstance(name, str) else None
     assumed = grid.coordinates is None and stated is None
@@ -626,10 +626,9 @@ def _placed(geometry: Any, stated: CRS | None, grid: ImageGrid, where: str, note
     yield from (grid.place(geometry_of(geometry, where), stated, where), *note)
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    out = dict(pairs)
-    if len(out) < len(pairs):
-        raise ValueError("a key occurs twice in one object")
+def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out, keys = dict(pairs), [key for key, _ in pairs]
+    refuse(len(out) < len(pairs), "geojson.twice", path, key=max(keys, key=keys.count, default=""))
     return out
 
 

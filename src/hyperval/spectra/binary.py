@@ -259,7 +259,7 @@ def _values(raw: npt.NDArray[np.void], at: int, where: str) -> Array:
     return np.concatenate([raw["first"][at], behind["more"].ravel()])[:n].astype(float)
 
 
-HEADERS = (b"ENVI\r", b"ENVI\n", b"ENVI ")  # how a header begins
+HEADERS = (b"ENVI\r", b"ENVI\n", b"ENVI \r", b"ENVI \n")  # how a header begins, and no plot
 
 
 def library_records(file: SpectraFile) -> list[FieldSpectrum]:

@@ -14,11 +14,11 @@ matrix is stored to two decimals and so has small negative eigenvalues; these ar
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile, Spect
 from hyperval.storage import number_of
 
 _MOST = {"wavelength": 5000, "series": 2000}
+_UNITS: dict[str, Any] = {"wavelength_unit": "nm", "unit": "fraction"}
 _AXES = {
     "wavelength": "wavelength", "err_corr_systematic_reflectance": "wavelength wavelength_2",
     **dict.fromkeys(("reflectance", "std_reflectance"), "wavelength series"),
@@ -62,9 +63,8 @@ def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
         name = f"series {i + 1}: zenith {zenith:.0f} azimuth {azimuth:.0f}"
         size, spread = np.abs(rho[i]), values["std_reflectance"][:, i]
         notes = (f"quality flags {flags[i]:#x}",) if flags[i] else ()
-        errors = SpectrumErrors(random[i] * size, systematic[i] * size, correlation)
-        record = FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, notes=notes, errors=errors)
-        records.append(replace(record, wavelength_unit="nm", unit="fraction"))
+        told = {"errors": SpectrumErrors(random[i] * size, systematic[i] * size, correlation), "notes": notes, **_UNITS}
+        records.append(FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, **told))
     return records
 
 
@@ -162,8 +162,7 @@ def radcalnet_records(file: SpectraFile) -> list[FieldSpectrum]:
     kind, records = "" if day.quantity == SURFACE else day.quantity, []
     for label in day.valid:
         values, uncertainty = day.values[i := day.column(label)], day.uncertainty[i]
-        record = FieldSpectrum(label, day.wavelength_nm, values, uncertainty, quantity=kind)
-        records.append(replace(record, wavelength_unit="nm", unit="fraction"))
+        records.append(FieldSpectrum(label, day.wavelength_nm, values, uncertainty, quantity=kind, **_UNITS))
     return records
 
 

@@ -146,7 +146,6 @@ _HDF5 = _begins(b"\x89HDF\r\n\x1a\n")
 FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile], list[FieldSpectrum]]], ...] = (
     ("SPECPR", lambda f: np.fromfile(f.path, "S12", 1).tolist() == [binary.MARK], binary.specpr_records),
     ("ASD", binary.is_asd, binary.asd_records),
-    ("ENVI ASCII plot", _begins(b"ENVI ASCII Plot File"), text.plot_records),
     ("header of an ENVI spectral library", _begins(*binary.HEADERS), binary.library_records),
     ("SVC .sig, GER .sig", _begins(b"/*** Spectra Vista", b"///GER"), text.sig_records),
     ("", _begins(*_NOT_READ), _refused),
@@ -155,8 +154,8 @@ FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile
     ("Spectral Evolution .sed", lambda f: b"Instrument:" in f.head and b"Columns [" in f.head, text.sed_records),
     ("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
     ("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
-    ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f.text), text.row_records),
-    ("text, a spectrum a column", lambda f: True, text.text_records),
+    ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f), text.row_records),
+    ("text, a spectrum a column; ENVI ASCII plot", lambda f: True, text.text_records),
 )
 
 

@@ -8,31 +8,35 @@ Spectral Evolution .sed.  Libraries of the USGS in files of one column.
 from __future__ import annotations
 
 import csv
-import io
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import islice, takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hyperval.data import Array
 from hyperval.errors import refusal, refuse
-from hyperval.paths import checked_file
+from hyperval.paths import checked_file, csv_rows
 from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum, SpectraFile
 from hyperval.storage import decoded
 from hyperval.units import only_wavelength_unit, power_unit
 
 MAX_TITLE = 1000
+_PLOT = "ENVI ASCII Plot File"  # whose titles stand one a line
 _REMARK = "#;%/ \t"  # what a line of titles may begin with
 _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round numbers that are stated for them
 
 # No part of a pattern may begin in more than one place of what the part before it takes: a line of a million digits
 # or blanks would take hours.
 _NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
-_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+$")
+is_number = _NUMBER.match  # a text, and nothing else
+_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 _WHOLE = re.compile(r"^[-+]?[0-9]+$")
-_END = re.compile(r"^>+\s*End\b")  # of the numbers, in files of Ocean Optics
+_END = re.compile(r"^>+\s*End\b|^\[END\]")  # of the numbers, in files of Ocean Optics and TriOS
+_PER_SR = r"(?<![a-z])rrs(?![a-z])|[\[(] *(1 */ *sr|sr *\^? *[-−]1) *[\])]", "sr-1"
 _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
 # Of the words of a title: those that say standard deviation, and those that name nothing of their own.
 _SPREAD = re.compile(
@@ -41,11 +45,11 @@ _SPREAD = re.compile(
 _SUM = re.compile(rf"(\w\s*\+|\b(mean|av\w*)\s*[-−–])\s*[0-9]?\s*{_SPREAD.pattern}", re.IGNORECASE)  # of a mean and it
 _NOTHING = re.compile(r"\b(mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent|n \d+|k 1)\b")
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
-_WAVENUMBER = re.compile(r"wave\s*number|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
+_WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
 # What titles say of values that are no reflectance.
 _QUANTITIES = {
-    "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])",
-    "irradiance": r"(?<![a-z])irradiance",
+    "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])|^(?!.*irrad).*\.asd\.rad$",  # the last as ViewSpec exports it
+    "irradiance": r"(?<![a-z])irradiance|irrad.*\.asd\.rad$",
     "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
     "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
     "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
@@ -87,9 +91,10 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
         spread = {1: 2} if len(picked) == 3 else {}
     else:
         # The first column counts the rows where the second has the title of wavelengths.
-        counts = len(titles) > 2 and _WAVE.search(titles[1]) and not _WAVE.search(titles[0])
-        if counts and table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0):
-            table, titles = table[:, 1:], titles[1:]
+        counts = len(titles) > 2 and bool(_WAVE.search(titles[1]) and not _WAVE.search(titles[0]))
+        counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
+        holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
+        table, titles = table[:, holds], [titles[i] for i in holds]
         spread = _deviations(titles)
     refuse(table.shape[1] < 2, "text.single", f"{path}:{first_line}")
     nm = table[:, 0]
@@ -101,24 +106,25 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
     records, others = list[FieldSpectrum](), {*spread.values(), *counted}
+    told, zero = dict[str, Any](), ("a standard deviation of 0 everywhere is none",)
     for i in range(1, table.shape[1]):
-        steps = np.diff(table[:, i])
-        if i > 1 and _WAVE.search(titles[i]) and (np.all(steps > 0) or np.all(steps < 0)):
+        steps, is_again = np.diff(table[np.isfinite(table[:, i]), i]), titles[i] == titles[0] != ""
+        if i > 1 and (is_again or _WAVE.search(titles[i])) and abs(np.sign(steps).sum()) == steps.size:
             nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
-        if i in others or (i > 1 and np.array_equal(table[:, i], nm)):
+        if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
-        beside = table[:, spread[i]] if i in spread else None
-        unmeasured = beside is not None and not beside.any()
-        record = _of_column(y_units or titles[i], titles[i], nm, table[:, i], unit)
-        own = percent_in(titles[spread[i]]) if i in spread else None
-        refuse(own not in (None, record.unit or "fraction"), "text.spread", where, title=titles[spread.get(i, 0)])
-        named, is_spread = title_words(titles[i])
-        if columns is None and is_spread and (not named or len(titles) == 2):
-            record = replace(record, quantity="a standard deviation")
-        notes = ("a standard deviation of 0 everywhere is none",) if unmeasured else ()
-        records.append(replace(record, standard_deviation=None if unmeasured else beside, n=n, notes=notes))
+        has, beside = np.isfinite(nm), table[:, spread[i]] if i in spread else None
+        unmeasured, says = beside is not None and not beside.any(), y_units or titles[i]
+        own, value_unit = percent_in(titles[spread.get(i, 0)]), power_unit_in(says) or percent_in(says)
+        unlike = i in spread and own not in (None, value_unit or "fraction")
+        refuse(unlike, "text.spread", where, title=titles[spread.get(i, 0)])
+        alone = columns is None and (words := title_words(titles[i]))[1] and (not words[0] or len(titles) == 2)
+        quantity = "a standard deviation" if alone else quantity_in(says)
+        told = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n, "notes": zero * unmeasured}
+        told["standard_deviation"] = None if beside is None or unmeasured else beside[has]
+        records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **told))
     if len(records) == 1:
-        return [replace(records[0], name=of_header or path.stem)]
+        return [replace(records[0], name=of_header or (titles[1] if whole.startswith(_PLOT) else path.stem))]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
 
 
@@ -155,23 +161,6 @@ def _deviations(titles: list[str]) -> dict[int, int]:
     return found
 
 
-def _of_column(says: str, name: str, wavelength: Array, values: Array, unit: str | None) -> FieldSpectrum:
-    """A column of numbers with the quantity and the units that a text says it has."""
-    own = power_unit_in(says) or percent_in(says)
-    return FieldSpectrum(name, wavelength, values, quantity=quantity_in(says), wavelength_unit=unit, unit=own)
-
-
-def plot_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """Spectra of an ENVI ASCII plot file; it states no unit of the wavelengths unless the title does."""
-    header, table, _ = number_table(file.text, file.path)
-    matches = [re.match(r"^Column ([0-9]{1,6}):\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE]) for line in header]
-    titles, count = {int(m.group(1)) - 1: m.group(2) for m in matches if m}, table.shape[1]
-    unlike = sorted(titles) != list(range(count)) or count < 2
-    refuse(unlike, "text.titles", file.path, titles=len(titles), count=count)
-    unit = wavelength_unit_in(titles[0], "", str(file.path))
-    return [_of_column(titles[i], titles[i], table[:, 0], table[:, i], unit) for i in range(1, count)]
-
-
 def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Array, int]:
     """Header lines, the (rows, columns) numbers below them, and the line where the numbers begin.
 
@@ -182,28 +171,30 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
     InputError : no numbers, rows of different length, text among the numbers, too many rows, or not as many as the
         file says.
     """
-    header: list[str] = []
-    rows: list[list[float]] = []
+    header, rows = list[str](), list[list[float]]()
     start, stated, ended = 0, None, False
     for number, line in enumerate(text.splitlines(), start=first):
-        if not line.strip():
+        if not line.strip(" \t,;"):
             continue
         cells, where = _cells(line), f"{path}:{number}"
-        numbers = len(cells) > 0 and all(_NUMBER.match(c) for c in cells)
+        numbers = cells[0] and all(_NUMBER.match(c) for c in cells if c)
         if not rows and not (numbers and (len(cells) > 1 or not header or is_number(line.strip()))):
             header.append(line.strip())
             continue
-        if rows and _END.match(line) and not ended:
+        if rows and _END.match(line):
             ended = True
             continue
         refuse(not numbers or ended, "text.row", where, text=line.strip()[:60])
         if len(rows) == 1 and len(rows[0]) == 1 < len(cells) and rows[0][0].is_integer():
             stated, rows, start = str(int(rows[0][0])), [], 0
+        cells = _without_end(cells, len(rows[0]) if rows else _titled(header))
         columns = len(rows[0]) if rows else len(cells)
         refuse(len(cells) != columns, "text.width", where, found=len(cells), wanted=columns)
         refuse(len(rows) >= MAX_ROWS, "text.large", where, rows=MAX_ROWS)
         start = start or number
-        rows.append([float(c.replace("d", "e").replace("D", "e")) for c in cells])
+        rows.append([float(c.replace("d", "e").replace("D", "e") or "nan") for c in cells])
+    if not rows and any(line[0] in ",;" for line in header):  # an empty first column
+        return number_table(re.sub("(?m)^[ \t]*[,;]", "", text), path, first)
     refuse(not rows, "text.empty", path)
     table = np.array(rows)
     check_stated(table[:, 0], str(path), stated)
@@ -243,13 +234,13 @@ def check_last_line(text: str, where: str) -> None:
 def percent_in(title: str) -> str | None:
     """The unit of a reflectance that a column title states, None when it states none.
 
-    A percent behind a number is part of a name.
+    A percent behind a number is part of a name; a remote-sensing reflectance, Rrs, is one per steradian.
 
-    >>> [percent_in(t) for t in ("reflectance (%)", "% reflectance", "plot 99% [%]", "plot 99%", "5 % grey")]
-    ['percent', 'percent', 'percent', None, None]
+    >>> [percent_in(t) for t in ("reflectance (%)", "% reflectance", "plot 99% [%]", "plot 99%", "5 % grey", "Rrs_sd")]
+    ['percent', 'percent', 'percent', None, None, 'sr-1']
     """
     percent = r"(?:^|[^0-9\s])\s*(?:%|percent)"
-    units = (r"%\s*\*\s*100", "scaled:10000"), (percent, "percent"), (r"\[1(\.0)?\]|fraction", "fraction")
+    units = (r"%\s*\*\s*100", "scaled:10000"), (percent, "percent"), (r"\[1(\.0)?\]|fraction", "fraction"), _PER_SR
     return next((unit for said, unit in units if re.search(said, title, re.IGNORECASE)), None)
 
 
@@ -274,7 +265,7 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     ------
     InputError : they say wavenumbers.
     """
-    states = r"^\W*(X Units?|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
+    states = r"^\W*(X Units?|X ?Axis mode|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
     lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
     for line in lines:
         units = [unit for unit, said in _WAVELENGTH_UNITS.items() if said.search(line)]
@@ -289,8 +280,7 @@ def power_unit_in(text: str) -> str | None:
 
     None where the text holds none that is known.
     """
-    match = _POWER.search(text)
-    return None if match is None else power_unit(match.group().strip())
+    return power_unit(match.group().strip()) if (match := _POWER.search(text)) else None
 
 
 def _entry(header: str, key: str) -> str | None:
@@ -300,22 +290,20 @@ def _entry(header: str, key: str) -> str | None:
 
 
 def _cells(line: str) -> list[str]:
+    """What a line holds between its separators; between commas or semicolons that may be nothing."""
     text = line.strip()
     if '"' in text and not any(set(part) & set(",;\t") for part in text.split('"')[1::2]):
         text = text.replace('"', "")  # as some spreadsheets export numbers
     if ";" in text:  # as spreadsheets export where the comma is the decimal sign
-        cells = [c.strip() for c in text.rstrip(";").split(";")]
+        cells = [c.strip() for c in text.split(";")]
         return [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in cells]
-    blanks = text.split()
+    blanks, parts = text.split(), [c.strip() for c in text.split(",")]
     commas = [c for c in blanks if _DECIMAL_COMMA.match(c)]
     if len(blanks) > 1 and commas and all(c in commas or _WHOLE.match(c) for c in blanks):
         return [c.replace(",", ".") for c in blanks]
+    if len(parts) > 1 and not any(c.split()[1:] for c in parts):
+        return parts
     return [c for c in re.split(r"[,\s]+", text) if c]
-
-
-def is_number(text: str) -> bool:
-    """Whether a text is one number, and nothing else."""
-    return bool(_NUMBER.match(text))
 
 
 def _titles(header: list[str], count: int, where: str) -> list[str]:
@@ -335,24 +323,34 @@ def _titles(header: list[str], count: int, where: str) -> list[str]:
     """
     if not header:
         return [""] * count
-    titles = _split_titles(header[-1], count)
+    if is_plot := header[0].startswith(_PLOT):
+        listed = [m[1] for line in header if (m := re.match(r"^Column [0-9]+:\s*(.*?)(~~[0-9]+)?$", line[:MAX_TITLE]))]
+        refuse(len(listed) != count, "text.titles", where, titles=len(listed), count=count)
+    split = [listed] if is_plot else [_split_titles(line, count) for line in header]
+    titles = split[-1]
     if any(titles):
-        above = _split_titles(header[-2], count) if len(header) > 1 and all(map(_UNIT_TITLE.match, titles)) else []
+        above = split[-2] if len(split) > 1 and all(map(_UNIT_TITLE.match, titles)) else []
         units = [f"[{t}]" if t[:1] not in "[(" else t for t in titles]
-        return [f"{a} {u}".strip() for a, u in zip(above, units, strict=True)] if any(above) else titles
-    for line in reversed(header[:-1]):
-        further = _split_titles(line, count)
-        if _WAVE.match(further[0]):
-            return further
-    found = len(_without_end(_parts_of(header[-1], _delimiter(header[-1]))))
+        if any(above):
+            return [f"{a} {u}".strip() for a, u in zip(above, units, strict=True)]
+        by_name = next((t for t in split if t[0].lower().removeprefix("file ") in _NAMES), titles)
+        return titles if _WAVE.match(titles[0]) else by_name  # rows of metadata above a table may end with any
+    if waves := [t for t in split if _WAVE.match(t[0])]:
+        return waves[-1]
+    found = _titled(header)
     unlike = found > count or (found > 1 and header[-1][0] not in _REMARK)
     refuse(unlike and _FIRST_TITLE.match(header[-1]), "text.titles", where, titles=found, count=count)
     return titles
 
 
+def _titled(header: list[str]) -> int:
+    """How many parts the last line above a table has."""
+    return len(_without_end(_parts_of(header[-1], _delimiter(header[-1])))) if header else 0
+
+
 def _split_titles(line: str, count: int) -> list[str]:
     """The parts of a line that are as many as there are columns; others may follow behind an entry, "UT: , 18.3"."""
-    line = line.lstrip(_REMARK)
+    line = line.removeprefix("/fields=").lstrip(_REMARK)
     two, one, best = re.sub(r"\s{2,}", "\t", line), " ".join(line.split()), list[str]()
     for delimiter, text in ((";", line), ("\t", line), (",", line), ("\t", two), (" ", one)):
         parts = _without_end(_parts_of(text, delimiter), count)
@@ -376,17 +374,18 @@ def _column(wanted: str | int, titles: list[str], where: str) -> int:
 
 
 FEWEST_BANDS, FEWEST_BANDS_OF_A_DETECTOR = 4, 25
-_BEFORE = r"(?:(?:x|r|wl|wvl|wave|wavelength|lambda|refl|reflectance|nm)[_. ]?)?"  # no b: that counts bands
-_WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?(nm|um)?$", re.IGNORECASE)
+# What stands before a wavelength in a title, and behind it; no b: that counts bands.
+_BEFORE = r"(?:(?:[xrw]|wl|wvl|wav|wave|wavelength|lambda|spc|spec|rfl|rrs|refl|reflectance|nm|scan_visnir)[_. ]?)?"
+_WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?[(\[]?(nm|um)?[)\]]?(?:_ref)?$", re.IGNORECASE)
 _FIRST_TITLE = re.compile(r"^\W*(wave|wvl|wl\b|lambda|nm\b)(?!.*units)", re.IGNORECASE)
 _NAMES = ("name", "sample_name", "sample name", "spectrum", "spectra", "sample", "sample_id", "id", "fname", "names")
 
 
-def is_row_table(text: str) -> bool:
+def is_row_table(file: SpectraFile) -> bool:
     """Whether the first line has wavelengths as titles of its last columns, behind others or at once."""
-    first, _, rest = text.partition("\n")
+    first, _, rest = file.text.partition("\n")
     delimiter = _delimiter(first)
-    titles = next(csv.reader(io.StringIO(first, newline=""), delimiter=delimiter), [])
+    titles = next(csv_rows(first, file.path, delimiter), (1, []))[1]
     if _first_band(titles) is None:
         return False
     # Numbers under "wavelength" are wavelengths, and the other columns spectra that go by a number.
@@ -417,12 +416,11 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     """
     text, path = file.text, file.path
     delimiter = _delimiter(text.split("\n", 1)[0])
-    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
-    rows: list[tuple[str, list[str]]] = []
-    titles = _without_end([t.strip() for t in next(reader)])
+    table, rows = csv_rows(text, path, delimiter), list[tuple[str, list[str]]]()
+    titles = _without_end([t.strip() for t in next(table)[1]])
     first = _first_band(titles) or 0
-    for cells in reader:
-        where, cells = f"{path}:{reader.line_num}", _without_end([c.strip() for c in cells], len(titles))
+    for number, cells in table:
+        where, cells = f"{path}:{number}", _without_end([c.strip() for c in cells], len(titles))
         if any(cells):
             refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
             rows.append((where, cells))
@@ -433,10 +431,11 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     first_of_all = 0 if 0 in differ and all(_value(cell) is None for cell in columns[0]) else None
     named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), first_of_all)
     names = columns[named] if named is not None else [f"row {i}" for i in range(1, len(rows) + 1)]
-    records = []
+    records, of_axis = [], titles[0] if first and (_WAVE.search(titles[0]) or _WAVENUMBER.search(titles[0])) else ""
     for name, (where, cells) in zip(names, rows, strict=True):
         numbers = cells[first:] if delimiter == "," else [cell.replace(",", ".") for cell in cells[first:]]
-        records.append(_of_row(name, dict(zip(lower, cells, strict=False)), titles[first:], numbers, where))
+        about = {"wavelength units": of_axis} | dict(zip(lower, cells, strict=False))
+        records.append(_of_row(name, about, titles[first:], numbers, where))
     return records
 
 
@@ -447,11 +446,12 @@ def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str
         raise refusal("text.cell", where, title=titles[numbers.index(None)])
     values, suffix = np.array(numbers, dtype=float), _WAVELENGTH.match(titles[0])
     unit = (suffix[2] if suffix else None) or wavelength_unit_in(about.get("wavelength units", ""), "", where)
-    percent, greatest = "percent" in about.get("measurement units", "").lower(), np.nanmax(values, initial=0.0)
-    doubt = f"the file says percent, and the values reach {greatest:.3g}" if percent and greatest <= 1.5 else None
+    said = "percent" if "percent" in about.get("measurement units", "").lower() else percent_in(titles[0])
+    doubtful = said == "percent" and (most := np.nanmax(values, initial=0.0)) <= 1.5
+    doubt = f"the file says percent, and the values reach {most:.3g}" if doubtful else None
+    known: dict[str, Any] = {"wavelength_unit": unit, "unit": None if doubt else said, "source": where, "doubt": doubt}
     quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "")))
-    record = FieldSpectrum(name, _wavelengths(titles), values, source=where, quantity=quantity, wavelength_unit=unit)
-    return replace(record, unit="percent" if percent and doubt is None else None, doubt=doubt)
+    return FieldSpectrum(name, _wavelengths(titles), values, quantity=quantity, **known)
 
 
 def _wavelengths(titles: list[str]) -> Array:
@@ -465,9 +465,7 @@ def _first_band(titles: list[str]) -> int | None:
     They may begin anew with each of a few detectors that overlap.
     """
     titles = _without_end(titles)
-    first = len(titles)
-    while first and _WAVELENGTH.match(titles[first - 1].strip()):
-        first -= 1
+    first = len(titles) - len([*takewhile(_WAVELENGTH.match, map(str.strip, reversed(titles)))])
     numbers = _wavelengths(titles[first:])
     if numbers.size < FEWEST_BANDS or only_wavelength_unit(numbers) is None:
         return None
@@ -485,10 +483,8 @@ def _without_end(cells: list[str], least: int = 0) -> list[str]:
 
 def _value(cell: str) -> float | None:
     """The number in a cell, NaN where it is empty or says so; None where it holds no number."""
-    try:
-        return float(cell or "nan")
-    except ValueError:
-        return float("nan") if cell.lower() == "na" else None
+    text = "nan" if cell.lower() in ("", "na") else cell
+    return float(text.lower().replace("d", "e")) if is_number(text) else None
 
 
 # What the maker says that the numbers of a .sig file, times 1e-10, are in; the file names the quantity alone.
@@ -596,22 +592,21 @@ def usgs_records(file: SpectraFile) -> list[FieldSpectrum]:
 
 def usgs_record(path: Path, grid: Path) -> FieldSpectrum:
     """A spectrum of a library that keeps values and wavelengths in files of one column each."""
-    header, values, _ = number_table(decoded(path.read_bytes()), path)
-    grid_header, wavelength, _ = number_table(decoded(grid.read_bytes()), grid)
+    (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
-    unit = wavelength_unit_in(" ".join(grid_header), "", str(grid))
-    record = FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], source=str(path))
-    return replace(record, wavelength_unit=unit)
+    unit = wavelength_unit_in(" ".join(above), "", str(grid))
+    told: dict[str, Any] = {"source": str(path), "wavelength_unit": unit}
+    return FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], **told)
 
 
 def wavelengths_beside(path: Path) -> Path | None:
     """The file of wavelengths of a USGS spectrum of one column, in its folder or the one above."""
-    rows, fits = _usgs_rows(path), list[Path]()
-    for folder in (path.parent, path.parent.parent) if rows else ():
-        named = [p for p in sorted(folder.glob("*.txt")) if "wavelength" in p.name.lower() and p != path]
-        fits += [p for p in named[:MAX_WAVELENGTH_FILES] if _usgs_rows(p) == rows]
+    rows = _usgs_rows(path)
+    near = (p for folder in (path.parent, path.parent.parent) if rows for p in sorted(folder.glob("*.txt")))
+    named = (p for p in near if "wavelength" in p.name.lower() and p != path)
+    fits = [p for p in islice(named, MAX_WAVELENGTH_FILES) if _usgs_rows(p) == rows]
     return fits[0] if len(fits) == 1 else None
 
 
