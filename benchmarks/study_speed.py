@@ -25,10 +25,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 from predict_speed import TEXT
 
-from hyperval.atmosphere.between import spaced
+from hyperval.atmosphere.between import interpolation_nodes
 from hyperval.config import parse_yaml, validate
 from hyperval.executors import Parcel, in_order, opened, parcel, workers
-from hyperval.model import Origins, World, evaluations, false_alarm_grid, predict, read, with_values
+from hyperval.model import Origins, World, evaluations, false_alarm_grid, predict, read_world, with_values
 from hyperval.scenario import Scenario
 from hyperval.settings import with_settings
 
@@ -100,9 +100,9 @@ def main() -> None:
     data, lines = parse_yaml(TEXT)
     scenario = validate(Scenario, data, lines, "benchmark")
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 8192
-    still = read(scenario, Origins())
-    nodes = {RANGE.split(".")[1]: tuple(spaced("meteorological_range_km", 5.0, 50.0, 7).tolist())}
-    hazy = read(scenario, Origins(), nodes=nodes)
+    still = read_world(scenario, Origins())
+    nodes = {RANGE.split(".")[1]: tuple(interpolation_nodes("meteorological_range_km", 5.0, 50.0, 7).tolist())}
+    hazy = read_world(scenario, Origins(), nodes=nodes)
     hazy.stated.atmosphere.prepare([])
     print("evaluations a second; 360 bands, 5 classes, radiance, SNR, ROC of 181 points; one BLAS thread a worker")
     head = ("predict", "1, cpu", "ratio", "2, cpu", "scaling", "1, wall", "2, wall")

@@ -88,9 +88,9 @@ def twice(names: Iterable[Any]) -> list[Any]:
     return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
-def unknown(names: Iterable[str], known: Iterable[str]) -> list[Any]:
+def unknown(names: Iterable[str], valid: Iterable[str]) -> list[Any]:
     """The first name that is not known and, in words, those that are; nothing where all are known."""
-    listed = list(known)
+    listed = list(valid)
     return next(([name, ", ".join(listed)] for name in names if name not in listed), [])
 
 
@@ -226,7 +226,7 @@ def shipped(package: str, folder: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(installed_file(package, folder).glob("*.yaml"))}
 
 
-def file_of(name_or_path: str | Path, known: Mapping[str, Path], kind: str) -> Path:
+def file_of(name_or_path: str | Path, library: Mapping[str, Path], kind: str) -> Path:
     """The file of what goes by its name or by its path; UsageError where it is neither.
 
     >>> file_of("place/casi-150", {"casi-1500": Path("casi-1500.yaml")}, "sensor")
@@ -234,10 +234,10 @@ def file_of(name_or_path: str | Path, known: Mapping[str, Path], kind: str) -> P
     hyperval.errors.UsageError: unknown sensor 'place/casi-150'; did you mean 'casi-1500'?
       expected: a YAML file or one of casi-1500
     """
-    path = known.get(str(name_or_path), Path(name_or_path))
+    path = library.get(str(name_or_path), Path(name_or_path))
     if path.suffix not in (".yaml", ".yml") and not path.exists():
-        hints = "".join(f"; did you mean {near!r}?" for near in difflib.get_close_matches(path.name, known, n=1))
-        raise UsageError(f"unknown {kind} {str(path)!r}{hints}", expected="a YAML file or one of " + ", ".join(known))
+        hints = "".join(f"; did you mean {near!r}?" for near in difflib.get_close_matches(path.name, library, n=1))
+        raise UsageError(f"unknown {kind} {str(path)!r}{hints}", expected="a YAML file or one of " + ", ".join(library))
     return path
 
 
@@ -279,8 +279,8 @@ def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int
     return _construct(needed(root, "yaml.empty", name), (), lines, name), lines
 
 
-def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: str) -> Any:
-    lines.setdefault(at, node.start_mark.line + 1)
+def _construct(node: yaml.Node, location: Location, lines: dict[Location, int], name: str) -> Any:
+    lines.setdefault(location, node.start_mark.line + 1)
     if isinstance(node, yaml.MappingNode):
         out: dict[str, Any] = {}
         for key_node, value_node in node.value:
@@ -288,32 +288,32 @@ def _construct(node: yaml.Node, at: Location, lines: dict[Location, int], name: 
             refuse(not isinstance(key_node, yaml.ScalarNode), "yaml.plain", f"{name}:{line}")
             key = str(key_node.value)
             if key in out:
-                raise refusal("yaml.twice", f"{name}:{line}", key=key, first=lines[(*at, key)])
-            lines[(*at, key)] = line
-            out[key] = _construct(value_node, (*at, key), lines, name)
+                raise refusal("yaml.twice", f"{name}:{line}", key=key, first=lines[(*location, key)])
+            lines[(*location, key)] = line
+            out[key] = _construct(value_node, (*location, key), lines, name)
         return out
     if isinstance(node, yaml.SequenceNode):
-        return [_construct(item, (*at, i), lines, name) for i, item in enumerate(node.value)]
+        return [_construct(item, (*location, i), lines, name) for i, item in enumerate(node.value)]
     kind = node.tag.rpartition(":")[2]
     if kind == "int" and len(node.value) > _MAX_DIGITS:
         raise UsageError(f"a number of {len(node.value)} digits", where=f"{name}:{node.start_mark.line + 1}")
     return _SCALARS[kind][1](node.value) if kind in _SCALARS else node.value
 
 
-def texts_of(data: Any, at: Location = ()) -> Iterator[tuple[Location, str]]:
+def texts_of(data: Any, location: Location = ()) -> Iterator[tuple[Location, str]]:
     """Every text of plain data, in the order of the file, and where it stands."""
     if isinstance(data, str):
-        yield at, data
+        yield location, data
     elif isinstance(data, dict | list):
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            yield from texts_of(value, (*at, key))
+            yield from texts_of(value, (*location, key))
 
 
 def placeholders(data: Any, lines: dict[Location, int], name: str) -> list[Placeholder]:
     """Every value of ``data`` that is marked ``FILL_IN``, in the order of the file."""
-    marked = [(at, text.removeprefix(FILL_IN)) for at, text in texts_of(data) if text.startswith(FILL_IN)]
-    where = {at: f"{name}:{lines.get(at, 1)}" for at, _ in marked}
-    return [Placeholder(".".join(map(str, at)), where[at], text.lstrip(": ") or "a value") for at, text in marked]
+    marked = [(key, text.removeprefix(FILL_IN)) for key, text in texts_of(data) if text.startswith(FILL_IN)]
+    where = {key: f"{name}:{lines.get(key, 1)}" for key, _ in marked}
+    return [Placeholder(".".join(map(str, key)), where[key], text.lstrip(": ") or "a value") for key, text in marked]
 
 
 def unfilled(entries: list[Placeholder]) -> UsageError:
@@ -338,10 +338,10 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         return model.model_validate(data)
     except ValidationError as error:
         problems: list[tuple[int, str]] = []
-        for at, text in mistakes_in(error.errors(include_url=False), model):
-            line = next((lines[at[:n]] for n in range(len(at), -1, -1) if at[:n] in lines), 1)
+        for location, text in mistakes_in(error.errors(include_url=False), model):
+            line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
             where = f"{name}:{line}" if lines else name
-            problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, at)), text)))))
+            problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, location)), text)))))
         listed, more = [text for _, text in sorted(problems)], len(problems) - MOST_MISTAKES
         raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])])) from error
 

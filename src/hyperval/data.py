@@ -81,8 +81,8 @@ class Components:
     dof: float = np.inf
 
     def __post_init__(self) -> None:
-        given = self.weights, self.offsets, self.covariances
-        weights, offsets, covariances = (np.asarray(array, dtype=float) for array in given)
+        arrays = self.weights, self.offsets, self.covariances
+        weights, offsets, covariances = (np.asarray(array, dtype=float) for array in arrays)
         count, bands = offsets.shape if offsets.ndim == 2 else (0, 0)
         if weights.shape != (count,) or covariances.shape != (count, bands, bands) or not 0 < count <= MOST_COMPONENTS:
             shapes = {"weights": weights.shape, "offsets": offsets.shape, "covariances": covariances.shape}

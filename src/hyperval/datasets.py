@@ -84,8 +84,8 @@ def download(file: DataFile, target: Path, mend: str) -> Path:
 
     try:
         with whole_file(target) as temporary:
-            for left in reversed(range(ATTEMPTS)):
-                with suppress(*((requests.RequestException, ValueError) if left else ())):
+            for more in reversed(range(ATTEMPTS)):
+                with suppress(*((requests.RequestException, ValueError) if more else ())):
                     _receive(file, temporary)
                     break
             if file.packed:  # no time in the header: the same content gives the same bytes
@@ -120,7 +120,7 @@ def _reason(error: Exception) -> str:
     if isinstance(error, requests.HTTPError) and error.response is not None:
         return f"the server answered {error.response.status_code}"
     words = {requests.Timeout: "no answer in time", requests.ConnectionError: "no connection"}
-    return next((own for kind, own in words.items() if isinstance(error, kind)), type(error).__name__)
+    return next((text for kind, text in words.items() if isinstance(error, kind)), type(error).__name__)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,9 +320,9 @@ class InputLog:
         self._names.setdefault(path.resolve(), reference)
         if reference not in self._entries:
             check_copy(reference, path)
-            owner, own = owner_of(reference), {"sha256": sha256_of(path), "bytes": size_of(path)}
+            owner, content = owner_of(reference), {"sha256": sha256_of(path), "bytes": size_of(path)}
             whose = {key: getattr(owner, key, None) for key in ("licence", "citation")}
-            self._entries[reference] = {"reference": reference, **own, "dataset": owner and owner.name, **whose}
+            self._entries[reference] = {"reference": reference, **content, "dataset": owner and owner.name, **whose}
         return path
 
     def entries(self) -> list[dict[str, Any]]:
@@ -366,7 +366,7 @@ def _resolve_data(path: str) -> Path:
     if (path_here := _find(path)) is not None:
         return path_here
     looked = ", ".join(f"{root}{'' if root.is_dir() else ' (no such folder)'}" for root in _roots())
-    of_pattern = (owner for known, (owner, _) in _by_path().items() if is_pattern(path) and fnmatchcase(known, path))
+    of_pattern = (owner for file, (owner, _) in _by_path().items() if is_pattern(path) and fnmatchcase(file, path))
     owner = next(of_pattern, None) or owner_of(PREFIX + path)
     if owner is None:  # neither the registry nor this machine knows it: the names nearest to it
         folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]

@@ -193,9 +193,9 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     samples, lines, bands = (integer(key, least=1) for key in ("samples", "lines", "bands"))
     data_type = integer("data type", "0" if sidecar else None)
     if data_type not in DATA_TYPES and not (sidecar and "data type" not in entries):
-        known = ", ".join(f"{code} ({np.dtype(name).name})" for code, name in DATA_TYPES.items())
+        types = ", ".join(f"{code} ({np.dtype(name).name})" for code, name in DATA_TYPES.items())
         kind = " (complex)" if data_type in (6, 9) else ""
-        raise refusal("header.type", where("data type"), code=data_type, kind=kind, known=known)
+        raise refusal("header.type", where("data type"), code=data_type, kind=kind, known=types)
     byte_order, remark = _byte_order(entries.get("byte order"), where("byte order"))
     if remark and data_type not in (0, 1):  # a single byte has no order
         notes.append(remark)
@@ -234,8 +234,8 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         if key in entries:
             a, b = _squeezed(entries[key]), _squeezed(value)
             differ = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
-            told = " against ".join(repr(of[max(0, differ - 20) : differ + 30]) for of in (a, b))
-            refuse(a != b, "header.twice", f"{name}:{number}", key=key, first=line_of[key], told=told)
+            values = " against ".join(repr(of[max(0, differ - 20) : differ + 30]) for of in (a, b))
+            refuse(a != b, "header.twice", f"{name}:{number}", key=key, first=line_of[key], told=values)
             notes.append(f"header: {key!r} occurs twice with the same value (lines {line_of[key]} and {number})")
         else:
             line_of[key], entries[key] = number, value

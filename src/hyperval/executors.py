@@ -150,13 +150,13 @@ class TaskPool:
         """What a task returns, of another worker where the first died; a worker that ended has one in its place."""
         worker = self._idle.get()
         try:
-            for left in reversed(range(self._renewals + 1)):
+            for renewals in reversed(range(self._renewals + 1)):
                 worker = worker if worker.is_alive() else self._start()
                 try:
                     return self._result(task, worker)
                 except Lost:
                     worker.end()
-                    if not left or self._is_closed:
+                    if not renewals or self._is_closed:
                         raise
         finally:
             self._idle.put(worker if worker.is_alive() or self._is_closed else self._start())
@@ -414,8 +414,8 @@ def in_order(
     try:
         while True:
             try:  # handing a piece in can be what finds a pool broken
-                left = (ahead or 2 * where.width) - len(futures)
-                futures.extend(where.submit(function, piece) for piece in islice(source, left))
+                free = (ahead or 2 * where.width) - len(futures)
+                futures.extend(where.submit(function, piece) for piece in islice(source, free))
                 if not futures:
                     return
                 result = futures.popleft().result()

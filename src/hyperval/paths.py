@@ -47,9 +47,9 @@ def matching(path: Path) -> list[Path]:
     return sorted(matches)[: MAX_MATCHES + 1]
 
 
-def nearest(name: str, known: Iterable[str]) -> list[str]:
+def nearest(name: str, names: Iterable[str]) -> list[str]:
     """The known names most like ``name``, case left aside; the best first."""
-    by_lower = {one.lower(): one for one in reversed([*known])}
+    by_lower = {one.lower(): one for one in reversed([*names])}
     return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, 3, 0.6)]
 
 
@@ -97,18 +97,18 @@ def refuse_own(path: Path) -> None:
     """
     with open(path, "rb") as stream:
         head = stream.read(_HEAD_BYTES)
-    known = package_table("own_files.yaml")["yaml" if path.suffix.lower() in (".yaml", ".yml") else "others"]
-    for mark, (kind, by) in known.items():
+    marks = package_table("own_files.yaml")["yaml" if path.suffix.lower() in (".yaml", ".yml") else "others"]
+    for mark, (kind, by) in marks.items():
         found = re.search(mark.encode(), head, re.MULTILINE)
         refuse(found, "file.own", path, kind=kind, by=by.format(file=shlex.quote(str(path))))
 
 
 def checked_folder(path: Path | str) -> Path:
     """The path of a folder that holds all of its files, by the rules of :func:`checked_file`."""
-    given = checked_file(path, what="Zarr store", folder=True)
-    real = given.resolve()
-    refuse(any(not p.resolve().is_relative_to(real) for p in given.rglob("*")), "path.zarr", str(path))
-    return given
+    folder_path = checked_file(path, what="Zarr store", folder=True)
+    real = folder_path.resolve()
+    refuse(any(not p.resolve().is_relative_to(real) for p in folder_path.rglob("*")), "path.zarr", str(path))
+    return folder_path
 
 
 def checked_store(path: Path | str) -> Path:
@@ -156,7 +156,7 @@ def read_xml(path: Path, most: int = MAX_TEXT_BYTES) -> ElementTree.Element:
 
 
 @reader
-def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+def read_table(path: Path, keys: Collection[str] = ()) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     """Column names of a CSV file, and its rows with their line numbers; short rows are filled with "".
 
     Columns are divided by commas, or by semicolons (then a comma may be the decimal sign) or tabs where the first
@@ -165,7 +165,7 @@ def read_table(path: Path, known: Collection[str] = ()) -> tuple[list[str], list
     text = read_text(path)
     divider = next((d for d in ",;\t" if d in text.split("\n", 1)[0]), ",")
     table = csv_rows(text, path, divider)
-    fields = [f.lower() if f.lower() in known else f for f in map(str.strip, next(table, (1, []))[1])]
+    fields = [f.lower() if f.lower() in keys else f for f in map(str.strip, next(table, (1, []))[1])]
     refuse(len(set(fields)) < len(fields), "table.twice", f"{path}:1")
     rows = []
     for number, cells in table:

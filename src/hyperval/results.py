@@ -40,10 +40,10 @@ class Outcome(StrEnum):
 
     def __new__(cls, value: str, *said: str) -> Outcome:
         """The member of a value, with how it is said."""
-        own = str.__new__(cls, value)
-        own._value_ = value
-        own.word, own.letter, own.of_one, own.of_several, own.element = said
-        return own
+        member = str.__new__(cls, value)
+        member._value_ = value
+        member.word, member.letter, member.of_one, member.of_several, member.element = said
+        return member
 
 
 # The one order: where several rows or criteria are one entry, the first of these counts that one of them has.
@@ -209,14 +209,14 @@ class Result:
         >>> Result("", "radiance", "", "", "bias_ratio", 0.0, lower=-0.2, upper=0.2, **limits).shortfall
         2.0
         """
-        known, low, high = metric_of(self.metric), self.limit_low, self.limit_high
-        if known.kind is Kind.TEST:
-            return self.detectable / known.alternative
-        if known.kind is not Kind.QUANTITY:
+        metric, low, high = metric_of(self.metric), self.limit_low, self.limit_high
+        if metric.kind is Kind.TEST:
+            return self.detectable / metric.alternative
+        if metric.kind is not Kind.QUANTITY:
             return math.nan
-        if not low > -math.inf and known.low > -math.inf and known.high == math.inf:
-            return (self.upper - self.value) / (high - known.low)
-        if known.agreement == 1.0 and low > 0.0 and self.lower > 0.0:
+        if not low > -math.inf and metric.low > -math.inf and metric.high == math.inf:
+            return (self.upper - self.value) / (high - metric.low)
+        if metric.agreement == 1.0 and low > 0.0 and self.lower > 0.0:
             return math.log(self.upper / self.lower) / math.log(high / low)
         return (self.upper - self.lower) / (high - low)
 
@@ -353,9 +353,9 @@ def paired(a: ResultTable, b: ResultTable) -> list[Pair]:
 
 
 def _keyed(table: ResultTable, single: bool) -> dict[tuple[Any, ...], Result]:
-    out, seen = dict[tuple[Any, ...], Result](), Counter[tuple[Any, ...]]()
+    out, count = dict[tuple[Any, ...], Result](), Counter[tuple[Any, ...]]()
     for row in table:
         key = ("" if single else row.campaign, row.key)
-        out[*key, seen[key]] = row
-        seen[key] += 1
+        out[*key, count[key]] = row
+        count[key] += 1
     return out

@@ -206,8 +206,8 @@ class Run:
     def sides(self) -> Mapping[str, Products]:
         """Name of a side -> its products; InputError for a damaged file, empty where there is none."""
         stored = self.folder is not None and (self.folder / PRODUCTS).is_file() and read_products(self.folder)
-        given = stored.given if stored else self.given
-        return {name: products for name, products in given.items() if products is not None}
+        products_of = stored.given if stored else self.given
+        return {name: products for name, products in products_of.items() if products is not None}
 
     @property
     def pair(self) -> tuple[PredictedProducts | None, ObservedProducts | None]:
@@ -230,8 +230,8 @@ class Run:
         """When its scenarios take place, in UTC."""
         records = [r for r in dict(self.provenance.get("engines") or {}).values() if isinstance(r, dict)]
         texts = {str(record["time_utc"]) for record in records if record.get("time_utc")}
-        given = (datetime.fromisoformat(text) for text in texts)
-        return {t.replace(tzinfo=UTC) if t.tzinfo is None else t.astimezone(UTC) for t in given}
+        parsed = (datetime.fromisoformat(text) for text in texts)
+        return {t.replace(tzinfo=UTC) if t.tzinfo is None else t.astimezone(UTC) for t in parsed}
 
     def write(self, folder: Path, page: str, drawings: Iterable[Any] = ()) -> None:
         """Write the run into an existing folder.
@@ -427,9 +427,9 @@ def junit_xml(rows: Sequence[Result]) -> str:
     cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
     for campaign, every in grouped(rows, lambda row: row.campaign).items():
-        own = [row for row in every if row.gates or row.outcome is Outcome.ERROR]
-        suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(own)})
-        for row in own:
+        of_campaign = [row for row in every if row.gates or row.outcome is Outcome.ERROR]
+        suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(of_campaign)})
+        for row in of_campaign:
             case = ElementTree.SubElement(suite, "testcase", classname=f"{campaign}.{row.product}", name=row_name(row))
             if element := row.outcome.element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
@@ -562,8 +562,8 @@ def _layouts() -> dict[str, Layout]:
 
 
 def _layout(name: str, about: Mapping[str, Any]) -> Layout:
-    columns = tuple(Column(variable, **own) for variable, own in about["variables"].items())
-    inner = {field: _layout(field, own) for field, own in about.get("inner", {}).items()}
+    columns = tuple(Column(variable, **entry) for variable, entry in about["variables"].items())
+    inner = {field: _layout(field, entry) for field, entry in about.get("inner", {}).items()}
     kind = getattr(product_types, about["kind"]) if "kind" in about else None
     return Layout(about.get("prefix", name), kind, about["axis"], tuple(about["key"]), columns, inner)
 
@@ -605,11 +605,11 @@ def to_arrays(products: Products) -> Arrays:
     good = {"units": "1", "long_name": "whether the band is used", **flags}
     data["good_band"] = (("band",), axis.good.astype(np.int8), good)
     held = {name: [(_key(key), item) for key, item in getattr(products, name, {}).items()] for name in _layouts()}
-    for key, own in products.object_scores.items():
-        if np.ndim(own.values) == 2:  # a law
-            held["object_score_law"].append((key, np.quantile(own.values, OBJECT_QUANTILES)))
+    for key, law in products.object_scores.items():
+        if np.ndim(law.values) == 2:  # a law
+            held["object_score_law"].append((key, np.quantile(law.values, OBJECT_QUANTILES)))
         else:
-            held["object_score"] += [((*key, name), value) for name, value in zip(own.names, own.values, strict=True)]
+            held["object_score"] += [((*key, name), value) for name, value in zip(law.names, law.values, strict=True)]
     for name, layout in _layouts().items():
         _add(data, layout, held[name])
     if held["object_score_law"]:
@@ -644,8 +644,8 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
             continue
         for source in sorted(set(chain(*values))):
             name, words = column.name.format(re.sub(r"[^A-Za-z0-9]", "_", source)), source.replace("_", " ")
-            own = column._replace(name=name, long_name=column.long_name.format(words))
-            each.append((own, [value.get(source) for value in values], {"source": source}))
+            named_column = column._replace(name=name, long_name=column.long_name.format(words))
+            each.append((named_column, [value.get(source) for value in values], {"source": source}))
     longest = Counter[str]()  # length of each axis
     for column, values, _ in each:
         for value in values:
@@ -657,7 +657,7 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
         for key, item in entries:
             held = getattr(item, name)
             named = held.items() if isinstance(held, Mapping) else (((), one) for one in held)
-            found += [((*key, *_key(own)), one) for own, one in named]
+            found += [((*key, *_key(named_column)), one) for named_column, one in named]
         _add(data, inner, found)
 
 
@@ -752,8 +752,8 @@ def _products(group: Any, kind: type[Products]) -> Products:
     held = {name: entries for name, layout in _layouts().items() if (entries := _entries(group, layout))}
     scores: dict[Any, ObjectScores] = {}
     for key, quantiles in held.pop("object_score_law", []):
-        at = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES
-        scores[key] = ObjectScores(np.interp(at, group[_PROBABILITY][...], quantiles)[None])
+        probability = (np.arange(_LAW_VALUES) + 0.5) / _LAW_VALUES
+        scores[key] = ObjectScores(np.interp(probability, group[_PROBABILITY][...], quantiles)[None])
     for (*target, name), value in held.pop("object_score", []):
         one = scores.get(tuple(target), ObjectScores(np.empty(0)))
         scores[tuple(target)] = ObjectScores(np.append(one.values, value), (*one.names, name))
@@ -787,8 +787,8 @@ def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:
     by_key = dict(zip(keys, items, strict=True))
     for name, inner in layout.inner.items():
         for key, entry in _entries(group, inner):
-            item, own = by_key[key[: len(layout.key)]], key[len(layout.key) :]
-            item[name] = {**item.get(name, {}), own[0]: entry} if own else (*item.get(name, ()), entry)
+            item, inner_key = by_key[key[: len(layout.key)]], key[len(layout.key) :]
+            item[name] = {**item.get(name, {}), inner_key[0]: entry} if inner_key else (*item.get(name, ()), entry)
     return [(key, _made(layout.kind, key, item)) for key, item in zip(keys, items, strict=True)]
 
 

@@ -554,12 +554,12 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     UsageError : no such name, or every mistake of the file with its line.
     InputError : no such file.
     """
-    known = builtin_scenarios()
-    path = file_of(name_or_path, known, "scenario")
+    library = builtin_scenarios()
+    path = file_of(name_or_path, library, "scenario")
     data, _ = load_yaml(path)
     is_campaign = "collection" in data and "scene" not in data
     refuse(is_campaign, "scenario.campaign", path, whole=f"all of it: {as_typed('validate', path, '-o', 'DIR')}")
     scenario = load_model(Scenario, path)
-    if path in known.values():  # it has no files of its own: those that are set in it are the user's
+    if path in library.values():  # it has no files of its own: those that are set in it are the user's
         scenario._folder = None
     return scenario

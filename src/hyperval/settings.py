@@ -26,27 +26,27 @@ def setting(model: BaseModel, path: str) -> Any:
     ------
     UsageError : no such entry; the message names those that there are.
     """
-    at: Any = model.model_dump(mode="python", by_alias=True)
+    node: Any = model.model_dump(mode="python", by_alias=True)
     for i, part in enumerate(parts := path_parts(path)):
-        refuse(at is None, "setting.none", path=path, at=".".join(parts[:i]))
-        at = at[_key(at, part, path)]
-    return at
+        refuse(node is None, "setting.none", path=path, at=".".join(parts[:i]))
+        node = node[_key(node, part, path)]
+    return node
 
 
 def numbers_of(model: BaseModel) -> list[str]:
     """Dotted paths of all numbers, and lists of numbers, in a configuration, those at their defaults included."""
     out: list[str] = []
 
-    def walk(at: Any, path: str) -> None:
-        if isinstance(at, dict):
-            for key, value in at.items():
+    def walk(node: Any, path: str) -> None:
+        if isinstance(node, dict):
+            for key, value in node.items():
                 walk(value, f"{path}.{key}" if path else str(key))
-        elif isinstance(at, list | tuple) and at and isinstance(at[0], dict):
-            for number, item in enumerate(at):
+        elif isinstance(node, list | tuple) and node and isinstance(node[0], dict):
+            for number, item in enumerate(node):
                 name = next((f"[{item[k]}]" for k in _LABELS if k in item), str(number))
                 walk(item, f"{path}.{name}")
-        elif at not in ((), []):
-            each = at if isinstance(at, list | tuple) else [at]
+        elif node not in ((), []):
+            each = node if isinstance(node, list | tuple) else [node]
             if all(isinstance(x, int | float) and not isinstance(x, bool) for x in each):
                 out.append(path)
 
@@ -73,18 +73,18 @@ def with_settings(model: M, changes: Mapping[str, Any]) -> M:
     return changed
 
 
-def _changed(at: Any, parts: list[str], value: Any, path: str) -> Any:
+def _changed(node: Any, parts: list[str], value: Any, path: str) -> Any:
     """What stands at a part of a configuration, with another value where the rest of the path leads."""
     if not parts:
         return _plain(value)
     here, (part, *rest) = ".".join(path_parts(path)[: -len(parts)]), parts
-    if at is None or isinstance(at, dict):  # what is left out is made; unknown keys are found when it is checked
-        entries = at or {}
+    if node is None or isinstance(node, dict):  # what is left out is made; unknown keys are found when it is checked
+        entries = node or {}
         return {**entries, part: _changed(entries.get(part), rest, value, path)}
-    is_whole = isinstance(at, tuple) and not all(isinstance(item, dict) for item in at)
+    is_whole = isinstance(node, tuple) and not all(isinstance(item, dict) for item in node)
     refuse(is_whole, "setting.whole", path=path, here=here)
-    refuse(not isinstance(at, list | tuple), "setting.parts", path=path, here=here)
-    number, items = _key(at, part, path), list(at)
+    refuse(not isinstance(node, list | tuple), "setting.parts", path=path, here=here)
+    number, items = _key(node, part, path), list(node)
     items[number] = _changed(items[number], rest, value, path)
     return items
 
@@ -122,15 +122,15 @@ def path_parts(path: str) -> list[str]:
     return parts
 
 
-def _key(at: Any, part: str, path: str) -> Any:
-    if isinstance(at, dict):
-        if part in at:
+def _key(node: Any, part: str, path: str) -> Any:
+    if isinstance(node, dict):
+        if part in node:
             return part
-        near = difflib.get_close_matches(part, at, n=1)
+        near = difflib.get_close_matches(part, node, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise UsageError(f"setting {path!r}: no {part!r}{hint}", expected="one of " + ", ".join(map(str, at)))
-    if isinstance(at, list | tuple):
-        labels = ([item[k] for k in _LABELS if k in item] if isinstance(item, dict) else [] for item in at)
+        raise UsageError(f"setting {path!r}: no {part!r}{hint}", expected="one of " + ", ".join(map(str, node)))
+    if isinstance(node, list | tuple):
+        labels = ([item[k] for k in _LABELS if k in item] if isinstance(item, dict) else [] for item in node)
         return item_number([next(iter(names), None) for names in labels], part, path)
     raise UsageError(f"setting {path!r}: nothing lies below {part!r}")
 
@@ -151,7 +151,7 @@ def item_number(names: Sequence[Any], part: str, path: str) -> int:
         return names.index(part)
     if part.isdecimal() and int(part) < len(names):
         return int(part)
-    there = ", ".join(f"[{n}]" if "." in str(n) else str(n) for n in names if n is not None)
-    brackets = " (a name that holds dots stands in brackets)" if "[" in there else ""
-    known = f" or one of {there}{brackets}" if there else ""
-    raise refusal("setting.item", path=path, part=part, count=len(names), known=known)
+    listed = ", ".join(f"[{n}]" if "." in str(n) else str(n) for n in names if n is not None)
+    brackets = " (a name that holds dots stands in brackets)" if "[" in listed else ""
+    choices = f" or one of {listed}{brackets}" if listed else ""
+    raise refusal("setting.item", path=path, part=part, count=len(names), known=choices)

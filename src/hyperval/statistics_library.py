@@ -152,8 +152,8 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
         refuse(record is None and len(names) > 1, "classes.several", path, names=", ".join(names))
         wanted = names[0] if record is None else record
         refuse(wanted not in names, "classes.none", path, name=wanted, names=", ".join(names))
-        at = names.index(wanted)
-        one = data.isel({"class": at})
+        number = names.index(wanted)
+        one = data.isel({"class": number})
         good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
         tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
         with told_of(str(path)):
@@ -162,7 +162,7 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
                 dof = float(one["component_dof"])
                 components = Components(weight, offset, covariance, np.inf if np.isnan(dof) else dof)
             return ClassStatistics(
-                names[at], SpectralAxis(one["wavelength"].values, one["fwhm"].values, good),
+                names[number], SpectralAxis(one["wavelength"].values, one["fwhm"].values, good),
                 np.asarray(one["mean"].values, dtype=float), np.asarray(one["covariance"].values, dtype=float),
                 int(one["n"]) or None, str(one["source"].values), None if np.isnan(tail) else tail, components,
             )  # fmt: skip
@@ -179,11 +179,11 @@ def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 1
     """
     if statistics.axis.matches(axis):
         return statistics
-    at, to = statistics.axis.centre_nm, axis.centre_nm
-    short = (to < at[0] - edge_nm) | (to > at[-1] + edge_nm)
-    ends = {"low": at[0], "high": at[-1], "count": int(short.sum()), "first": to[int(np.argmax(short))]}
-    refuse(at.size < 2 or short.any(), "class.bands", name=statistics.name, **ends)
-    weights = np.stack([np.interp(to, at, one) for one in np.eye(at.size)], axis=1)
+    nm, to = statistics.axis.centre_nm, axis.centre_nm
+    short = (to < nm[0] - edge_nm) | (to > nm[-1] + edge_nm)
+    ends = {"low": nm[0], "high": nm[-1], "count": int(short.sum()), "first": to[int(np.argmax(short))]}
+    refuse(nm.size < 2 or short.any(), "class.bands", name=statistics.name, **ends)
+    weights = np.stack([np.interp(to, nm, one) for one in np.eye(nm.size)], axis=1)
     covariance = weights @ statistics.covariance @ weights.T
     mean, covariance, components = weights @ statistics.mean, 0.5 * (covariance + covariance.T), statistics.components
     components = components and components.through(weights)

@@ -254,12 +254,12 @@ def partial_folder(path: Path) -> Path:
 
 
 @contextmanager
-def _claimed(given: Path) -> Iterator[Path]:
+def _claimed(path: Path) -> Iterator[Path]:
     """The folder itself, made where it is not there, and nobody else's for the block."""
-    with _making(given):
-        place = given.resolve()
+    with _making(path):
+        place = path.resolve()
         lock = place / LOCK
-        refuse(place.exists() and not place.is_dir(), "folder.file", given)
+        refuse(place.exists() and not place.is_dir(), "folder.file", path)
         made = not place.exists()
         place.mkdir(parents=True, exist_ok=True)
         try:
@@ -268,7 +268,7 @@ def _claimed(given: Path) -> Iterator[Path]:
             who = "it does not say which"
             with suppress(OSError):
                 who = lock.read_text("utf-8", "replace")[:200].strip() or who
-            raise refusal("folder.claimed", given, who=who) from error
+            raise refusal("folder.claimed", path, who=who) from error
     try:
         yield place
     finally:
@@ -295,8 +295,8 @@ def _finish(place: Path) -> None:
     kind, new = _list(place / _SWAP)
     if kind:
         _swap_content(place, kind, new)
-    for left in (*place.glob(_NEW + "*"), place / _SWAP):
-        shutil.rmtree(left, ignore_errors=True)
+    for stale in (*place.glob(_NEW + "*"), place / _SWAP):
+        shutil.rmtree(stale, ignore_errors=True)
 
 
 def _swap_content(place: Path, kind: str, new: set[str]) -> None:

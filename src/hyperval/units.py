@@ -65,8 +65,8 @@ def to_internal(unit: str, quantity: str) -> float:
     ------
     UsageError : an unknown unit.
     """
-    known = _QUANTITIES[quantity][2]
-    return needed(_known(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=known)
+    units = _QUANTITIES[quantity][2]
+    return needed(_known(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=units)
 
 
 def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
@@ -119,13 +119,13 @@ def power_unit(unit: str) -> str | None:
 
 
 def _known(unit: str, quantity: str) -> float | None:
-    powers, own, _ = _QUANTITIES[quantity]
+    powers, power_of_unit, _ = _QUANTITIES[quantity]
     parts = _parts(unit)
     kinds = {_SYMBOLS[symbol][0]: power for symbol, power in parts}
     is_length = quantity == "wavelength" and kinds == {"area": 1}  # m or cm alone
     if not (kinds == powers or is_length) or len(parts) != len(powers):
         return None
-    return float(f"1e{sum(_SYMBOLS[symbol][1] * power for symbol, power in parts) - own}")
+    return float(f"1e{sum(_SYMBOLS[symbol][1] * power for symbol, power in parts) - power_of_unit}")
 
 
 def _parts(unit: str) -> list[tuple[str, int]]:
@@ -147,8 +147,8 @@ def _parts(unit: str) -> list[tuple[str, int]]:
         words += [(first, -1), *((word, -1 if grouped or "-" not in word else 1) for word in rest)]
     found = [(re.fullmatch(r"([A-Za-z]+)([+-]?\d)?", word), sign) for word, sign in words]
     parts = [(_SPELLED.get(m[1]) or _SPELLED.get(m[1].lower()), sign * int(m[2] or 1)) for m, sign in found if m]
-    known = [(symbol, power) for symbol, power in parts if symbol is not None]
-    return known if len(known) == len(words) else []
+    symbols = [(symbol, power) for symbol, power in parts if symbol is not None]
+    return symbols if len(symbols) == len(words) else []
 
 
 # Micro, minus and dot have several characters; raised digits are digits.

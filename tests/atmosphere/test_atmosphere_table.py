@@ -161,8 +161,8 @@ def test_no_light_stays_none_a_transmittance_at_most_one_and_what_lies_outside_i
 
 
 def test_nodes_are_even_in_the_scale_of_their_input_but_for_the_sun():
-    np.testing.assert_allclose(air.spaced("solar_zenith_deg", 0.0, 80.0, 5), [0.0, 20.0, 40.0, 60.0, 80.0])
-    nodes = air.spaced("meteorological_range_km", 5.0, 80.0, 6)
+    np.testing.assert_allclose(air.interpolation_nodes("solar_zenith_deg", 0.0, 80.0, 5), [0.0, 20.0, 40.0, 60.0, 80.0])
+    nodes = air.interpolation_nodes("meteorological_range_km", 5.0, 80.0, 6)
     assert np.ptp(np.diff(air.smooth_rule("meteorological_range_km").scale(nodes))) < 1e-9 < np.ptp(np.diff(nodes))
 
 

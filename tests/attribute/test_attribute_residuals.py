@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hyperval import compare, products
-from hyperval.attribute import alarm_ratios, quantities, reason_for, sampled_covariance, stacked
+from hyperval.attribute import alarm_ratios, quantities, reason_for, sampled_covariance, stack_of
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([500.0, 600.0]), np.full(2, 10.0))
@@ -34,7 +34,7 @@ def test_spectra_are_compared_where_both_have_bands_and_some_light():
 def test_spectra_that_lose_light_or_stand_in_other_light():
     means = {"grass": [1.0, 3.0], "roof": [2.0, 2.0]}
     seen = {name: products.SpectralEstimate(np.array(mean), np.eye(2)) for name, mean in means.items()}
-    stack = stacked(products.PredictedProducts(AXIS, radiance=seen), products.ObservedProducts(AXIS, radiance=seen))
+    stack = stack_of(products.PredictedProducts(AXIS, radiance=seen), products.ObservedProducts(AXIS, radiance=seen))
     assert stack.levelled(stack.observed).tolist() == [1.0, -1.0, 0.0, 0.0]
     shade, _, cut = stack.single(np.array([1.0, 4.0, 2.0, 2.0])).items()
     assert (shade[0].name, shade[1][:, 0].tolist()) == ("light on grass", [-0.5, -2.0, 0.0, 0.0])  # half of the light
@@ -64,9 +64,9 @@ def test_curves_of_pixels_that_both_sides_have_are_compared_from_twenty_alarms_o
     assert [(i.product, i.subject, i.metric) for i in quantities(predicted, observed)] == [
         ("roc", "p", "pd@1e-2"), ("roc", "p", "pd@1e-3"),
     ]  # fmt: skip
-    (block,) = stacked(predicted, observed).blocks
+    (block,) = stack_of(predicted, observed).blocks
     assert block.observed == pytest.approx(np.log([1e-2]))
-    assert stacked(predicted, products.ObservedProducts(AXIS, roc={PIXEL: curve(1999)})).blocks == ()
+    assert stack_of(predicted, products.ObservedProducts(AXIS, roc={PIXEL: curve(1999)})).blocks == ()
     assert quantities(products.PredictedProducts(AXIS), observed) == []
 
 
@@ -79,7 +79,7 @@ def test_the_errors_of_a_measured_snr_and_of_scores_have_their_floors():
     )
     measured = products.SpectralEstimate(np.array([100.0, 50.0]), np.diag([9.0, 4.0]))
     scores = {("p", "cem"): products.ScoreDistribution(0.4, 0.2, n=5)}
-    snr, score = stacked(
+    snr, score = stack_of(
         predicted, products.ObservedProducts(AXIS, snr={"p": measured, "elsewhere": measured}, scores=scores)
     ).blocks
     assert np.exp([snr.observed, snr.read(predicted)]) == pytest.approx(np.array([[100.0, 50.0], [90.0, 60.0]]))
@@ -124,7 +124,7 @@ def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
         object_scores={key: products.ObjectScores(np.array([0.7, 0.9, np.nan]))},
         exceedance={("roof", "cem"): exceedance(stats.t.isf(P, 10.0), P, n)},
     )  # fmt: skip
-    objects, alarms = stacked(predicted, observed).blocks
+    objects, alarms = stack_of(predicted, observed).blocks
     assert objects.observed == pytest.approx([0.8])
     assert objects.read(predicted) == pytest.approx([1.1])
     assert objects.covariance == pytest.approx(np.array([[np.var(draws) / 2 + 0.005**2]]))
@@ -132,7 +132,7 @@ def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
     blocks = (np.log(2.0) / stats.norm.ppf(0.975)) ** 2  # limits at half and twice the rate
     assert np.diag(alarms.covariance) == pytest.approx([blocks, blocks], rel=1e-6)
     assert np.exp(alarms.read(predicted)) == pytest.approx(stats.norm.sf(stats.t.isf([1e-2, 1e-3], 10.0)), rel=0.02)
-    bare = stacked(predicted, replace(observed, exceedance={})).blocks[1]
+    bare = stack_of(predicted, replace(observed, exceedance={})).blocks[1]
     assert np.diag(bare.covariance) == pytest.approx([1 / (p * n) + 0.1**2 for p in (1e-2, 1e-3)])
 
 

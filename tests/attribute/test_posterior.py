@@ -10,7 +10,7 @@ from scipy import stats
 
 from hyperval import attribute
 from hyperval.errors import UsageError
-from hyperval.model import Origins, read
+from hyperval.model import Origins, read_world
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.spectra import SpectralAxis
 from small_campaign import stand_in_atmosphere
@@ -118,7 +118,7 @@ def test_what_all_subjects_share_is_told_apart_from_what_differs():
     noise = 0.005 * rng.normal(size=60)
     for candidate, group in zip(columns, (attribute.COMMON, attribute.DIFFERENT), strict=True):
         residual = 3 * columns[candidate][:, 0] + noise
-        parts = attribute.common_and_own(common, attribute.Residuals(residual, covariance, columns, wide))
+        parts = attribute.common_and_individual(common, attribute.Residuals(residual, covariance, columns, wide))
         found = {name: data.posterior(name) for name, data in parts.items()}
         assert TILT not in parts[attribute.DIFFERENT].columns  # what all share
         assert [found[name].dof for name in (attribute.COMMON, attribute.DIFFERENT)] == [20, 40]
@@ -131,7 +131,7 @@ def test_the_two_parts_hold_all_of_the_residuals_and_do_not_correlate():
     rng = np.random.default_rng(8)
     a = rng.normal(size=(60, 60))
     covariance, r = a @ a.T / 60 + 0.1 * np.eye(60), rng.normal(size=60)
-    parts = attribute.common_and_own(common, attribute.Residuals(r, covariance, columns, np.eye(60)))
+    parts = attribute.common_and_individual(common, attribute.Residuals(r, covariance, columns, np.eye(60)))
     whole = sum(x @ np.linalg.solve(c, x) for x, c, *_ in parts.values())
     assert whole == pytest.approx(r @ np.linalg.solve(covariance, r), rel=1e-9)
 
@@ -187,7 +187,7 @@ def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
     scene = {"classes": classes, "targets": case.get("targets", [])}
     data = {"name": "s", "scene": scene, "processing": {"elm": "none", "detectors": []}, **case.get("more", {})}
     origins = Origins(axis=AXIS, engine=stand_in_atmosphere)
-    world = read(Scenario.model_validate(data), origins)
+    world = read_world(Scenario.model_validate(data), origins)
     found = {i.name for i in attribute.assumed_inputs(world)}
     assert {*case["among"]} <= found
     assert not {*case["absent"]} & found
@@ -202,7 +202,7 @@ def test_files_of_two_scenarios_in_each_others_place_are_a_cause(tmp_path):
         spectrum = {"file": str(tmp_path / name), "wavelength_unit": "nm", "reflectance_unit": "fraction"}
         scene = {"classes": [{"name": name, "fraction": 1.0, "spectrum": spectrum}]}
         data = {"name": name, "scene": scene, "processing": {"elm": "none", "detectors": []}}
-        worlds.append(read(Scenario.model_validate(data), Origins(axis=AXIS, engine=stand_in_atmosphere)))
+        worlds.append(read_world(Scenario.model_validate(data), Origins(axis=AXIS, engine=stand_in_atmosphere)))
     entry = next(c for c in attribute.rarer_candidates(worlds) if c.name == "entry of a surface")
     (exchanged,) = [truth for i, told in enumerate(entry.labels) if "exchanged" in told for truth in [entry.at(0, i)]]
     assert [{path: mean.tolist() for path, mean in truth.items()} for truth in exchanged] == [

@@ -192,7 +192,7 @@ def test_which_file_belongs_to_a_cube(tmp_path, image, table, kind, fits):
     for name in (image, table):
         (tmp_path / name).write_bytes(b"x")
         (tmp_path / f"{name}.hdr").write_text("ENVI\n")
-    assert imagery.companion(tmp_path / image, kind) == (tmp_path / table if fits else None)
+    assert imagery.companion_file(tmp_path / image, kind) == (tmp_path / table if fits else None)
 
 
 def test_tables_of_another_size_or_without_places(tmp_path, bent, axis):

@@ -16,7 +16,7 @@ EVERYTHING = ATMOSPHERE + Path(__file__).with_name("uncertainty.yaml").read_text
 
 
 def inputs(s: Scenario) -> dict[str, model.UncertainInput]:
-    found = model.inputs_of(model.read(s, ORIGINS))
+    found = model.inputs_of(model.read_world(s, ORIGINS))
     assert len({i.name for i in found}) == len(found)
     return {i.name: i for i in found}
 
@@ -47,11 +47,11 @@ def test_directions_give_back_the_covariance_of_each_form():
     cases = {
         "systematic": (SpectralForm(), np.outer(sd, sd)),
         "random": (SpectralForm(correlation="random"), np.diag(sd**2)),
-        "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * model.correlation(AXIS, 200.0)),
+        "length": (SpectralForm(correlation_nm=200), np.outer(sd, sd) * model.band_correlation(AXIS, 200.0)),
     }
     assert model.form_in_words(cases["length"][0]) == "correlation length 200 nm"
     for name, (form, expected) in cases.items():
-        rows = model.directions(sd, form, AXIS)
+        rows = model.error_rows(sd, form, AXIS)
         np.testing.assert_allclose(rows.T @ rows, expected, atol=1e-5 * expected.max(), err_msg=name)
         norms = (rows**2).sum(axis=1)
         assert np.all(np.diff(norms) <= 1e-15) or name == "random"
@@ -61,19 +61,19 @@ def test_directions_give_back_the_covariance_of_each_form():
     assert rows.shape == (5, 5)
     assert model.UncertainInput("x", "scene", "fill", np.zeros(5), rows).size == 3
     with pytest.raises(UsageError, match="needs a sensor with arms"):
-        model.directions(sd, SpectralForm(correlation="arms"), AXIS)
+        model.error_rows(sd, SpectralForm(correlation="arms"), AXIS)
 
 
 B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")
 PLANK = "surfaces.plank.mean"
-WORLD = model.read(scenario(), ORIGINS)
+WORLD = model.read_world(scenario(), ORIGINS)
 CLOSE = SpectralAxis(np.arange(420.0, 900.0, 3.6), 4.8)
 
 
 def mean(surface: str) -> np.ndarray:
     """Its reflectance as stated."""
-    return model.value_at(model.read(scenario(), ORIGINS), f"surfaces.{surface}.mean")[0]
+    return model.value_at(model.read_world(scenario(), ORIGINS), f"surfaces.{surface}.mean")[0]
 
 
 def test_recorded_gain_and_offset_scale_radiance_and_noise_and_cancel_after_the_empirical_line():
@@ -107,18 +107,18 @@ def test_spectrum_departs_while_the_filter_looks_for_what_was_stated():
 def test_fill_from_geometry_moves_its_mean_by_area():
     fill = Fill.model_validate({"geometry": {"side_m": 0.3, "gsd_m": 1.0, "pixels": "best"}})
     before = model.fill_distribution(fill)
-    after = model.fill_distribution(model.with_mean(fill, 0.01))
+    after = model.fill_distribution(model.fill_with_mean(fill, 0.01))
     assert after.mean - before.mean == pytest.approx(0.01, rel=1e-3)
 
 
 def test_changes_at_one_path_add_up_and_paths_to_one_number_compose():
-    world = model.read(scenario(), ORIGINS)
+    world = model.read_world(scenario(), ORIGINS)
     rows = np.array([np.linspace(0.01, 0.02, B)])
     grass = "surfaces.[grass].mean"
     one, other = (
         model.number_input(world, n, "surface", grass, 0.0, rows=k * rows) for n, k in (("a", 1.0), ("b", 2.0))
     )
-    both = model.together([(one, one.direction(0, 1.0)), (other, other.direction(0, -1.0))])
+    both = model.moved_together([(one, one.direction(0, 1.0)), (other, other.direction(0, -1.0))])
     np.testing.assert_allclose(both[grass], mean("grass") - rows[0])
     twice = run(scenario(), truth={"sensor.electrons": 1.5, "sensor_changes.signal_factor": 2.0})
     once = run(scenario(), truth={"sensor.electrons": 3.0})
@@ -168,7 +168,7 @@ def test_a_path_that_leads_nowhere_is_refused(path, words):
 
 def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate():
     text = ATMOSPHERE + "uncertainty: {noise: {relative: 0.1}, fractions: [{subject: grass, absolute: 0.1}]}\n"
-    world = model.read(scenario(text), ORIGINS)
+    world = model.read_world(scenario(text), ORIGINS)
     assumed = {i.path for i in assumed_inputs(world)}
     assert not assumed & {i.path for i in model.inputs_of(world)}
     assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed

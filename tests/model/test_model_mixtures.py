@@ -8,7 +8,7 @@ from uncertain_scene import AXIS, scenario
 
 from hyperval.data import Components
 from hyperval.errors import UsageError
-from hyperval.model import Evaluation, Origins, predict, read
+from hyperval.model import Evaluation, Origins, predict, read_world
 from hyperval.statistics_library import ClassStatistics, builtin_class
 
 BANDS = len(AXIS)
@@ -98,7 +98,7 @@ def scene(fill: str = "{fixed: 0.1}", tail: object = "null", detectors: str = "c
 
 def run(of, components=None, **kwargs):
     origins = Origins(AXIS, {"field": of_region(components)})
-    return predict(of, origins, **kwargs), Evaluation(read(of, origins))
+    return predict(of, origins, **kwargs), Evaluation(read_world(of, origins))
 
 
 def drawn_host(host, dof, n, rng):

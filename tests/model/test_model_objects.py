@@ -70,7 +70,7 @@ def test_a_neighbour_spreads_the_score_in_place_of_the_host():
 def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     # The first truth of a batch once lent its fills to all others.
     scenario = scenario_of((0, 0), (0, 1.0))
-    world = model.read(scenario, model.Origins(axis=AXIS))
+    world = model.read_world(scenario, model.Origins(axis=AXIS))
     moves = [("fill.square", 0.2), ("surfaces.other.mean", 0.1), ("surfaces.grass.mean", 0.1)]
     more, brighter, greener = ({path: model.value_at(world, path)[0] + step} for path, step in moves)
     blurred = {"scene.targets.plank.subjects.[square].fill.geometry.psf_fwhm_pixels": 3.0}

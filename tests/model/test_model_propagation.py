@@ -63,7 +63,7 @@ def test_the_budget_that_predict_adds_up_is_that_of_a_prediction_for_every_direc
     )
     stated, plain = run(s), s.model_copy(update={"uncertainty": Uncertainty()})
     total = {(p, n): np.zeros(len(AXIS)) for p in ("radiance", "snr", "reflectance") for n in getattr(stated, p)}
-    for item in model.inputs_of(model.read(s, ORIGINS)):
+    for item in model.inputs_of(model.read_world(s, ORIGINS)):
         for k in range(item.size):
             up, down = (run(plain, truth=item.direction(k, z)) for z in (1.0, -1.0))
             for p, n in total:
@@ -89,11 +89,11 @@ def test_where_the_ways_differ_the_draws_give_the_interval_of_pd():
 
 
 def test_the_emulator_is_the_engine_at_its_nodes_and_near_it_between():
-    world = model.read(
+    world = model.read_world(
         scenario(ATMOSPHERE + "uncertainty: {aot550: 0.05, water_vapour_g_cm2: 0.5, solar_zenith_deg: 2}\n"), ORIGINS
     )
     inputs = model.inputs_of(world)
-    there, (runs, greatest, median) = model.emulated(world, inputs)
+    there, (runs, greatest, median) = model.interpolated_world(world, inputs)
     assert runs == 8  # stated, two for each of three fields, one check
     assert 0.0 < median <= greatest < 0.01
     for item in inputs:
@@ -113,12 +113,12 @@ def test_area_of_a_curve_and_tolerance_of_a_limit():
     share = np.interp(target.grid, ground.grid, below, left=0.0, right=1.0)
     expected = np.trapezoid(share * target.density, target.grid)
     assert model.curve_area(curve, model.WHOLE) == pytest.approx(expected, abs=2e-3)
-    assert model.quantities(p)["AUC", *KEY][0] == model.curve_area(curve, model.WHOLE)
+    assert model.product_values(p)["AUC", *KEY][0] == model.curve_area(curve, model.WHOLE)
     # u = 0.02: one digit, half a unit of it is 0.005; with infinitely many draws nothing is added.
-    np.testing.assert_allclose(model.tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)
+    np.testing.assert_allclose(model.limit_tolerance(np.array([0.02, 0.9]), 10**12), [0.005, 0.05], rtol=1e-4)
     # Of 10,000 uniform draws the 250th is a beta number, and so is the probability of a normal one.
     error = np.std(stats.norm.isf(stats.beta(250, 9751).ppf((np.arange(4000) + 0.5) / 4000)))
-    assert model.tolerance(np.array([0.031]), 10_000) == pytest.approx([0.005 + 2.0 * 0.031 * error], rel=1e-3)
+    assert model.limit_tolerance(np.array([0.031]), 10_000) == pytest.approx([0.005 + 2.0 * 0.031 * error], rel=1e-3)
 
 
 # Numbers that were wrong, by definitions and by truths that are moved one at a time, on thirty bands.
@@ -182,7 +182,7 @@ def test_interval_of_detection_follows_every_direction(entry, path, step, axis, 
     s = coarse(f"uncertainty: {{{entry}}}\n", **{"[cem]": "[cem], elm: none"})
     origins = replace(BANDS, axis=axis)
     curve = model.predict(s, origins).roc["tenth", "cem", "pixel"]
-    stated = model.value_at(model.read(s, origins), path)[0]
+    stated = model.value_at(model.read_world(s, origins), path)[0]
     inner, nominal = np.abs(ndtri(curve.pd)) < 2.0, np.broadcast_to(stated, len(axis))
     sd = step * nominal
     ends = np.concatenate([nominal + np.diag(sd), nominal - np.diag(sd)])
@@ -236,7 +236,7 @@ def test_an_error_of_the_target_moves_ace_as_far_as_errors_of_its_bands_do():
     origins, key = replace(BANDS, axis=axis), ("tenth", "ace", "pixel")
     curve = model.predict(s, origins, object_curves=False).roc[key]
     inner, path = np.abs(ndtri(curve.pd)) < 1.0, "surfaces.[plank].mean"
-    stated = model.value_at(model.read(s, origins), path)[0]
+    stated = model.value_at(model.read_world(s, origins), path)[0]
     moved = [{path: stated + sign * np.diag(0.1 * stated)[k]} for sign in (1, -1) for k in range(len(axis))]
     z = np.array([ndtri(p.roc[key].pd[inner]) for p in model.predictions(s, moved, origins, object_curves=False)])
     up, down = np.split(z, 2)

@@ -17,7 +17,7 @@ from hyperval import api
 from hyperval.atmosphere import AtmosphericTable, write_table
 from hyperval.data import Components
 from hyperval.errors import UsageError
-from hyperval.model import PATHS, Origins, every_path, find, predict, predictions, read, reads_again, value_at
+from hyperval.model import PATHS, Origins, every_path, find, predict, predictions, read_world, reads_again, value_at
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.settings import setting, with_settings
 from hyperval.spectra import SpectralAxis
@@ -174,7 +174,7 @@ def studied(folder: Path, variant: str, scenario: Scenario, values: Mapping[str,
     keys = [tuple(o["name"].split("/")) for o in outputs]
     outputs = [{**o, "name": f"o{k}"} for k, o in enumerate(outputs)]
     # What is a column of numbers stands there beside the stated value, which must not disturb it.
-    stated = read(scenario).stated
+    stated = read_world(scenario).stated
     listed = {p: [setting(scenario, p)] * (not reads_again(stated, p)) + [v] for p, v in values.items()}
     study = {
         "schema": 1, "name": "paths", "scenario": file_of(variant), "design": {"kind": "one-at-a-time"},
@@ -262,10 +262,10 @@ def same_line(path: str, value: float) -> dict[str, float] | None:
 
 def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
     """The paths to move; a detector of many draws, which takes a hundred times longer, has one of each sort."""
-    paths = [p for p in every_path(read(scenario)) if in_file(scenario, p) is of_file]
+    paths = [p for p in every_path(read_world(scenario)) if in_file(scenario, p) is of_file]
     if variant != "ACE":
         return paths
-    stated = read(scenario).stated
+    stated = read_world(scenario).stated
     sorts = {(find(stated, p).field if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
     anew = ["scene.classes.[soil].spectrum.constant", "processing.seed", "processing.samples"]
     return [*sorts.values(), *(anew if of_file else [])]
@@ -274,7 +274,7 @@ def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
 @EACH
 def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, variant):
     scenario = variant_of(folder, variant)
-    world, origins, whole = read(scenario), Origins(), variant in WHOLE
+    world, origins, whole = read_world(scenario), Origins(), variant in WHOLE
     paths = paths_of(variant, scenario, of_file=True)
     values: dict[str, Any] = {}
     truths = {}
@@ -312,7 +312,7 @@ def test_a_value_in_the_file_a_study_and_a_moved_input_give_the_same(folder, var
 @EACH
 def test_an_input_moved_among_others_alone_and_in_the_file_gives_the_same(folder, variant):
     scenario = variant_of(folder, variant)
-    world, origins, whole = read(scenario), Origins(), variant in WHOLE
+    world, origins, whole = read_world(scenario), Origins(), variant in WHOLE
     paths = paths_of(variant, scenario, of_file=False)
     sort = {p: re.sub(r"\[.*\]", "*", p) for p in paths}
     assert set(sort.values()) <= set(PATHS)
@@ -347,6 +347,6 @@ def test_an_input_moved_among_others_alone_and_in_the_file_gives_the_same(folder
 
 def test_every_field_of_the_world_is_moved(folder):
     """A field that no variant moves would go without a comparison."""
-    worlds = [read(variant_of(folder, v)) for v in VARIANTS]
+    worlds = [read_world(variant_of(folder, v)) for v in VARIANTS]
     moved = {find(world.stated, p).field for world in worlds for p in every_path(world)}
     assert moved == {path.field for path in PATHS.values()}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from small_world import AXIS, BANDS, LINES, SAMPLES, background_spread, moments
 
-from hyperval.campaign import as_collected, merged, without_circles
+from hyperval.campaign import completed_scenario, merged_predictions, without_circular_spectra
 from hyperval.collection import Classification
 from hyperval.errors import InputError, UsageError
 from hyperval.model import Sources
@@ -254,14 +254,14 @@ def test_a_covariance_of_other_pixels_is_evidence_and_of_its_own_is_not(world):
     given = scenario([surface("field", "left") | {"fraction": 1.0}], sites=sites)
     spectra = {n: SpectralEstimate(np.ones(BANDS), np.eye(BANDS), np.eye(BANDS)) for n in ("field", "right", "left")}
     prediction = PredictedProducts(AXIS, reflectance=spectra)
-    kept = without_circles(prediction, [given], world.place()).reflectance
+    kept = without_circular_spectra(prediction, [given], world.place()).reflectance
     assert {name for name, s in kept.items() if s.pixel_covariance is not None} == {"right"}
     # Where the pixels are not known, every measured covariance counts as the subject's own.
-    blind = without_circles(prediction, [given]).reflectance
+    blind = without_circular_spectra(prediction, [given]).reflectance
     assert all(s.pixel_covariance is None for s in blind.values())
     # Scenarios together say what each says, noise and full scale too.
     each = [PredictedProducts(AXIS, noise={name: {}}, full_scale={name: np.ones(BANDS)}) for name in "ab"]
-    assert [[*merged(each).noise], [*merged(each).full_scale]] == [["a", "b"]] * 2
+    assert [[*merged_predictions(each).noise], [*merged_predictions(each).full_scale]] == [["a", "b"]] * 2
 
 
 def test_fractions_are_those_of_the_pixels_that_count(world):
@@ -272,11 +272,11 @@ def test_fractions_are_those_of_the_pixels_that_count(world):
         {"name": "elsewhere", "fraction": 0.5, "spectrum": {"measured": "corner"}},
     ]
     stated = scenario(classes)
-    assert as_collected(stated, place, None) is stated
-    counted = as_collected(scenario(classes, fractions="measured"), place, None)
+    assert completed_scenario(stated, place, None) is stated
+    counted = completed_scenario(scenario(classes, fractions="measured"), place, None)
     pixels = np.array([200, 200 - 2 * 5])  # a guard of one pixel is a cross
     assert [c.fraction for c in counted.scene.classes] == pytest.approx(list(pixels / pixels.sum()), rel=1e-12)
     classes[0]["name"] = "nowhere"
     for where, message in ((place, "class 'nowhere' has no region"), (None, "the campaign has no image")):
         with pytest.raises(UsageError, match=message):
-            as_collected(scenario(classes, fractions="measured"), where, None)
+            completed_scenario(scenario(classes, fractions="measured"), where, None)

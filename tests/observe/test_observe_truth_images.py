@@ -7,7 +7,7 @@ import pytest
 from small_world import DIRSIG, World, dirsig_images, finer_map, scene_of_a_tenth
 
 from hyperval import api, cli
-from hyperval.campaign import as_collected
+from hyperval.campaign import completed_scenario
 from hyperval.collection import Detection
 from hyperval.errors import UsageError
 from hyperval.imagery import open_raster
@@ -95,14 +95,14 @@ def test_a_scenario_takes_the_fills_of_the_truth(finer):
     place = opened(finer, registration_m=0.4)
     target = {"name": "plank", "material": "plank", "spectrum": {"constant": 0.5}}
     detection = Detection.model_validate({"targets": [target]})
-    taken = as_collected(scenario({"truth": True}), place, detection)
+    taken = completed_scenario(scenario({"truth": True}), place, detection)
     plank, fill = place.targets[0], taken.scene.targets[0].fill
     assert fill_distribution(fill).mean == pytest.approx(plank.fills[:, plank.part].mean(), rel=1e-9)
     assert pixels_of_object(fill) == plank.part.sum()
     untouched = scenario({"fixed": 0.4})
-    assert as_collected(untouched, place, detection) is untouched
+    assert completed_scenario(untouched, place, detection) is untouched
     with pytest.raises(UsageError, match=r"does not hold the fill fractions(?s:.*)state its fill"):
-        as_collected(scenario({"truth": True}), None, detection)
+        completed_scenario(scenario({"truth": True}), None, detection)
     with pytest.raises(UsageError, match="run it within that campaign"):
         fill_distribution(scenario({"truth": True}).scene.targets[0].fill)
 

@@ -174,7 +174,7 @@ def test_an_object_in_its_window_scores_as_in_the_whole_image(halo):
         mask = np.zeros(scores.shape, bool)
         mask[line : line + part.shape[0], sample : sample + part.shape[1]] = part
         placed = TargetObject("window", "", 1.0, 1.0, scores.shape, (line, sample), part)
-        brute = scores[pixels.with_halo(mask, halo)]
+        brute = scores[pixels.mask_with_halo(mask, halo)]
         assert pixels.object_scores(scores, [placed], halo) == {"window": brute.max()}
 
 

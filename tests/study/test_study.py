@@ -18,11 +18,11 @@ from scipy.stats import kstest, truncnorm
 from hyperval import api, cli
 from hyperval.errors import UsageError
 from hyperval.executors import workers
-from hyperval.model import predict, read
+from hyperval.model import predict, read_world
 from hyperval.run import Run, read_rows
 from hyperval.scenario import load_scenario
 from hyperval.settings import with_settings
-from hyperval.study import Output, Required, answers, knee, load_study, output_values, study_to_folder
+from hyperval.study import Output, Required, knee, load_study, output_values, required_values, study_to_folder
 
 PD = Output(name="pd", kind="pd", subject="plank", pfa=1e-3)
 
@@ -253,7 +253,7 @@ inputs:
 def test_a_point_that_can_not_be_gets_a_reason(scenario_file):
     """Fractions that do not sum to 1 at one of four points: that one alone has no value."""
     columns = {"scene.classes.asphalt.fraction": np.array([0.5, 0.5, 0.6, 0.5])}
-    found, problems = output_values(read(load_scenario(scenario_file)), columns, [PD])
+    found, problems = output_values(read_world(load_scenario(scenario_file)), columns, [PD])
     assert np.isnan(found[:, 0]).tolist() == [False, False, True, False]
     assert [(at, "partition" in why) for at, why in problems.items()] == [(2, True)]
 
@@ -264,7 +264,7 @@ def test_of_several_solutions_the_lowest_is_told(several, root):
     question = {"name": "q", "path": FILL, "between": (0.0, 1.0), "output": "pd", "equals": 0.0 if several else 0.31}
     of_x = (lambda x: np.sin(7.0 * x - 1.0)) if several else np.array
     question, point = Required.model_validate(question), {"other": np.zeros(1)}
-    found = answers(lambda columns, outputs: (of_x(columns[FILL])[:, None], {}), point, question, [PD])
+    found = required_values(lambda columns, outputs: (of_x(columns[FILL])[:, None], {}), point, question, [PD])
     np.testing.assert_allclose(found.solutions, root, rtol=1e-6)
     assert found.reasons == ({0: "not monotone: 2 solutions; the lowest is reported"} if several else {})
 

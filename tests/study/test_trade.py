@@ -7,7 +7,7 @@ import pytest
 
 from hyperval import api
 from hyperval.model import evaluations, predict, with_values
-from hyperval.study import Trade, completed, live, piece, prepared
+from hyperval.study import Trade, complete, live_figure, next_piece, prepare
 
 PLANKS = "yellow-planks-asphalt"
 FILL = "scene.targets.[yellow plank].subjects.[yellow plank 0.02].fill.fixed"
@@ -16,10 +16,10 @@ ZENITH, SIGNAL = "atmosphere.solar_zenith_deg", "sensor_changes.signal_factor"
 
 def whole(source, **asked):
     """What is asked, complete, and what stands when all pieces have come."""
-    trade = completed(Trade(**asked), prepared(source, Trade(**asked)))
+    trade = complete(Trade(**asked), prepare(source, Trade(**asked)))
     now = None
     while now is None or now.left:
-        now = piece(source, trade, now)
+        now = next_piece(source, trade, now)
     return trade, now
 
 
@@ -27,7 +27,7 @@ def of_model(source, trade, path, x):
     """P_D of the plain model."""
     moved = {key: np.full(x.size, value) for key, value in trade.moved.items()}
     pd = np.empty(x.size)
-    for index, e in evaluations(with_values(prepared(source, trade).world, {path: x, **moved})):
+    for index, e in evaluations(with_values(prepare(source, trade).world, {path: x, **moved})):
         pd[index] = e.scores(trade.subject[0], "cem").detection(np.array([[trade.pfa]]))[:, 0]
     return pd
 
@@ -47,7 +47,7 @@ def test_limits_are_those_of_a_prediction(tmp_path):
     text = (folder / f"{PLANKS}.yaml").read_text("utf-8")
     file.write_text(text + "uncertainty: {fills: [{subject: yellow plank 0.02, absolute: 0.002}]}\n", "utf-8")
     trade, now = whole(str(file), x=FILL, x_from=0.02, x_to=0.2)
-    curve = predict(prepared(str(file), trade).scenario).roc["yellow plank 0.02", "cem", "pixel"]
+    curve = predict(prepare(str(file), trade).scenario).roc["yellow plank 0.02", "cem", "pixel"]
     at = int(np.argmin(abs(curve.pfa - 1e-3)))
     assert now.limits[0, 0, 0] == pytest.approx([curve.pd_lower[at], curve.pd_upper[at]], rel=1e-3)
     assert np.all(now.limits[0, :, 0, 0] <= now.values[0, :, 0] + 1e-3)
@@ -58,7 +58,7 @@ def test_a_target_with_a_side_has_a_gsd_and_overlays_are_curves():
     trade, now = whole(PLANKS, **asked, wanted=0.5)
     assert (trade.x.rpartition(".")[2], now.values.shape) == ("gsd_m", (4, 33, 1))
     assert [round(words.count("hyspex")) for _, words in now.needed] == [0, 1, 0, 1]
-    assert len(live(PLANKS, trade)["values"]) == 4
+    assert len(live_figure(PLANKS, trade)["values"]) == 4
 
 
 def test_the_second_input_stands_where_its_slider_does():

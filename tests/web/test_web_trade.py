@@ -8,7 +8,7 @@ from web_browser import NEEDS_BROWSER, careful_page, serious
 from web_server import REFUSED
 
 from hyperval import api
-from hyperval.study import Trade, completed, piece, prepared
+from hyperval.study import Trade, complete, next_piece, prepare
 
 ZENITH = "at:atmosphere.solar_zenith_deg"
 
@@ -34,9 +34,9 @@ def test_what_is_taken_away_gives_the_numbers_of_the_page(server, client, tmp_pa
     assert (tmp_path / "study.yaml").read_text() == text
     assert client.get(f"{server.address}/{text.split()[2].rpartition('=')[2]}").json()["title"] == "StudyFile"
     trade = Trade(x_from=0.01, moved={ZENITH[3:]: 50.0}, background=["asphalt", "grass"])
-    trade, now = completed(trade, prepared("yellow-planks-asphalt", trade)), None
+    trade, now = complete(trade, prepare("yellow-planks-asphalt", trade)), None
     for _ in range(4):
-        now = piece("yellow-planks-asphalt", trade, now)
+        now = next_piece("yellow-planks-asphalt", trade, now)
     table = api.open(tmp_path / "out").to_dataframe()
     np.testing.assert_allclose(table["pd"], now.values[:, :, 0].ravel(), rtol=1e-9)
     assert all(f" = {v:.4g} for" in w for v, w in zip(table["required-pd"][::33], told["needed"], strict=True))

@@ -38,7 +38,7 @@ from hyperval.model import Origins, matched_filter_weights, predict
 from hyperval.observe import spectral_estimate
 from hyperval.pixels import (
     MeasuredPanel,
-    components,
+    covariance_components,
     empirical_roc,
     fit_elm,
     independent_pixels,
@@ -113,7 +113,7 @@ def observed(c: Collection) -> ObservedProducts:
 
 def _field_error(field: Array, mean: Array, covariance: Array) -> EstimatedPart:
     """Sampling error of the mean with its degrees of freedom, as the pipeline has it."""
-    along = components(covariance, np.random.default_rng(0))
+    along = covariance_components(covariance, np.random.default_rng(0))
     inside = np.ones(field.shape[:2], bool)
     reach = min(field.shape[0] - 1, 24)
     shares = neighbour_shares(inside, reach, np.random.default_rng(0))

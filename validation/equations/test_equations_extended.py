@@ -15,6 +15,7 @@ from hyperval.model import (
     ace_space,
     ace_threshold,
     bhattacharyya_distance,
+    chi_square_mixing,
     classification_error,
     darkest_level,
     detection_probability,
@@ -26,7 +27,6 @@ from hyperval.model import (
     matched_filter_weights,
     mean_radiance,
     minimum_noise_fraction,
-    mixing,
     score_density,
     spectral_matched_filter,
 )
@@ -160,7 +160,7 @@ def test_mixed_pixel_of_a_t_host_by_hand():
     # f = 0.2 of a target, host of variance 4 (its class 3): total 2 + 0.64 (4 - 3), of it 0.64 * 4 with tails.
     assert host_part(2.0, 0.8, 4.0, 3.0) == pytest.approx((2.64, 2.56))
     # w of 4 degrees of freedom has density w exp(-w/2) / 4: E[(nu - 2) / w] = 1, E[2 / w > 2] = P(w < 1) = 0.0902.
-    factor, probability = (a[0] for a in mixing(np.array([4.0])))
+    factor, probability = (a[0] for a in chi_square_mixing(np.array([4.0])))
     assert probability.sum() == pytest.approx(1.0)
     assert factor @ probability == pytest.approx(1.0, rel=1e-7)
     assert factor**-1 @ probability == pytest.approx(2.0, rel=1e-7)  # E[w] / 2

@@ -14,7 +14,7 @@ import pytest
 from plain_scene import PlainScene
 
 from hyperval.atmosphere import AtmosphericTerms
-from hyperval.model import Evaluation, Origins, World, beta_fill, read, with_values
+from hyperval.model import Evaluation, Origins, World, beta_fill, read_world, with_values
 from hyperval.model.detection import class_scores, surroundings_variance, target_scores
 from hyperval.model.filters import noise_of
 from hyperval.model.forward import pixel_spreads
@@ -89,7 +89,7 @@ def both(**more: np.ndarray) -> World:
     }
     for m, name in enumerate(("soil", "grass")):
         moved |= {f"scene.classes.{name}.fraction": FRACTIONS[:, m], f"scene.classes.{name}.gain": GAINS[:, m]}
-    world = read(Scenario.model_validate(SCENARIO), origins)
+    world = read_world(Scenario.model_validate(SCENARIO), origins)
     world.stated.of_pixels[:] = False  # spreads of the ground itself, to which the noise comes
     return with_values(world, moved | more)
 

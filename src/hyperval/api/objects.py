@@ -75,8 +75,8 @@ class SidesPlot:
 
     def __call__(self, ax: Axes | None = None) -> Axes:
         """Radiance, else reflectance, else ROC curves."""
-        known = set(self.tables.spectra["product"])
-        product = next((name for name in ("radiance", "reflectance") if name in known), None)
+        products = set(self.tables.spectra["product"])
+        product = next((name for name in ("radiance", "reflectance") if name in products), None)
         return self.roc(ax=ax) if product is None else self.spectra(product, ax=ax)
 
     def spectra(self, product: str = "radiance", ax: Axes | None = None) -> Axes:
@@ -87,12 +87,12 @@ class SidesPlot:
         UsageError : no side has the product.
         """
         every = self.tables.spectra
-        own = every.assign(half=Z95 * every["standard_uncertainty"])[every["product"] == product]
-        if own.empty:
-            known = ", ".join(every["product"].unique())
-            raise UsageError(f"nothing to draw: no {product}", expected=f"one of {known}" if known else None)
+        use = every.assign(half=Z95 * every["standard_uncertainty"])[every["product"] == product]
+        if use.empty:
+            names = ", ".join(every["product"].unique())
+            raise UsageError(f"nothing to draw: no {product}", expected=f"one of {names}" if names else None)
         columns = {"x": "band_nm", "y": "value", "half": "half"}
-        return _drawn(single(Axis(WAVELENGTH), Axis(PRODUCT_LABELS[product][0]), _lines(own, ["subject"], columns)), ax)
+        return _drawn(single(Axis(WAVELENGTH), Axis(PRODUCT_LABELS[product][0]), _lines(use, ["subject"], columns)), ax)
 
     def roc(self, ax: Axes | None = None) -> Axes:
         """Every ROC curve, false alarms on a logarithmic scale.
@@ -111,9 +111,9 @@ def _lines(frame: pandas.DataFrame, names: list[str], columns: Mapping[str, str]
     """A line for each side and entry: a colour an entry, a dash a side."""
     colours, dashes = dict[tuple[str, ...], str](), dict(zip(frame["side"].unique(), _DASHES, strict=False))
     marks = []
-    for (side, *key), own in frame.groupby(["side", *names], sort=False):
+    for (side, *key), part in frame.groupby(["side", *names], sort=False):
         colour = colours.setdefault(tuple(key), SOURCES[len(colours) % len(SOURCES)])
-        values = {name: own[column].to_numpy() for name, column in columns.items()}
+        values = {name: part[column].to_numpy() for name, column in columns.items()}
         marks.append(Mark("line", values, f"{'/'.join(key)}, {side}", colour, dashes[side]))
     return marks
 
@@ -121,12 +121,12 @@ def _lines(frame: pandas.DataFrame, names: list[str], columns: Mapping[str, str]
 def labelled(side: Products) -> xr.Dataset:
     """A side over one ``subject`` and one ``wavelength``; a product is NaN for a subject that has none."""
     whole = to_xarray(side)
-    own = {str(dim): [str(v) for v in whole.data_vars if dim in whole[v].dims]
+    by_dim = {str(dim): [str(v) for v in whole.data_vars if dim in whole[v].dims]
            for dim in whole.dims if str(dim).endswith("_subject") and not str(dim).startswith("roc")}  # fmt: skip
-    subjects = list(dict.fromkeys(s for dim in own for s in whole[dim].to_numpy().tolist()))
-    parts = [whole[names].rename({dim: "subject"}).reindex(subject=subjects) for dim, names in own.items()]
+    subjects = list(dict.fromkeys(s for dim in by_dim for s in whole[dim].to_numpy().tolist()))
+    parts = [whole[names].rename({dim: "subject"}).reindex(subject=subjects) for dim, names in by_dim.items()]
     merged: xr.Dataset = xr.merge(
-        [whole.drop_dims(list(own)), *parts], combine_attrs="override", join="exact", compat="override"
+        [whole.drop_dims(list(by_dim)), *parts], combine_attrs="override", join="exact", compat="override"
     )
     return merged.swap_dims({d: w for d, w in (("band", "wavelength"), ("band_2", "wavelength_2")) if d in merged.dims})
 
@@ -430,7 +430,7 @@ class Validation(_Tables):
         UsageError : no such side, product or subject, or a product whose covariance is not kept.
         """
         kept = [name for name in SPECTRA if name != "snr"]
-        have = [f"{at} {name} {one}" for at, own in self.both.items() for name in kept for one in getattr(own, name)]
+        have = [f"{key} {name} {one}" for key, p in self.both.items() for name in kept for one in getattr(p, name)]
         if f"{side} {product} {subject}" not in have:
             raise UsageError(f"no {side} {product} of {subject!r} with a covariance", expected=", ".join(have))
         one = self.sides[side].sel(subject=subject, drop=True)
@@ -448,8 +448,8 @@ class Validation(_Tables):
             f"u_{product}": ("band", u, of_u),
             matrix: (("band", "band_2"), correlation, {"units": "1"}),
         }
-        at = {"wavelength": ("band", one["wavelength"].to_numpy())}
-        return xr.Dataset(columns, at, {"subject": subject, "side": side})
+        key = {"wavelength": ("band", one["wavelength"].to_numpy())}
+        return xr.Dataset(columns, key, {"subject": subject, "side": side})
 
     def to_xarray(self) -> xr.DataTree:
         """Both sides as the groups of ``products.nc``."""
@@ -601,7 +601,7 @@ def explain(
     if is_image or not imagery.needs_header(path):
         raster = imagery.open_raster(path, header=header, variable=key)
         if not (isinstance(raster, imagery.EnviRaster) and "library" in raster.header.file_type.lower()):
-            return imagery.record(raster)
+            return imagery.image_record(raster)
         path = raster.path
     rows = []
     for spectrum in spectra.read_records(path, quantity="other"):
@@ -629,8 +629,8 @@ def predict(
     InputError, UsageError, EngineError : of the scenario.
     """
 
-    known = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
-    return Prediction(model.predict(known, model.Origins(**origins), objects=objects, object_curves=object_curves))
+    loaded = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
+    return Prediction(model.predict(loaded, model.Origins(**origins), objects=objects, object_curves=object_curves))
 
 
 def observe(campaign: campaigns.Job | Path | str, *, show_progress: bool | None = None) -> Observation:
@@ -668,8 +668,8 @@ def compare(
     UsageError : the two sides are not on the same bands.
     """
     measured = (observation if isinstance(observation, Observation) else observe(observation)).products
-    known = prediction if isinstance(prediction, Prediction) else predict(prediction, axis=measured.axis)
-    rows = hyperval.compare.compare_products(known.products, measured, method=method)
+    predicted = prediction if isinstance(prediction, Prediction) else predict(prediction, axis=measured.axis)
+    rows = hyperval.compare.compare_products(predicted.products, measured, method=method)
     return Results(of_campaign(rows, name))
 
 

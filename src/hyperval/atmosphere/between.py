@@ -84,7 +84,7 @@ def smooth_rule(name: str) -> Rule:
     return Rule("cubic", _secant if name == "solar_zenith_deg" else _SCALES.get(name, (np.asarray, np.asarray))[0])
 
 
-def spaced(name: str, low: float, high: float, count: int) -> Array:
+def interpolation_nodes(name: str, low: float, high: float, count: int) -> Array:
     """``count`` nodes from ``low`` to ``high``, evenly in the scale in which the input is interpolated.
 
     But for the sun: the secant runs away where it is low, and even angles leave fewer of them there.
@@ -100,19 +100,19 @@ def node_weights(nodes: Array, x: npt.ArrayLike, rule: Rule) -> Array:
 
     They sum to 1 at each point.  Beyond the nodes the outermost piece goes on.
     """
-    at, points = rule.scale(np.asarray(nodes, float)), rule.scale(np.atleast_1d(np.asarray(x, float)))
-    order = np.argsort(at)
-    weights = np.zeros((points.size, at.size))
+    scaled, points = rule.scale(np.asarray(nodes, float)), rule.scale(np.atleast_1d(np.asarray(x, float)))
+    order = np.argsort(scaled)
+    weights = np.zeros((points.size, scaled.size))
     if rule.method == "linear":
-        i = np.clip(np.searchsorted(at[order], points) - 1, 0, at.size - 2)
+        i = np.clip(np.searchsorted(scaled[order], points) - 1, 0, scaled.size - 2)
         low, high = order[i], order[i + 1]
-        w = (points - at[low]) / (at[high] - at[low])
+        w = (points - scaled[low]) / (scaled[high] - scaled[low])
         rows = np.arange(points.size)
         weights[rows, low], weights[rows, high] = 1.0 - w, w
     else:
         from scipy.interpolate import CubicSpline  # a quarter of a second, which terms of one state do not need
 
-        weights[:, order] = CubicSpline(at[order], np.eye(at.size))(points)
+        weights[:, order] = CubicSpline(scaled[order], np.eye(scaled.size))(points)
     return weights
 
 

@@ -68,10 +68,10 @@ class _Table:
     head: list[str]
     columns: dict[str, Array]
 
-    def refuse(self, wrong: Mask, name: str, **told: Any) -> None:
+    def refuse(self, wrong: Mask, name: str, **values: Any) -> None:
         """Raise the error of a name where rows are wrong, at the first of them; of columns their numbers are told."""
         where = f"{self.path}:{self.line + int(np.argmax(wrong)) + 1}"
-        of_rows = {key: value[wrong] if isinstance(value, np.ndarray) else value for key, value in told.items()}
+        of_rows = {key: value[wrong] if isinstance(value, np.ndarray) else value for key, value in values.items()}
         refuse(wrong.any(), name, where, **of_rows)
 
     def radiances(self, layout: _Layout, converted: Callable[[Array], Array]) -> dict[str, Any]:
@@ -259,28 +259,28 @@ def solve_coefficients(
     ------
     UsageError : albedos that do not determine the terms.
     """
-    rho, seen, scattered = list(albedos), np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
+    rho, ground_radiance, scattered = list(albedos), np.asarray(ground, dtype=float), np.asarray(path, dtype=float)
     positive = {a for a in rho if a > 0.0}
-    refuse(len(rho) != len(seen), "modtran.albedos", albedos=len(rho), runs=len(seen))
+    refuse(len(rho) != len(ground_radiance), "modtran.albedos", albedos=len(rho), runs=len(ground_radiance))
     few = rho.count(0.0) != 1 or len(positive) < 2 or len(positive) != len(rho) - 1 or max(rho) > 1.0
     refuse(few, "modtran.few", albedos=rho)
     black, low, high = (rho.index(r) for r in (0.0, min(positive), max(rho)))
-    lit = (seen[low] > 0.0) & (seen[high] > 0.0)
+    lit = (ground_radiance[low] > 0.0) & (ground_radiance[high] > 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        at_low, at_high = rho[low] / seen[low], rho[high] / seen[high]
+        at_low, at_high = rho[low] / ground_radiance[low], rho[high] / ground_radiance[high]
         slope = (at_high - at_low) / (rho[high] - rho[low])  # -S/A
         s = -slope / (at_low - slope * rho[low])  # over 1/A
-    known = lit & np.isfinite(s) & (s > -0.01) & (s < GREATEST_ALBEDO_OF_AIR)
-    elsewhere = _of_neighbours(s, known) if spherical_albedo is None else spherical_albedo
-    s = np.maximum(np.where(known, s, elsewhere), 0.0)
+    valid = lit & np.isfinite(s) & (s > -0.01) & (s < GREATEST_ALBEDO_OF_AIR)
+    elsewhere = _of_neighbours(s, valid) if spherical_albedo is None else spherical_albedo
+    s = np.maximum(np.where(valid, s, elsewhere), 0.0)
     from_bright = (1.0 - s * rho[high]) / rho[high]
-    return Coefficients(seen[high] * from_bright, (scattered[high] - scattered[black]) * from_bright, s)
+    return Coefficients(ground_radiance[high] * from_bright, (scattered[high] - scattered[black]) * from_bright, s)
 
 
-def _of_neighbours(values: Array, known: Mask) -> Array:
+def _of_neighbours(values: Array, valid: Mask) -> Array:
     """The values, where they are not known straight between those that are; 0 where none is."""
     index = np.arange(values.size)
-    return np.interp(index, index[known], values[known]) if known.any() else np.zeros(values.size)
+    return np.interp(index, index[valid], values[valid]) if valid.any() else np.zeros(values.size)
 
 
 def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None = None) -> AtmosphericTerms:
@@ -313,8 +313,8 @@ def terms_from_runs(runs: Sequence[ModtranRun], albedos: Sequence[float] | None 
     provenance = {"engine": "MODTRAN", "solved_from": where, "albedos": rho, **_OF_THE_RUNS}
     terms = _terms(black, found, black.path + black.thermal, efficiency, provenance)
     # The sky's part of the irradiance of black ground; in the dark that of the neighbours.
-    known = np.isfinite(share)
-    sky = np.clip(1.0 - _of_neighbours(share, known), 0.0, 1.0) if known.any() else np.zeros(known.size)
+    valid = np.isfinite(share)
+    sky = np.clip(1.0 - _of_neighbours(share, valid), 0.0, 1.0) if valid.any() else np.zeros(valid.size)
     return replace(terms, diffuse_fraction=sky)
 
 
@@ -444,13 +444,13 @@ def tape5(state: AtmosphericState, version: int = 5) -> str:
     view, sun, azimuth = _angles(state)
     haze, depth, ground_km = _haze(state)[0], state.aerosol_optical_depth, state.ground_altitude_km
     amount = (-depth if version == 5 else range_from_aot550(depth, ground_km)) if haze else 0.0
-    told = {
+    fields = {
         "model": MODELS[state.model][0], "haze": haze, "amount": amount, "ground": ground_km, "day": _day(state),
         "water": _amount("g", state.water_vapour_g_cm2), "ozone": _amount("a", state.ozone_atm_cm),
         "sensor": state.sensor_altitude_km, "view": view, "azimuth": azimuth, "sun": sun,
     }  # fmt: skip
     cards = _TABLE["cards"][version]
-    return "".join(cards.format(albedo=albedo, more=int(albedo != ALBEDOS[-1]), **told) for albedo in ALBEDOS)
+    return "".join(cards.format(albedo=albedo, more=int(albedo != ALBEDOS[-1]), **fields) for albedo in ALBEDOS)
 
 
 def _amount(unit: str, value: float | None) -> str:
@@ -466,7 +466,7 @@ def modtran6_json(state: AtmosphericState) -> str:
     UsageError : a state that MODTRAN cannot be told.
     """
     (view, sun, azimuth), (haze, word) = _angles(state), _haze(state)
-    told: dict[str, dict[str, Any]] = {
+    stated: dict[str, dict[str, Any]] = {
         "ATMOSPHERE": {"MODEL": MODELS[state.model][1]}, "SURFACE": {"SURREF": 0.0},
         # A negative range is an optical depth at 550 nm.
         "AEROSOLS": {"IHAZE": word} | ({"VIS": -state.aerosol_optical_depth} if haze else {}),
@@ -474,9 +474,9 @@ def modtran6_json(state: AtmosphericState) -> str:
     }  # fmt: skip
     for field, (section, key, of_unit, unit) in FIELDS.items():
         if getattr(state, field) is not None:
-            told[section] |= {key: getattr(state, field)} | ({of_unit: unit} if unit else {})
+            stated[section] |= {key: getattr(state, field)} | ({of_unit: unit} if unit else {})
     fixed = _TABLE["input"]
-    sections = {section: fixed.get(section, {}) | told.get(section, {}) for section in (*told, *fixed)}
+    sections = {section: fixed.get(section, {}) | stated.get(section, {}) for section in (*stated, *fixed)}
     grounds = [sections["SURFACE"] | {"SURREF": albedo} for albedo in ALBEDOS]
     cases = [
         {"NAME": _NAME, "DESCRIPTION": "", "CASE": number, **sections, "SURFACE": ground}
@@ -521,8 +521,8 @@ def stated_fields(inputs: dict[str, Any], where: str) -> dict[str, Any]:
         geometry, aerosols = inputs.get("GEOMETRY", {}), inputs.get("AEROSOLS", {})
         fields: dict[str, Any] = _sun(geometry)
         models, hazes = ({word: ours for ours, (_, word) in words.items()} for words in (MODELS, HAZES))
-        said = models.get(inputs.get("ATMOSPHERE", {}).get("MODEL")), hazes.get(aerosols.get("IHAZE"))
-        fields |= {name: ours for name, ours in zip(("model", "aerosol"), said, strict=True) if ours}
+        names = models.get(inputs.get("ATMOSPHERE", {}).get("MODEL")), hazes.get(aerosols.get("IHAZE"))
+        fields |= {name: ours for name, ours in zip(("model", "aerosol"), names, strict=True) if ours}
         for name, (place, key, of_unit, unit) in FIELDS.items():
             section = inputs.get(place, {})
             if str(section.get(of_unit, "")).lower() == unit if unit else key in section:
@@ -604,16 +604,16 @@ def run_modtran(deck: str, modtran: Modtran, folder: Path, timeout_s: float = TI
     """
     where, mend, six = str(modtran.executable), str(refusal("modtran.unset").mend), modtran.version == 6
     of_six, of_others = [f"{_NAME}.{end}" for end in ("json", "tp7", "chn")], ["tape5", "tape7", "tape5.tp7"]
-    given, *candidates = of_six if six else of_others
+    input_name, *candidates = of_six if six else of_others
     if modtran.data is not None and not six:
         (folder / "DATA").symlink_to(modtran.data)
-    (folder / given).write_text(deck, encoding="ascii")
-    done = run_program([where, given] if six else [where], "MODTRAN", mend, timeout_s=timeout_s, cwd=folder)
+    (folder / input_name).write_text(deck, encoding="ascii")
+    done = run_program([where, input_name] if six else [where], "MODTRAN", mend, timeout_s=timeout_s, cwd=folder)
     said = last_line(done.stderr or done.stdout)
     refuse(done.returncode != 0, "modtran.failed", where, code=done.returncode, said=said)
-    left = [folder / name for name in candidates if (folder / name).is_file()]
-    refuse(not left, "modtran.nothing", where, names=", ".join(candidates), said=said, version=modtran.version)
-    return left[0]
+    found = [folder / name for name in candidates if (folder / name).is_file()]
+    refuse(not found, "modtran.nothing", where, names=", ".join(candidates), said=said, version=modtran.version)
+    return found[0]
 
 
 def modtran_terms(state: AtmosphericState, folder: Path) -> AtmosphericTerms:

@@ -80,13 +80,13 @@ class EngineRatio:
         dry = np.maximum(self.dry, -_GREATEST_SHARE_BACK * (dry_depth + water_depth) / air)
         return replace(self, dry=dry, water=np.maximum(self.water, -_GREATEST_SHARE_BACK * water_depth / water))
 
-    def spherical_albedo(self, own: Array, molecules: Array, low_share: float) -> Array:
+    def spherical_albedo(self, albedo: Array, molecules: Array, low_share: float) -> Array:
         """(n,) spherical albedo under rural aerosol, from the engine's ``own`` and that of the molecules alone [1].
 
         S = S_molecules + albedo * low_share * (S_own - S_molecules) with the share of the depth below the free
         troposphere (:func:`low_share`): the finer aerosol above sends next to nothing back.
         """
-        return np.asarray(molecules + self.albedo * low_share * (own - molecules))
+        return np.asarray(molecules + self.albedo * low_share * (albedo - molecules))
 
 
 def low_share(state: AtmosphericState) -> float:
@@ -178,9 +178,9 @@ def binary_coefficient(wavenumber_cm: Array) -> Array:
     Zero outside 7550-8490 and 9100-11000 cm-1.  The values hold at 296 K and are used at every temperature.
     """
     nu = np.asarray(wavenumber_cm, dtype=np.float64)
-    at, strength = _BAND_1270
-    first = np.exp(np.interp(nu, at, np.log(strength * 1e-9)))
-    first = np.where((nu >= at[0]) & (nu <= at[-1]), first, 0.0)
+    band, strength = _BAND_1270
+    first = np.exp(np.interp(nu, band, np.log(strength * 1e-9)))
+    first = np.where((nu >= band[0]) & (nu <= band[-1]), first, 0.0)
     second = np.zeros_like(nu)
     for centre, width, area in _BAND_1060:
         damping = np.exp(np.minimum(nu - centre, 0.0) / _DAMPING_CM)

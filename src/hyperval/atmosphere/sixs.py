@@ -408,21 +408,21 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     runs = list[Run]()
     for low, high in _TABLES_NM:
         first, last = np.searchsorted(NODES_NM, (low, high + _STEP_NM), "right")
-        there, each = NODES_NM[first:last], aerosols[first:last]
-        as_table = there.size >= _FEWEST_OF_A_TABLE and len(set(each)) == 1
+        some_nm, each = NODES_NM[first:last], aerosols[first:last]
+        as_table = some_nm.size >= _FEWEST_OF_A_TABLE and len(set(each)) == 1
         table = f"-2\n{low / 1e3:.4f} {high / 1e3:.4f}"
-        runs += [run(table, each[0], there)] if as_table else singly(there, each)
+        runs += [run(table, each[0], some_nm)] if as_table else singly(some_nm, each)
     hazy = _answers("haze", runs, folder)
     molecular = clear["reflectance"]
     if height is not None:
         # With aerosol 6S spreads the molecules differently over the air below an aircraft (some 2 % more of
         # them than without), which a trace of aerosol shows at two wavelengths.  It follows the wavelength straight.
         trace_share = 1.0 - np.exp(-height / _SCALE_HEIGHT_KM)
-        least, at = (card, _TRACE, _TRACE * trace_share), np.array(_TRACE_NM)
-        both = singly(np.tile(at, 2), [None, None, least, least])
-        alone, seen = _answers("trace", both, folder)["reflectance"].reshape(2, -1)
+        least, trace_nm = (card, _TRACE, _TRACE * trace_share), np.array(_TRACE_NM)
+        both = singly(np.tile(trace_nm, 2), [None, None, least, least])
+        alone, hazy_trace = _answers("trace", both, folder)["reflectance"].reshape(2, -1)
         its_own = _TRACE * trace_share / float(np.interp(550.0, NODES_NM, used * share))
-        excess = (seen - its_own * _log_log(hazy["reflectance"], at)) / (1.0 - its_own) / alone - 1.0
+        excess = (hazy_trace - its_own * _log_log(hazy["reflectance"], trace_nm)) / (1.0 - its_own) / alone - 1.0
         slope = (excess[1] - excess[0]) / (_TRACE_NM[1] - _TRACE_NM[0])
         molecular = molecular * (1.0 + excess[0] + slope * (np.minimum(NODES_NM, _INFRARED_NM) - _TRACE_NM[0]))
     return {
@@ -694,25 +694,25 @@ def kernel(a: Array, b: Array, shape: Array) -> Array:
 def scattering(state: AtmosphericState, held: Arrays) -> Arrays:
     """The quantities (nodes,) that a run of 6S would give of a state."""
     air, molecules = air_of(state), held["molecules"]
-    x, form, at = air.features(), single_scattering(air, molecules), dict[str, Array]()
+    x, form, ratio = air.features(), single_scattering(air, molecules), dict[str, Array]()
     for name in form:
         weights = held[f"{name}.weights"]  # of clear air for some of the states
         near = kernel(x, held["features"][: len(weights)], held[f"{name}.shape"])
-        at[name] = np.einsum("nk,kn->n", basis(x), held[f"{name}.parabola"]) + np.einsum("nk,kn->n", near, weights)
-    clear_down, clear_up = (np.exp(-at[name] * form[name]) for name in ("clear_down", "clear_up"))
-    clear_albedo = at["clear_albedo"] * form["clear_albedo"]
+        ratio[name] = np.einsum("nk,kn->n", basis(x), held[f"{name}.parabola"]) + np.einsum("nk,kn->n", near, weights)
+    clear_down, clear_up = (np.exp(-ratio[name] * form[name]) for name in ("clear_down", "clear_up"))
+    clear_albedo = ratio["clear_albedo"] * form["clear_albedo"]
     clear = {
-        "reflectance_rayleigh": np.exp(at["clear_reflectance"]) * form["clear_reflectance"],
+        "reflectance_rayleigh": np.exp(ratio["clear_reflectance"]) * form["clear_reflectance"],
         "depth_rayleigh": molecules * air.pressure * air.below,
     }
     haze = {
-        "reflectance_aerosol": air.part * np.exp(at["reflectance"]) * form["reflectance"],
+        "reflectance_aerosol": air.part * np.exp(ratio["reflectance"]) * form["reflectance"],
         "depth_aerosol": depths_as_typed(state) * state.aerosol_fraction_below * aerosol_extinction("rural"),
     }
     return clear | (haze if state.aerosol_optical_depth else {}) | {
-        "down": clear_down * np.exp(-at["down"] * form["down"] * air.total),
-        "up": clear_up * np.exp(-at["up"] * form["up"] * air.part),
-        "spherical_albedo": clear_albedo + air.total * at["albedo"] * form["albedo"],
+        "down": clear_down * np.exp(-ratio["down"] * form["down"] * air.total),
+        "up": clear_up * np.exp(-ratio["up"] * form["up"] * air.part),
+        "spherical_albedo": clear_albedo + air.total * ratio["albedo"] * form["albedo"],
     }  # fmt: skip
 
 
@@ -774,10 +774,10 @@ def terms_near(stated: AtmosphericState, state: AtmosphericState, folder: Path) 
         before, after = _emulated_inside(stated), _emulated_inside(state)
     except UsageError:
         return sixs_terms(state, folder)
-    known, without = sixs_terms(stated, folder).spectra(), before.spectra()
+    exact, without = sixs_terms(stated, folder).spectra(), before.spectra()
     changed = {name: values / np.maximum(without[name], 1e-300) for name, values in after.spectra().items()}
     terms: dict[str, Any] = {
-        name: np.where(without[name] > 0.0, change, 1.0) * known[name] for name, change in changed.items()
+        name: np.where(without[name] > 0.0, change, 1.0) * exact[name] for name, change in changed.items()
     }
     terms["diffuse_fraction"] = np.minimum(terms["diffuse_fraction"], 1.0)
     return replace(after, **terms)
@@ -786,14 +786,14 @@ def terms_near(stated: AtmosphericState, state: AtmosphericState, folder: Path) 
 def _emulated_inside(state: AtmosphericState) -> AtmosphericTerms:
     """The terms by the numbers that the package ships; refuses a state that they were not made from."""
     height, zenith = state.sensor_altitude_km - state.ground_altitude_km, state.sun[0]
-    at, coloured = coordinates(state), state.angstrom_exponent is not None and not state.in_space
+    place, coloured = coordinates(state), state.angstrom_exponent is not None and not state.in_space
     for name, value, low, high in (
         ("view_zenith_deg", state.view_zenith_deg, 0.0, 0.0),
         ("solar zenith [deg]", zenith, 0.0, 75.0),
         ("aerosol optical depth", state.aerosol_optical_depth, 0.0, 0.8),
         ("ground_altitude_km", state.ground_altitude_km, 0.0, 3.0),
-        ("water vapour [g cm-2]", at["water_vapour_g_cm2"], 0.1, 6.0),
-        ("ozone [atm cm]", at["ozone_atm_cm"], 0.2, 0.5),
+        ("water vapour [g cm-2]", place["water_vapour_g_cm2"], 0.1, 6.0),
+        ("ozone [atm cm]", place["ozone_atm_cm"], 0.2, 0.5),
         ("sensor above the ground [km]", _HEIGHTS_KM[1] if state.in_space else height, *_HEIGHTS_KM),
     ):
         refuse(not low - 1e-9 <= value <= high + 1e-9, "emulator.value", name=name, value=value, low=low, high=high)

@@ -56,10 +56,10 @@ def parse_utc(text: str) -> datetime:
 def solar_position(latitude_deg: float, longitude_deg: float, when: datetime) -> tuple[float, float]:
     """True (not refracted) solar zenith and azimuth, east of north [deg]; longitude east positive."""
     # Pressure [mbar], temperature and refraction move the apparent zenith alone.
-    at = _algorithm().solar_position(
+    angles = _algorithm().solar_position(
         np.array([when.timestamp()]), latitude_deg, longitude_deg, 0.0, 1013.25, 12.0, _DELTA_T_S, 0.5667
     )
-    return float(at[1][0]), float(at[4][0])
+    return float(angles[1][0]), float(angles[4][0])
 
 
 def earth_sun_distance_au(when: datetime) -> float:

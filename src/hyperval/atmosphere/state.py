@@ -103,8 +103,8 @@ def gas_columns(profile: Profile, above_km: float) -> tuple[float, float]:
 
 def pressure_at(profile: Profile, altitude_km: npt.ArrayLike) -> Array:
     """Pressure at altitudes [hPa], logarithmic between levels."""
-    at = np.asarray(altitude_km, dtype=float)
-    return np.asarray(np.exp(np.interp(at, profile.altitude_km, np.log(profile.pressure_hpa))))
+    altitude = np.asarray(altitude_km, dtype=float)
+    return np.asarray(np.exp(np.interp(altitude, profile.altitude_km, np.log(profile.pressure_hpa))))
 
 
 def root_between(falling: Callable[[float], float], low: float, high: float) -> float:
@@ -313,11 +313,11 @@ class AtmosphericState(Model):
         needs = "both angles" if by_angles else f"{', '.join(_PLACE[:2])} and {_PLACE[2]}, or {' and '.join(_ANGLES)}"
         clear, tabled, clash = self.aerosol == "none", self.engine == "table", ", ".join(sorted(has & set(_PLACE)))
         ground, sensor, alone = self.ground_altitude_km, self.sensor_altitude_km, "only the engine sixs takes it"
-        exponent, share, given = "angstrom_exponent", "aerosol_share_below", "both are" if amounts else "neither is"
-        for wrong, said in (
+        exponent, share, count = "angstrom_exponent", "aerosol_share_below", "both are" if amounts else "neither is"
+        for wrong, message in (
             (tabled != ("table" in has), "engine: table needs the field table, and no other engine takes it"),
             (clear and amounts, f"aerosol: none takes no {' or '.join(amounts)}"),
-            (not clear and len(amounts) != 1, f"give exactly one of aot550 and meteorological_range_km: {given} given"),
+            (not clear and len(amounts) != 1, f"give exactly one of aot550 and meteorological_range_km: {count} given"),
             (exponent in has and "aot550" not in has, f"{exponent} needs aot550, the depth that it starts from"),
             (exponent in has and self.engine != "sixs", f"{exponent}: {alone}"),
             (share in has and (clear or self.in_space), f"{share} is for an airborne sensor over aerosol"),
@@ -328,7 +328,7 @@ class AtmosphericState(Model):
             (sensor <= ground, f"sensor_altitude_km ({sensor:g}) must lie above ground_altitude_km ({ground:g})"),
         ):
             if wrong:
-                raise ValueError(said)
+                raise ValueError(message)
         return self
 
     @property
@@ -346,8 +346,8 @@ class AtmosphericState(Model):
         Where none is the model's own density at each altitude stays, so that high ground has less above it.
         """
         profile, stated = standard_profile(self.model), (self.water_vapour_g_cm2, self.ozone_atm_cm)
-        own = gas_columns(profile, self.ground_altitude_km)
-        water, ozone = (1.0 if a is None else a / o for a, o in zip(stated, own, strict=True))
+        columns = gas_columns(profile, self.ground_altitude_km)
+        water, ozone = (1.0 if a is None else a / o for a, o in zip(stated, columns, strict=True))
         return replace(profile, water_g_m3=profile.water_g_m3 * water, ozone_g_m3=profile.ozone_g_m3 * ozone)
 
     @property

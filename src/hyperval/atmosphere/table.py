@@ -116,8 +116,8 @@ class AtmosphericTable:
             if values is not None:
                 refuse(values.shape != nm.shape, "table.shape", name=name, found=values.shape, wanted=nm.shape)
                 beyond, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
-                there = {"value": values[beyond], "nm": nm[beyond], "low": least, "high": high[beyond]}
-                refuse(beyond.any(), "table.beyond", name=name, **there)
+                where = {"value": values[beyond], "nm": nm[beyond], "low": least, "high": high[beyond]}
+                refuse(beyond.any(), "table.beyond", name=name, **where)
 
     def terms(self, state: AtmosphericState) -> AtmosphericTerms:
         """The terms of a state inside the table.
@@ -126,18 +126,18 @@ class AtmosphericTable:
         ------
         UsageError : a value outside the axes, or other than the one the table was computed for.
         """
-        at = coordinates(state)
-        self._check_fixed(state, at)
-        values, left = dict(self.quantities), list(self.axes)
+        place = coordinates(state)
+        self._check_fixed(state, place)
+        values, axes = dict(self.quantities), list(self.axes)
         # Aerosol last: its rule needs the altitudes, which may be axes themselves.
         for name in sorted(self.axes, key="aot550".__eq__):
-            x, number = float(inside(name, self.axes[name], at[name])), left.index(name)
-            values = _along(self.axes[name], {q: np.moveaxis(v, number, 0) for q, v in values.items()}, x, name, at)
-            left.remove(name)
+            x, number = float(inside(name, self.axes[name], place[name])), axes.index(name)
+            values = _along(self.axes[name], {q: np.moveaxis(v, number, 0) for q, v in values.items()}, x, name, place)
+            axes.remove(name)
         path_relative = 0.0
         if "aot550" in self.axes:
-            places = at["ground_altitude_km"], at["sensor_altitude_km"]
-            path_relative = path_error(self.axes["aot550"], at["aot550"], *places)
+            places = place["ground_altitude_km"], place["sensor_altitude_km"]
+            path_relative = path_error(self.axes["aot550"], place["aot550"], *places)
         irradiance, lines = self.solar_irradiance, None
         if irradiance is None:
             irradiance = solar.extraterrestrial_irradiance(state.solar_spectrum, self.wavelength_nm, 1.0)
@@ -160,24 +160,24 @@ class AtmosphericTable:
             path_uncertainty=path_relative * unit * values["path"],
         )
 
-    def _check_fixed(self, state: AtmosphericState, at: Mapping[str, float]) -> None:
+    def _check_fixed(self, state: AtmosphericState, place: Mapping[str, float]) -> None:
         stated = state.model_dump(mode="json")
         for name, value in self.fixed.items():
             if name in NAMED:
-                given = stated[name]
-                wrong = given != value and not (name == "aerosol" and at["aot550"] == 0.0)
+                asked = stated[name]
+                wrong = asked != value and not (name == "aerosol" and place["aot550"] == 0.0)
             else:  # at nadir every azimuth is the same
-                given = at.get(name)
-                free = given is None or (name == "relative_azimuth_deg" and at["view_zenith_deg"] == 0.0)
-                wrong = not free and abs(float(value) - at[name]) > AXES[name][1]
-            refuse(wrong, "table.other", name=name, given=given, value=value)
+                asked = place.get(name)
+                free = asked is None or (name == "relative_azimuth_deg" and place["view_zenith_deg"] == 0.0)
+                wrong = not free and abs(float(value) - place[name]) > AXES[name][1]
+            refuse(wrong, "table.other", name=name, given=asked, value=value)
 
 
-def _along(nodes: Array, values: Mapping[str, Array], x: float, axis: str, at: Mapping[str, float]) -> dict[str, Array]:
+def _along(nodes: Array, values: Mapping[str, Array], x: float, axis: str, to: Mapping[str, float]) -> dict[str, Array]:
     """All quantities (k, ...) at ``x`` along their first dimension."""
     rule = AXES[axis][0]
     if rule is AEROSOL_RULE:
-        return between_aerosols(nodes, values, x, at["ground_altitude_km"], at["sensor_altitude_km"])
+        return between_aerosols(nodes, values, x, to["ground_altitude_km"], to["sensor_altitude_km"])
     # What is no transmittance is straight where those are straight in their logarithm.
     rules = {q: _STRAIGHT if rule.logarithm and q in AS_THEY_ARE else rule for q in values}
     return {q: along(nodes, v, x, rules[q]) for q, v in values.items()}
@@ -192,20 +192,20 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
     """
     misses: dict[str, dict[str, float] | None] = {}
     for number, (name, nodes) in enumerate(table.axes.items()):
-        at, part, errors = dict[str, float](), [slice(None)] * (len(table.axes) + 1), list[Array]()
+        place, part, errors = dict[str, float](), [slice(None)] * (len(table.axes) + 1), list[Array]()
         for level, usual in (("ground_altitude_km", 0.0), ("sensor_altitude_km", SPACE_KM)):
-            at[level] = table.fixed.get(level, usual)
+            place[level] = table.fixed.get(level, usual)
             if level in table.axes and name == "aot550":  # the haze below the sensor: that at the middle altitude
                 middle = table.axes[level].size // 2
-                at[level] = float(table.axes[level][middle])
+                place[level] = float(table.axes[level][middle])
                 part[list(table.axes).index(level)] = slice(middle, middle + 1)
         moved = {q: np.moveaxis(v[tuple(part)], number, 0) for q, v in table.quantities.items()}
         for i in range(1, nodes.size - 1):
             keep = np.delete(np.arange(nodes.size), i)
-            predicted = _along(nodes[keep], {q: v[keep] for q, v in moved.items()}, float(nodes[i]), name, at)
+            predicted = _along(nodes[keep], {q: v[keep] for q, v in moved.items()}, float(nodes[i]), name, place)
             exact = {q: v[i] for q, v in moved.items()}
-            seen = exact["gas"] > _LEAST_GAS
-            errors.append((_total(predicted)[seen] / np.maximum(_total(exact)[seen], 1e-30)) - 1.0)
+            clear = exact["gas"] > _LEAST_GAS
+            errors.append((_total(predicted)[clear] / np.maximum(_total(exact)[clear], 1e-30)) - 1.0)
         every = np.concatenate([*errors, np.zeros(0)])
         worst, rms = np.max(np.abs(every), initial=0.0), np.sqrt(np.mean(every**2)) if every.size else 0.0
         misses[name] = {"worst": round(float(worst), 6), "rms": round(float(rms), 6)} if errors else None
@@ -338,11 +338,11 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     names = [name for name in AXES if any(name in v for v in values)]
     refuse(any(set(v) != set(names) for v in values), "table.parts", folder, names="_".join(names))
     nodes = {name: np.array(sorted({v[name] for v in values})) for name in names}
-    at = {tuple(v[name] for name in names): file for v, file in zip(values, files, strict=True)}
+    file_at = {tuple(v[name] for name in names): file for v, file in zip(values, files, strict=True)}
     grid = list(product(*(n.tolist() for n in nodes.values())))
-    absent = [", ".join(f"{n} {v:g}" for n, v in zip(names, c, strict=True)) for c in grid if c not in at]
+    absent = [", ".join(f"{n} {v:g}" for n, v in zip(names, c, strict=True)) for c in grid if c not in file_at]
     lacking = absent[0] if absent else "a node twice"
-    refuse(absent or len(at) != len(files), "table.incomplete", folder, lacking=lacking, count=len(grid))
+    refuse(absent or len(file_at) != len(files), "table.incomplete", folder, lacking=lacking, count=len(grid))
     stated, albedos = _stated(Path(template[0]))
     slanted = stated.get("view_zenith_deg") != 0.0 or "view_zenith_deg" in names
     named = {"view_zenith_deg", "relative_azimuth_deg"} <= set(names)
@@ -352,7 +352,7 @@ def _from_folder(stamps: tuple[_Stamp, ...], folder: str, template: _Stamp) -> A
     fixed |= {name: float(n[0]) for name, n in nodes.items() if n.size == 1}
     sunless = "solar_zenith_deg" not in (*axes, *fixed) or "day_of_year" not in stated
     refuse(sunless, "table.sunless", folder)
-    rows = [_row(at[c], albedos) for c in grid]
+    rows = [_row(file_at[c], albedos) for c in grid]
     unlike = any(not np.array_equal(r["wavelength_nm"], rows[0]["wavelength_nm"]) for r in rows)
     refuse(unlike, "table.channels", folder)
     zeniths = [(fixed | dict(zip(names, c, strict=True)))["solar_zenith_deg"] for c in grid]

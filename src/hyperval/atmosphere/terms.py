@@ -93,17 +93,17 @@ class AtmosphericTerms:
             averages = band_average(self.wavelength_nm, np.stack(list(values.values())), axis)
             bands = dict(zip(values, averages, strict=True))
         if self.solar_lines is not None:  # what goes with the sunlight is averaged with its lines where they are
-            at, lines = self.solar_lines
+            nm, lines = self.solar_lines
             lit = [name for name in values if name in _OF_THE_SUN]
-            fine = lines * np.stack([np.interp(at, self.wavelength_nm, values[name]) for name in lit])
-            bands |= dict(zip(lit, band_average(at, fine, axis), strict=True))
+            fine = lines * np.stack([np.interp(nm, self.wavelength_nm, values[name]) for name in lit])
+            bands |= dict(zip(lit, band_average(nm, fine, axis), strict=True))
         whole: dict[str, Any] = {**bands, "provenance": self.provenance}
         return AtmosphericTerms(wavelength_nm=axis.centre_nm, **whole)
 
     def spectra(self) -> dict[str, Array]:
         """The terms that the engine gives, by name: (n,) each."""
-        given = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in NOT_AVERAGED}
-        return {name: values for name, values in given.items() if values is not None}
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in NOT_AVERAGED}
+        return {name: values for name, values in arrays.items() if values is not None}
 
     def _are_channels_of(self, axis: SpectralAxis) -> bool:
         """True when the terms are averages over channels like those of ``axis``, False when they are samples."""
@@ -159,7 +159,7 @@ def run_program(
         raise EngineError(f"{name} cannot be started: {error.strerror}", where=command[0], mend=mend) from error
     with process:
         try:
-            said, complaint = process.communicate(text, timeout_s)
+            output, complaint = process.communicate(text, timeout_s)
         except subprocess.TimeoutExpired as error:
             raise EngineError(f"{name} ran longer than {timeout_s:g} s", where=command[0]) from error
         finally:
@@ -168,7 +168,7 @@ def run_program(
                     os.killpg(process.pid, signal.SIGKILL)
     if tie() and process.returncode in (126, 127):  # of setpriv, as of a shell
         raise EngineError(f"{name} cannot be started: {last_line(complaint)}", where=command[0], mend=mend)
-    return subprocess.CompletedProcess(command, process.returncode, said, complaint)
+    return subprocess.CompletedProcess(command, process.returncode, output, complaint)
 
 
 def cached(folder: Path, kind: str, inputs: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:

@@ -26,8 +26,8 @@ from hyperval.atmosphere.state import AtmosphereModel
 from hyperval.config import load_yaml
 from hyperval.data import Array
 from hyperval.errors import UsageError, package_table, refuse
-from hyperval.model import Origins, Truth, UncertainInput, inputs_of, number_input, predict, read, value_at
-from hyperval.model.inputs import Kind, directions, field_spectrum_of, form_in_words, spectral_input
+from hyperval.model import Origins, Truth, UncertainInput, inputs_of, number_input, predict, read_world, value_at
+from hyperval.model.inputs import Kind, error_rows, field_spectrum_of, form_in_words, spectral_input
 from hyperval.model.world import World, column_of, find, in_file
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
@@ -190,11 +190,11 @@ class Candidate:
         >>> watch.sizes, watch.ends
         ((10.0, -10.0, 40.0), (-16.0, 80.0))
         """
-        own, other = (next((m for m in c.members if m is not None), None) for c in (self, usual))
-        if own is None or not (self.budgeted and self.sizes and usual.sizes):
+        first, other = (next((m for m in c.members if m is not None), None) for c in (self, usual))
+        if first is None or not (self.budgeted and self.sizes and usual.sizes):
             return self
         step = np.max(np.abs(other.rows)) if other is not None else float(usual.step.partition(" ")[0])
-        ratio = float(step / np.max(np.abs(own.rows)))
+        ratio = float(step / np.max(np.abs(first.rows)))
         return replace(self, sizes=tuple(ratio * z for z in usual.sizes)) if ratio > 1.0 else self
 
     def at(self, direction: int, units: float) -> list[Truth]:
@@ -275,8 +275,8 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     """What is no number: bands elsewhere, another time or haze, spectra at another level, exchanged or in another unit.
 
     >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import read
-    >>> world = read(load_scenario("yellow-planks-asphalt"))
+    >>> from hyperval.model import read_world
+    >>> world = read_world(load_scenario("yellow-planks-asphalt"))
     >>> of = {c.name: c for c in further_candidates([world, world])}
     >>> [truth["sensor.band_width"] for truth in of["band width"].at(0, 2.0)]
     [1.2, 1.2]
@@ -348,14 +348,14 @@ def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth
     """Another time of overflight, where one is stated; another day at the same hour.
 
     >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import read
+    >>> from hyperval.model import read_world
     >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
     >>> stated = load_scenario("green-planks-grass")
     >>> there = stated.with_values({f"atmosphere.{name}": value for name, value in at.items()})
-    >>> _later([read(there), read(stated)], timedelta(hours=1), -2.0)
+    >>> _later([read_world(there), read_world(stated)], timedelta(hours=1), -2.0)
     [{'atmosphere.time_utc': '2012-09-20T14:00:00+00:00'}, {}]
-    >>> _later([read(there)], timedelta(days=30), 0.52)
+    >>> _later([read_world(there)], timedelta(days=30), 0.52)
     [{'atmosphere.time_utc': '2012-10-06T16:00:00+00:00'}]
     """
     by = units * step if step < timedelta(days=1) else timedelta(days=round(units * step.days))
@@ -385,8 +385,8 @@ def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
     """Targets of another size than stated: their sides, where fills follow from those; else their fills.
 
     >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import read
-    >>> worlds = [read(load_scenario("green-planks-grass"))]
+    >>> from hyperval.model import read_world
+    >>> worlds = [read_world(load_scenario("green-planks-grass"))]
     >>> sized = _sized(worlds[0].stated.scenario.scene.targets[0], 0, worlds)
     >>> {path: fill.round(9).tolist() for path, fill in sized.at(0, 2.0)[0].items()}  # sides longer by 10 %
     {'fill.[green plank 0.1]': [0.121], 'fill.[green plank 0.2]': [0.242], 'fill.[green plank 0.4]': [0.484]}
@@ -418,9 +418,9 @@ def exchanged_entries(worlds: Sequence[World], looked_for: Mapping[str, Any]) ->
     covariances.
 
     >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import read
+    >>> from hyperval.model import read_world
     >>> scenario = load_scenario("yellow-planks-asphalt")
-    >>> (classes,) = exchanged_entries([read(scenario)], {})
+    >>> (classes,) = exchanged_entries([read_world(scenario)], {})
     >>> classes.labels[0], classes.at(0, 0.0)[0]
     ('asphalt: that of grass', {'scene.classes.[asphalt].spectrum': {'builtin': 'grass'}})
     """
@@ -428,15 +428,15 @@ def exchanged_entries(worlds: Sequence[World], looked_for: Mapping[str, Any]) ->
     for number, world in enumerate(worlds):
         for kind, entries in found.items():
             items = getattr(world.stated.scenario.scene, kind)
-            own = {x.name: x.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for x in items}
+            spectra = {x.name: x.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for x in items}
             others = looked_for if kind == "targets" else {}
-            for words, changed in others_in_place(own, others, "looked for").items():
+            for words, changed in others_in_place(spectra, others, "looked for").items():
                 truth = {f"scene.{kind}.[{name}].spectrum": entry for name, entry in changed.items()}
                 entries[words] = _alone(number, len(worlds), truth)
     return [_one_of(f"spectra of {kind} in the file", "scene", each) for kind, each in found.items() if each]
 
 
-def others_in_place(own: Mapping[str, Any], others: Mapping[str, Any], what: str) -> dict[str, dict[str, Any]]:
+def others_in_place(named: Mapping[str, Any], others: Mapping[str, Any], what: str) -> dict[str, dict[str, Any]]:
     """Of named entries what changes where one has the place of another, or two have each other's.
 
     Parameters
@@ -448,19 +448,19 @@ def others_in_place(own: Mapping[str, Any], others: Mapping[str, Any], what: str
     >>> others_in_place({"red": 1, "green": 1}, {"green": 2}, "looked for")
     {'red: that of green': {'red': 2}, 'green: that looked for': {'green': 2}}
     """
-    known = {str(entry): (by, entry) for by, entry in (*others.items(), *own.items())}.values()
-    tried = [(name, by, entry) for name, (by, entry) in product(own, known) if entry != own[name]]
+    entries = {str(entry): (by, entry) for by, entry in (*others.items(), *named.items())}.values()
+    tried = [(name, by, entry) for name, (by, entry) in product(named, entries) if entry != named[name]]
     out = {f"{name}: that {what if by == name else f'of {by}'}": {name: entry} for name, by, entry in tried}
-    return out | exchanged_pairs(own)
+    return out | exchanged_pairs(named)
 
 
-def exchanged_pairs(own: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def exchanged_pairs(named: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Two of named entries in each other's place, by the names of both.
 
     >>> exchanged_pairs({"red": 1, "green": 2, "blue": 1})
     {'red and green': {'red': 2, 'green': 1}, 'green and blue': {'green': 1, 'blue': 2}}
     """
-    return {f"{i} and {j}": {i: own[j], j: own[i]} for i, j in combinations(own, 2) if own[i] != own[j]}
+    return {f"{i} and {j}": {i: named[j], j: named[i]} for i, j in combinations(named, 2) if named[i] != named[j]}
 
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
@@ -471,10 +471,10 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     Examples
     --------
     >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import read
+    >>> from hyperval.model import read_world
     >>> hazy = {"meteorological_range_km": None, "aot550": 0.2, "angstrom_exponent": 1.2}
     >>> stated = load_scenario("yellow-planks-asphalt")
-    >>> world = read(stated.with_values({f"atmosphere.{name}": value for name, value in hazy.items()}))
+    >>> world = read_world(stated.with_values({f"atmosphere.{name}": value for name, value in hazy.items()}))
     >>> both = {c.name: c for c in reversed(rarer_candidates([world, world]))}
     >>> def shown(name, units):
     ...     for truth in both[name].at(0, units):
@@ -502,7 +502,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     (('yellow plank on grass', 'yellow plank on soil'), {'scene.targets.[yellow plank].host': 'grass'})
     >>> plank = {"spectrum": {"builtin": "yellow-paint-plank"}, "host": "asphalt", "fill": {"fixed": 0.1}}
     >>> two = [{"name": name, **plank} for name in "ab"]
-    >>> several = rarer_candidates([read(stated.with_values({"scene.targets": two}))])
+    >>> several = rarer_candidates([read_world(stated.with_values({"scene.targets": two}))])
     >>> hosts = next(c for c in several if c.name == "host of the targets")
     >>> hosts.labels[:3], sorted(hosts.at(0, 2.0)[0].values())
     (('a on grass', 'b on grass', 'all targets on grass'), ['grass', 'grass'])
@@ -520,7 +520,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
     >>> *row, sizes = CAUSES["state"][3]
-    >>> slanted = _of_state([read(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], row, sizes)
+    >>> slanted = _of_state([read_world(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], row, sizes)
     >>> slanted.sizes, both["view zenith angle"].sizes, both["ground height"].sizes
     ((-6.0, 5.0, 20.0), (5.0, 20.0), (-1.7, 4.0, 12.0))
     >>> shown("ground height", both["ground height"].sizes[-2])
@@ -555,16 +555,16 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
             out.append(_in_one(light, number, len(worlds), (-9.0, -4.0, 7.0)))
             entries[f"{t.name} in full light"] = alone({f"{path}.beam": 1.0, f"{path}.sky_view": 1.0})
         for c in scene.classes:
-            there = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
-            hosts |= {f"{name} on {c.name}": alone(truth) for name, truth in there.items()}
-            if len(there) > 1:
-                hosts[f"all targets on {c.name}"] = alone({k: v for truth in there.values() for k, v in truth.items()})
+            on = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
+            hosts |= {f"{name} on {c.name}": alone(truth) for name, truth in on.items()}
+            if len(on) > 1:
+                hosts[f"all targets on {c.name}"] = alone({k: v for truth in on.values() for k, v in truth.items()})
     classes = [world.stated.scenario.scene.classes for world in worlds]
     for i, j in combinations(range(max(map(len, classes))), 2):
-        all_of = tuple(n for n, own in enumerate(classes) if len(own) > j)
+        all_of = tuple(n for n, of in enumerate(classes) if len(of) > j)
         for where in dict.fromkeys([all_of, *((n,) for n in all_of)]):
             name = f"fraction of {classes[where[0]][i].name} for {classes[where[0]][j].name}"
-            traded = partial(_traded, [(own[i], own[j]) if n in where else () for n, own in enumerate(classes)])
+            traded = partial(_traded, [(of[i], of[j]) if n in where else () for n, of in enumerate(classes)])
             name += f" and of {len(where) - 1} more" * (len(where) > 1)
             out.append(Candidate(name, "scene", "0.05 of the area", False, sizes=(-8.0, 8.0), moved=traded))
     names = {str([sorted(means) for means in each]): name for name, each in reversed(levels.items())}
@@ -589,11 +589,11 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     """What is stated of atmosphere, sun and view, at other values.
 
     >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import read
+    >>> from hyperval.model import read_world
     >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
     >>> there = load_scenario("green-planks-grass").with_values({f"atmosphere.{name}": v for name, v in at.items()})
-    >>> of = {c.name: c for c in _of_atmosphere([read(there)])}
+    >>> of = {c.name: c for c in _of_atmosphere([read_world(there)])}
     >>> [of["date of overflight"].at(0, z)[0]["atmosphere.time_utc"][:10] for z in of["date of overflight"].sizes]
     ['2012-08-21', '2012-10-20', '2012-07-22', '2012-11-19']
     >>> of["place on the globe"].labels, of["place on the globe"].at(0, 0.0)
@@ -606,8 +606,8 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
         later = partial(_later, worlds, timedelta(days=30))
         out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
     signs = {
-        f"{key.partition('_')[0]} with the other sign": [{} if x is None else {f"atmosphere.{key}": -x} for x in at]
-        for key in ("latitude_deg", "longitude_deg") if any(at := [getattr(s, key, None) for s in states])
+        f"{key.partition('_')[0]} with the other sign": [{} if x is None else {f"atmosphere.{key}": -x} for x in values]
+        for key in ("latitude_deg", "longitude_deg") if any(values := [getattr(s, key, None) for s in states])
     }  # fmt: skip
     out += [_one_of("place on the globe", "atmosphere", signs)] if signs else []
     models, suns = get_args(AtmosphereModel), tuple(SOLAR_SPECTRA)
@@ -620,11 +620,11 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
 
 def _of_state(worlds: Sequence[World], row: Sequence[Any], sizes: Sequence[float]) -> Candidate:
     """A number of the state of atmosphere, sun and view, in all scenarios."""
-    there, (name, kind, _, step) = [_usual(world, *row) for world in worlds], row
+    inputs, (name, kind, _, step) = [_usual(world, *row) for world in worlds], row
     if not step.endswith("%"):  # down to 0 at most, which is what the smallest ones are mistaken for
-        least = -min(float(np.min(np.abs(one.nominal))) for one in there) / float(step.split()[0])
+        least = -min(float(np.min(np.abs(one.nominal))) for one in inputs) / float(step.split()[0])
         sizes = tuple(dict.fromkeys(z for z in (max(z, least) for z in sizes) if z))
-    return Candidate(name, kind, step, False, tuple(there), tuple(sizes))
+    return Candidate(name, kind, step, False, tuple(inputs), tuple(sizes))
 
 
 def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
@@ -668,7 +668,7 @@ def arms_of(world: World) -> dict[str, Array]:
     axis, sensor = world.stated.axis, world.stated.sensor
     arms = np.array([axis.centre_nm < 1000.0, axis.centre_nm >= 1000.0])
     if sensor is not None and sensor.specification.arms:
-        arms = directions(np.ones(len(axis)), SpectralForm(correlation="arms"), axis, sensor) > 0.0
+        arms = error_rows(np.ones(len(axis)), SpectralForm(correlation="arms"), axis, sensor) > 0.0
     several = len(arms) > 1 and bool(np.all(np.any(arms, axis=1)))
     return {"{:.0f}-{:.0f} nm".format(*axis.centre_nm[arm][[0, -1]]): 1.0 * arm for arm in arms if several}
 
@@ -747,12 +747,12 @@ def errors_of_file(path: Path) -> dict[str, Family]:
     ------
     UsageError : a name that is no standard error, or something else than paths and values.
     """
-    (told, _), standard = load_yaml(path), injected_errors()
+    (entries, _), standard = load_yaml(path), injected_errors()
     out: dict[str, Family] = {}
-    for name, values in told.items():
+    for name, values in entries.items():
         refuse(values is None and name not in standard, "attribution.error", path, name=name)
         refuse(values is not None and not isinstance(values, dict), "attribution.errors", path)
-        out[str(name)] = standard[name] if values is None else partial(lambda own, _: own, values)
+        out[str(name)] = standard[name] if values is None else partial(lambda moves, _: moves, values)
     return out
 
 
@@ -786,7 +786,7 @@ def injected_prediction(
     sensor.noise at [1.0, [2.0]] expected: a number from 0.001, or a list of 360
     scene.classes.grass.tail_dof at 2.0 expected: a number above 2
     """
-    world = read(scenario, origins)
+    world = read_world(scenario, origins)
     try:
         truth = error(world)
         for path in truth:
@@ -797,8 +797,8 @@ def injected_prediction(
     prediction = predict(scenario, origins, truth=truth, objects=objects)
     if {"line.gain", "line.offset"} & truth.keys():  # what was collected is through its own line: it shows in its own
         gain, offset = (np.asarray(truth.get(f"line.{name}", x)) for name, x in (("gain", 1.0), ("offset", 0.0)))
-        seen = {name: _through_line(estimate, gain, offset) for name, estimate in prediction.reflectance.items()}
-        prediction = replace(prediction, reflectance=seen)
+        shown = {name: _through_line(estimate, gain, offset) for name, estimate in prediction.reflectance.items()}
+        prediction = replace(prediction, reflectance=shown)
     return prediction, truth
 
 
@@ -866,7 +866,7 @@ def _other_material(world: World) -> Truth:
     """Of the built-in materials the one that is least like the target."""
     others = [builtin_mean(n, world.stated.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
     means = _each(world, "surfaces.[{target}].mean").items()
-    return {path: max(others, key=lambda mean: float(np.nanmean((mean - own) ** 2))) for path, own in means}
+    return {path: max(others, key=lambda mean: float(np.nanmean((mean - stated) ** 2))) for path, stated in means}
 
 
 def _fine_texture(world: World) -> Truth:
@@ -882,8 +882,8 @@ def _exchanged(world: World, names: Sequence[str] = (), what: str = "surface") -
     refuse(len(names) < 2, "attribution.none", what=f"there is one {what}")
     moves = {}
     for name, other in zip(names, (*names[1:], names[0]), strict=True):
-        own, there = world.stated.surfaces[name].mean, world.stated.surfaces[other].mean
-        moves[f"surfaces.[{name}].mean"] = np.nan_to_num(np.where(np.isfinite(there), there, own))
+        mean, other_mean = world.stated.surfaces[name].mean, world.stated.surfaces[other].mean
+        moves[f"surfaces.[{name}].mean"] = np.nan_to_num(np.where(np.isfinite(other_mean), other_mean, mean))
     return moves
 
 

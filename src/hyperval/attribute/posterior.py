@@ -620,10 +620,10 @@ class Reasoner:
         if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
         rest = _after(fit, e - fit.made)
-        causes, weight, left = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
-        if not self.noisy and fit.candidate is UNKNOWN and left and left[-1] > REMAINDER * whole:
-            causes, left = (), ()
-        return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*left, float(rest @ rest)))
+        causes, weight, chi2 = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
+        if not self.noisy and fit.candidate is UNKNOWN and chi2 and chi2[-1] > REMAINDER * whole:
+            causes, chi2 = (), ()
+        return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*chi2, float(rest @ rest)))
 
     def _without(self, causes: Sequence[Fit], e: Array) -> tuple[Array, dict[Candidate, Array]]:
         """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
@@ -655,15 +655,15 @@ class Reasoner:
         order = [f for _, f in sorted(zip(rank, h.causes, strict=True), key=lambda pair: float(pair[0]))]
         if not order or order[0] is h.causes[0]:
             return h
-        causes, left = tuple[Fit, ...](), [float(e @ e)]
+        causes, chi2 = tuple[Fit, ...](), [float(e @ e)]
         for cause in order:
-            if self.noisy or special.chdtrc(e.size, left[-1]) <= SUFFICES:
+            if self.noisy or special.chdtrc(e.size, chi2[-1]) <= SUFFICES:
                 rest, columns = self._without(causes, e)
                 causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
                 rest = _after(causes[-1], rest - causes[-1].made)
-                left.append(float(rest @ rest))
-        good = left[0] - left[1] > GOOD_PART * (left[0] - h.left[-1]) and not causes[0].limited
-        return Hypothesis(causes, h.weight, tuple(left[1:])) if good else h
+                chi2.append(float(rest @ rest))
+        good = chi2[0] - chi2[1] > GOOD_PART * (chi2[0] - h.left[-1]) and not causes[0].limited
+        return Hypothesis(causes, h.weight, tuple(chi2[1:])) if good else h
 
     def _alike(
         self, singles: Sequence[Fit], probability: Mapping[str, float], alone: Mapping[str, float]
@@ -695,9 +695,9 @@ class Reasoner:
             if one and abs(float(f.shown @ best.shown)) > CORRELATED * lengths:
                 near.add(f.name)
         if not self.noisy:  # without chance, what explains a change nearly as well by itself is as good a reason
-            left = {f.name: alone[f.name] for f in singles if f.name in alone and not f.limited}
-            most = min(ALIKE * left.get(first, 0.0), REMAINDER * alone[NOTHING])
-            near |= {name for name, rest in left.items() if rest <= most}
+            chi2 = {f.name: alone[f.name] for f in singles if f.name in alone and not f.limited}
+            most = min(ALIKE * chi2.get(first, 0.0), REMAINDER * alone[NOTHING])
+            near |= {name for name, rest in chi2.items() if rest <= most}
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
 
@@ -739,8 +739,8 @@ class Residuals(NamedTuple):
 
     def posterior(self, group: str, noisy: bool = True) -> Posterior:
         """Of their causes."""
-        known, residual = self.whitened(noisy)
-        return known.posterior(group, residual)
+        reasoner, residual = self.whitened(noisy)
+        return reasoner.posterior(group, residual)
 
     def posteriors(self, stack: Stack, each: Sequence[str]) -> list[Posterior]:
         """Of all residuals, of what spectra share or differ in, and of the subjects of ``each``.
@@ -765,7 +765,7 @@ class Residuals(NamedTuple):
         # Of the prediction: of what was measured, any factor below 1 on it would leave less of what differs.
         spectra, common = stack.common_bands(stack.observed - self.values)
         if common.size and len(spectra) > common.shape[1]:
-            parts = [own.posterior(name) for name, own in common_and_own(common, self.of(spectra)).items()]
+            parts = [some.posterior(name) for name, some in common_and_individual(common, self.of(spectra)).items()]
         out = [replace(self.posterior(ALL), parts=tuple(parts)), *parts]
         subjects = [s for s in dict.fromkeys(b.subject for b in stack.blocks) if any(fnmatchcase(s, p) for p in each)]
         named = stack.named("subject")  # with the background seen through its filter
@@ -773,7 +773,7 @@ class Residuals(NamedTuple):
         return [replace(r, level=ENOUGH / len(out)) for r in out]
 
 
-def common_and_own(common: Array, of: Residuals) -> dict[str, Residuals]:
+def common_and_individual(common: Array, of: Residuals) -> dict[str, Residuals]:
     """What is common to all subjects, and what differs between them: two independent parts of the residuals.
 
     The common part is the generalised least-squares estimate of one factor for each band; the other is what no such

@@ -29,7 +29,7 @@ from hyperval.attribute.candidates import (
     usual_inputs,
 )
 from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residuals, Whitened
-from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stacked
+from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stack_of
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
@@ -168,21 +168,21 @@ class Causes:
         def is_enough(found: Posterior) -> bool:
             return found.first == NOTHING or (found.enough and len(found.best.causes) == 1)
 
-        told, found = explained(self.residuals.columns)
+        residuals, found = explained(self.residuals.columns)
         heights = {} if is_enough(found) else self.rarer[0]()
-        if heights and is_enough((wider := explained({**told.columns, **heights}))[1]):
+        if heights and is_enough((wider := explained({**residuals.columns, **heights}))[1]):
             return wider
-        return told, found
+        return residuals, found
 
     def sides(self) -> dict[str, tuple[str, str, str]]:
         """Of each quantity the bands, what is observed and what is predicted, to six digits."""
         out = {}
-        for block, at in self.stack.placed():
-            observed, predicted = (" ".join(f"{x:.6g}" for x in side) for side in (block.observed, self.predicted[at]))
-            out[block.quantity] = (" ".join(map(str, self.stack.bands[at])), observed, predicted)
+        for block, i in self.stack.placed():
+            observed, predicted = (" ".join(f"{x:.6g}" for x in side) for side in (block.observed, self.predicted[i]))
+            out[block.quantity] = (" ".join(map(str, self.stack.bands[i])), observed, predicted)
         return out
 
-    def changed(self, told: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
+    def changed(self, texts_of: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
         """What explains the change since a run with the sides ``told``; None where both share no quantity.
 
         What is less than its uncertainty and is not explained is nothing to explain.  Else the same data and the same
@@ -296,12 +296,12 @@ class Causes:
         >>> tried.or_rarer(none, np.arange(3), none + 1.0, {}).first, asked
         ('nothing to explain', ['haze', 'date'])
         """
-        sides = {name: [np.array(text.split(), dtype=float) for text in texts] for name, texts in told.items()}
+        sides = {name: [np.array(text.split(), dtype=float) for text in texts] for name, texts in texts_of.items()}
         shared = self.stack.shared_with({name: bands for name, (bands, *_) in sides.items()})
         if not shared:
             return None
         of = np.concatenate([here for _, here, _ in shared])
-        observed, predicted = np.hstack([np.array(sides[name][1:])[:, there] for name, _, there in shared])
+        observed, predicted = np.hstack([np.array(sides[name][1:])[:, index] for name, _, index in shared])
         moved, of_model = change = np.array([self.stack.observed[of] - observed, predicted - self.predicted[of]])
         scale = np.maximum(np.abs([observed, predicted]), self.stack.bands[of] < 0)  # a score is written to digits of 1
         same = np.all(np.abs(change) <= AS_WRITTEN * scale)
@@ -333,8 +333,8 @@ class Causes:
             if simulated and found.first == NONE:  # a scene made anew has scores too, beside other noise
                 each = (self.of_inputs, *(more() for more in self.rarer))
                 inputs = {replace(c, unbounded=True): g[every] for columns in each for c, g in columns.items()}
-                told = self.residuals.of(every)._replace(values=change, columns=inputs)
-                _, noisy = self.explained(told, every, self.predicted, True)
+                residuals = self.residuals.of(every)._replace(values=change, columns=inputs)
+                _, noisy = self.explained(residuals, every, self.predicted, True)
                 return replace(noisy, beside_noise=True) if noisy.enough else found
             if found.first != NOTHING:  # else scores moved beside spectra that hardly did
                 return found
@@ -348,9 +348,9 @@ class Causes:
             return entry
         if is_measured:
             steps = dict[Candidate, Array]()
-            for name, step, key, unit, at in CAUSES["image"]:
-                effects = np.column_stack([self.mistaken({key: unit * z}) for z in at])
-                steps[Candidate(name, "sensor", step, False, sizes=tuple(at))] = effects
+            for name, step, key, unit, sizes in CAUSES["image"]:
+                effects = np.column_stack([self.mistaken({key: unit * z}) for z in sizes])
+                steps[Candidate(name, "sensor", step, False, sizes=tuple(sizes))] = effects
             if (by_data := self.or_displaced(moved, of, level, steps, regions=False)).first not in (NONE, NOTHING):
                 return by_data
         return self.or_rarer(moved + of_model, of, level, self.of_inputs)
@@ -402,10 +402,10 @@ class Causes:
             by = min(effects, key=lambda by: float(np.sum(((moved - effects[by][of]) / size)[most] ** 2)))
             lost = {f"{by[0]:+d} lines, {by[1]:+d} samples from {n}/8 of the image on": n / 8.0 for n in range(1, 8)}
             mistake = {"lines": by[0], "samples": by[1], "regions": regions}
-            there = [self.mistaken({**mistake, "beyond": part}) for part in lost.values()]
+            moves = [self.mistaken({**mistake, "beyond": part}) for part in lost.values()]
             what = f"position of the {'' if regions else 'target '}regions beyond some line"
             one = Candidate(what, "scene", "", False, labels=tuple(lost))
-            found = self.explained_change(moved, of, level, {**columns, one: np.column_stack(there)})
+            found = self.explained_change(moved, of, level, {**columns, one: np.column_stack(moves)})
         return found
 
     def _moved_subjects(self, moved: Array, of: Index, level: Array) -> tuple[list[str], list[str]]:
@@ -424,33 +424,33 @@ class Causes:
         """
         variance, change = np.zeros(level.size), np.zeros(level.size)
         change[of] = moved
-        for block, at in self.stack.placed():
-            size, floor = (np.abs(level[at]), SPECTRUM_FLOOR) if block.bands is not None else (np.ones(1), CHANGE_FLOOR)
+        for block, i in self.stack.placed():
+            size, floor = (np.abs(level[i]), SPECTRUM_FLOOR) if block.bands is not None else (np.ones(1), CHANGE_FLOOR)
             size = size.clip(1e-3 * size.max() + 1e-12)
-            variance[at] = size**2 * (floor**2 + OFF**2 * np.mean((change[at] / size) ** 2))
-        own = {replace(c, unbounded=True): g[of] for c, g in columns.items() if np.any(g[of])}
-        told = Residuals(moved, np.diag(variance[of]), own, self.residuals.wide[of])
-        return self.explained(told, of, level, False)[1]
+            variance[i] = size**2 * (floor**2 + OFF**2 * np.mean((change[i] / size) ** 2))
+        near = {replace(c, unbounded=True): g[of] for c, g in columns.items() if np.any(g[of])}
+        residuals = Residuals(moved, np.diag(variance[of]), near, self.residuals.wide[of])
+        return self.explained(residuals, of, level, False)[1]
 
     def beside(self, level: Array, change: Array) -> Array:
         """A change (n,) or (n, k) of the prediction, of spectra of ``level`` (n,) the same part."""
         spectral = self.stack.bands >= 0
         return np.asarray((change.T * np.divide(level, self.predicted, np.ones(level.size), where=spectral)).T)
 
-    def explained(self, told: Residuals, of: Index, level: Array, noisy: bool) -> tuple[Residuals, Posterior]:
+    def explained(self, residuals: Residuals, of: Index, level: Array, noisy: bool) -> tuple[Residuals, Posterior]:
         """What explains residuals of the entries ``of``: between sizes the model is interpolated, and asked at those
         that are found, of a change by the engine itself; the residuals with those.
         """
-        columns, exact = dict(told.columns), set[tuple[Candidate, float]]()
+        columns, exact = dict(residuals.columns), set[tuple[Candidate, float]]()
         for last in range(MOST_ROUNDS, -1, -1):
-            told = told._replace(columns=columns)
-            found = told.posterior(ALL, noisy)
+            residuals = residuals._replace(columns=columns)
+            found = residuals.posterior(ALL, noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
             sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
             # At none of those that the model was asked at.
             sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
-            known = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.labels}
-            sizes |= {c: i for c, i in known.items() if c.kind == ATMOSPHERE and not noisy and (c, i) not in exact}
+            labels = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.labels}
+            sizes |= {c: i for c, i in labels.items() if c.kind == ATMOSPHERE and not noisy and (c, i) not in exact}
             evaluate = partial(self.evaluate, budgeted=not noisy)
             more = _asked(evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
@@ -463,7 +463,7 @@ class Causes:
                         columns[replace(c, sizes=(*c.sizes, a))] = np.column_stack([columns.pop(c), change])
             if not any(side is not None for side in more):
                 break
-        return told, found
+        return residuals, found
 
 
 def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:
@@ -541,7 +541,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     [0.0, 5.0]
     """
     base, observed, worlds = model.assuming(model.scenarios), model.observed, model.worlds
-    stack = stacked(base, observed)
+    stack = stack_of(base, observed)
     refuse(not stack.blocks, "attribution.nothing")
     numbers = quantities(base, observed)
     predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
@@ -568,8 +568,8 @@ def causes_of(model: ScenarioModel) -> Causes:
     many = len(worlds) > MOST_SCENARIOS
     apart = [c for c in moved if many and c.of_engine and c.sizes]
     further = further_candidates(worlds)
-    known = (*candidates([], [[*usual_inputs(world)] for world in worlds]), *further)
-    usual = {key: c for c in known for key in (c.name, c.path)}
+    usable = (*candidates([], [[*usual_inputs(world)] for world in worlds]), *further)
+    usual = {key: c for c in usable for key in (c.name, c.path)}
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
     far = (c.as_far_as(usual.get(c.path, usual.get(c.name, c))) for c in moved)
     by_name = {c.name: c for c in (*further, *far) if c not in (*rare, *apart)}
@@ -596,7 +596,7 @@ def causes_of(model: ScenarioModel) -> Causes:
 
     def mistaken(mistake: Mapping[str, Any], settings: Mapping[str, Any] = {}) -> Array:
         try:
-            return stack.since(stacked(base, model.observe(settings, mistake)))
+            return stack.since(stack_of(base, model.observe(settings, mistake)))
         except HypervalError:  # nothing can be measured so, such as by panels that are no line, or in an empty region
             return np.zeros(predicted.size)
 
@@ -623,15 +623,15 @@ def causes_of(model: ScenarioModel) -> Causes:
 
 
 def _columns_at(
-    candidates: Sequence[Candidate], known: Sides, predicted: Array, evaluate: Evaluate
+    candidates: Sequence[Candidate], sides: Sides, predicted: Array, evaluate: Evaluate
 ) -> dict[Candidate, Array]:
     """What candidates make at their sizes or by their alternatives, without what cannot be; some are known."""
     places: dict[Candidate, Sequence[float]] = {c: c.sizes or range(len(c.labels)) for c in candidates}
-    wanted = [(c, z) for c, at in places.items() for z in at if (c, z) not in known]
+    wanted = [(c, z) for c, sizes in places.items() for z in sizes if (c, z) not in sides]
     asked = _asked(evaluate, [c.at(0, z) for c, z in wanted]) if wanted else []
-    found, out = {**known, **dict(zip(wanted, asked, strict=True))}, {}
-    for c, at in places.items():
-        made = {z: side[0] - predicted for z in at if (side := found[c, z]) is not None}
+    found, out = {**sides, **dict(zip(wanted, asked, strict=True))}, {}
+    for c, sizes in places.items():
+        made = {z: side[0] - predicted for z in sizes if (side := found[c, z]) is not None}
         kept = {"sizes": tuple(made)} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in made)}
         if made:
             out[replace(c, **kept)] = np.column_stack([*made.values()])
@@ -708,21 +708,21 @@ def _of_spectra(
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
     bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
     gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, alike=alike) for alike in (False, True))
-    own, shared = gain.sum(axis=1), offset.sum(axis=1)
+    gains, shared = gain.sum(axis=1), offset.sum(axis=1)
     scene = stack.of_scene(classes, area, shared)
-    flat = np.where(own != 0.0, np.mean(shared[own != 0.0]), 0.0) if own.any() else own
+    flat = np.where(gains != 0.0, np.mean(shared[gains != 0.0]), 0.0) if gains.any() else gains
     smooth, mean, part = f"{100 * SMOOTH_PART:g} % in smooth pieces", "0.01 of the mean radiance", "0.01 of the area"
     parts: list[tuple[str, str, str, tuple[float, ...], Array]] = [
         (SINGLE_BANDS, "sensor", f"{100 * BAND_PART:g} % in each band", (), BAND_PART * bands),
         ("smooth gain of the sensor", "sensor", smooth, (), SMOOTH_PART * gain),
         ("smooth offset of the sensor", "sensor", smooth, (), SMOOTH_PART * offset),
-        ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (scene - own)),
+        ("stray light", "sensor", mean, (-5.0, 20.0), 0.01 * (scene - gains)),
         ("stray light between wavelengths", "sensor", mean, (-5.0, 20.0), 0.01 * stack.levelled(level)),
         ("constant offset of the sensor", "sensor", mean, (-5.0, 20.0), 0.01 * flat),
         *((name, "region", part, (-5.0, 50.0), change) for name, change in mixed.items()),
     ]
     for where, arm in arms.items():
-        parts.append((f"sensor gain of {where}", "sensor", "1 %", (-20.0, 25.0), 0.01 * own * arm[stack.bands]))
+        parts.append((f"sensor gain of {where}", "sensor", "1 %", (-20.0, 25.0), 0.01 * gains * arm[stack.bands]))
     units = tuple(f"x {factor:g}" for factor in UNITS)
     lit = np.where(stack.bands >= 0, level, 0.0)
     out = {Candidate("unit of the measured spectra", "sensor", "", False, labels=units): np.outer(lit, UNITS - 1.0)}
@@ -745,8 +745,8 @@ def scale_warnings(rows: Sequence[Result]) -> Iterator[str]:
     [['every measured reflectance is some 0.1 times the predi'], [], []]
     """
     for quantity in ("radiance", "reflectance", "toa_reflectance"):
-        own = [r.value for r in rows if (r.product, r.metric) == (quantity, "median_difference_ratio_windows")]
-        logs = [math.log10(1.0 + ratio) for ratio in own if ratio > -1.0]
+        ratios = [r.value for r in rows if (r.product, r.metric) == (quantity, "median_difference_ratio_windows")]
+        logs = [math.log10(1.0 + ratio) for ratio in ratios if ratio > -1.0]
         powers = {-round(x) if abs(x - round(x)) < NEAR_A_POWER else 0 for x in logs}
         if len(powers) == 1 and (power := powers.pop()):
             why = "a scale of the image that is off by a power of ten (collection.cube.scale), or another material"
@@ -800,10 +800,10 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         none, cause = ("", Cause.NONE) if item.candidate.budgeted else (" (none is stated)", Cause.NO_UNCERTAINTY)
         unit = f"in units of the {item.candidate.unit}{none}"
         gained = {"probability": r.probability[item.name], "likelihood_gain": max(2.0 * item.evidence, 0.0)}
-        own = [row(metric, value, reason=f"rank {place}: {item.in_words}", n=r.dof) for metric, value in gained.items()]
+        out = [row(metric, value, reason=f"rank {place}: {item.in_words}", n=r.dof) for metric, value in gained.items()]
         if not item.candidate.labels:  # one of several has no size
-            own.append(row("needed_uncertainty", abs(item.units), cause=cause, reason=unit))
-        yield from named(own, "attribution", r.group, item.name)
+            out.append(row("needed_uncertainty", abs(item.units), cause=cause, reason=unit))
+        yield from named(out, "attribution", r.group, item.name)
 
 
 def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
@@ -811,10 +811,10 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     if not r.best.causes or r.first == NONE:
         return
     (residual, covariance, *_), first = causes.residuals, r.best.causes[0]
-    left = residual - Whitened(residual, covariance).coloured(first.shown)
-    for block, at in causes.stack.placed():
-        own = covariance[at, at]
-        before, after = (Whitened(x[at], own).chi_square / block.observed.size for x in (residual, left))
+    remaining = residual - Whitened(residual, covariance).coloured(first.shown)
+    for block, part in causes.stack.placed():
+        spread = covariance[part, part]
+        before, after = (Whitened(x[part], spread).chi_square / block.observed.size for x in (residual, remaining))
         found = row("reduced_chi_square", after, n=block.observed.size, before=before, reason=f"{before:.4g} before")
         yield from named([found], "attribution", block.quantity, first.name)
 
@@ -847,17 +847,17 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     """
     stack = causes.stack
 
-    def left(name: str, predicted: Products, seen: Products) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
+    def left(name: str, predicted: Products, other: Products) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         """Residuals over their uncertainty, summary gaps, ratios of false alarms."""
-        after = stack if seen is model.observed else stacked(predicted, seen)
+        after = stack if other is model.observed else stack_of(predicted, other)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
-        told: Array | None = None
+        measured: Array | None = None
         with suppress(KeyError):  # of a subject that is not there any more
-            told = after.predicted(predicted) if now == before else None
-        values = after.observed - needed(told, "whatif.other", name=name)
+            measured = after.predicted(predicted) if now == before else None
+        values = after.observed - needed(measured, "whatif.other", name=name)
         spread = causes.residuals.covariance
         spread = spread if after is stack else spread - stack.covariance + after.covariance
-        return Whitened(values, spread), gaps_of(causes.numbers, predicted, seen), alarm_ratios(predicted, seen)
+        return Whitened(values, spread), gaps_of(causes.numbers, predicted, other), alarm_ratios(predicted, other)
 
     def tried(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         predicted = model.assuming(changed_scenarios(model.scenarios, item))
@@ -870,12 +870,12 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     was, n = start.chi_square / start.dof, start.dof
     for item, after, closed, _ in outcomes:
         now, p, words = after.chi_square / n, after.p_value, f"{was:.4g} before; {item.question}"
-        own = [row("reduced_chi_square", now, n=n, before=was, reason=words)]
-        own.append(row("likelihood_gain", (was - now) * n, n=n, reason=f"p = {p:.2g} after"))
+        out = [row("reduced_chi_square", now, n=n, before=was, reason=words)]
+        out.append(row("likelihood_gain", (was - now) * n, n=n, reason=f"p = {p:.2g} after"))
         for name, gap in gaps.items():
             metric = "_".join(name.replace("|", "").replace("@", " at ").split())
-            own.append(row(metric, closed[name], n=n, before=gap, reason=f"{gap:.4g} before"))
-        rows += named(own, "what-if", "all", item.name)
+            out.append(row(metric, closed[name], n=n, before=gap, reason=f"{gap:.4g} before"))
+        rows += named(out, "what-if", "all", item.name)
     return [*rows, *_alarm_rows(alarms, [(item.name, ratios) for item, *_, ratios in outcomes])]
 
 

@@ -55,9 +55,9 @@ def quantities(predicted: Products, observed: Products) -> list[ComparedQuantity
     items: list[ComparedQuantity] = []
     for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
         for subject, estimate in getattr(observed, product).items():
-            if (there := getattr(predicted, product).get(subject)) is None:
+            if (spectrum := getattr(predicted, product).get(subject)) is None:
                 continue
-            use = _windows(observed.axis) & np.isfinite(there.mean) & np.isfinite(estimate.mean)
+            use = _windows(observed.axis) & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
             level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
             if level > 0:
                 ratio = partial(_mean_over, level, product, subject, use)
@@ -153,16 +153,16 @@ class Stack:
         >>> stack(red=[0.5, 0.1], green=[0.4]).since(stack(grey=[9.0], red=[0.2])).round(9).tolist()
         [0.3, 0.0, 0.0]
         """
-        out, places = np.zeros(self.observed.size), {block.quantity: at for block, at in other.placed()}
-        for name, here, there in self.shared_with({name: other.bands[at] for name, at in places.items()}):
-            out[here] = self.observed[here] - other.observed[places[name]][there]
+        out, places = np.zeros(self.observed.size), {block.quantity: part for block, part in other.placed()}
+        for name, here, index in self.shared_with({name: other.bands[part] for name, part in places.items()}):
+            out[here] = self.observed[here] - other.observed[places[name]][index]
         return out
 
     def shared_with(self, bands: Mapping[str, npt.ArrayLike]) -> list[tuple[str, Index, Index]]:
         """Quantity, entries here and there of what another run has too, whose ``bands`` are as :attr:`bands`."""
-        same = [(block.quantity, at) for block, at in self.placed() if block.quantity in bands]
-        found = [(name, at, np.intersect1d(self.bands[at], bands[name], return_indices=True)) for name, at in same]
-        return [(name, at.start + here, there) for name, at, (_, here, there) in found if here.size]
+        same = [(block.quantity, i) for block, i in self.placed() if block.quantity in bands]
+        found = [(name, i, np.intersect1d(self.bands[i], bands[name], return_indices=True)) for name, i in same]
+        return [(name, i.start + here, other) for name, i, (_, here, other) in found if here.size]
 
     def predicted(self, prediction: Products) -> Array:
         """(n,) what a prediction says of the same quantities."""
@@ -198,30 +198,30 @@ class Stack:
         """
         lit = np.isin(self.named("product"), LIT)
         sums, counts = (np.bincount(self.bands[lit], x, centre_nm.size) for x in (level[lit], None))
-        own = np.where(lit, (sums / np.maximum(counts, 1))[self.bands] if alike else level, 0.0)
+        height = np.where(lit, (sums / np.maximum(counts, 1))[self.bands] if alike else level, 0.0)
         hats = [np.interp(centre_nm, knots_nm, one)[self.bands] for one in np.eye(len(knots_nm))]
-        return np.transpose(hats) * own[:, None]
+        return np.transpose(hats) * height[:, None]
 
     def unstructured(self, level: Array) -> Array:
         """(n, K) what may happen to each block by itself: a tenth of a spectrum or an SNR by smooth pieces, a tenth of
         each score and each logarithm.
         """
         parts = []
-        for block, at in self.placed():
+        for block, part in self.placed():
             n = block.observed.size
-            own = 0.1 * level[at] if block.bands is not None else np.full(n, 0.1)
+            height = 0.1 * level[part] if block.bands is not None else np.full(n, 0.1)
             knots = np.linspace(0.0, n - 1.0, min(n, PIECES))
-            parts.append(np.transpose([np.interp(np.arange(n), knots, one) * own for one in np.eye(knots.size)]))
+            parts.append(np.transpose([np.interp(np.arange(n), knots, one) * height for one in np.eye(knots.size)]))
         return np.asarray(linalg.block_diag(*parts))
 
     def mixed(self, level: Array, classes: Mapping[str, Mapping[str, Array]]) -> dict[str, Array]:
         """(n,) change of each subject's spectrum by a hundredth of a class's in its place: (B,) by product."""
         out = {}
-        for block, at in self.placed():
+        for block, part in self.placed():
             for name, other in classes.get(block.product, {}).items() if block.bands is not None else ():
                 if name != block.subject:
                     out[f"region of {block.subject} with pixels of {name}"] = change = np.zeros(level.size)
-                    change[at] = 0.01 * np.nan_to_num(other[block.bands] - level[at])
+                    change[part] = 0.01 * np.nan_to_num(other[block.bands] - level[part])
         return out
 
     def of_scene(self, classes: Mapping[str, Mapping[str, Array]], area: Mapping[str, float], other: Array) -> Array:
@@ -233,19 +233,19 @@ class Stack:
         [2.0, 1.0, 9.0]
         """
         out = other.copy()
-        for block, at in self.placed():
+        for block, part in self.placed():
             if block.product in LIT and (each := classes.get(block.product)):
                 spectra = np.ma.masked_invalid([x[block.bands] for x in each.values()])
                 average = np.ma.average(spectra, axis=0, weights=[area[n] for n in each])
-                out[at] = np.where(np.ma.getmaskarray(average), other[at], average)
+                out[part] = np.where(np.ma.getmaskarray(average), other[part], average)
         return out
 
     def levelled(self, level: Array) -> Array:
         """(n,) radiance that loses to its own mean over the bands what it has more than that."""
         out = np.zeros(level.size)
-        for block, at in self.placed():
+        for block, part in self.placed():
             if block.product in LIT:
-                out[at] = np.mean(level[at]) - level[at]
+                out[part] = np.mean(level[part]) - level[part]
         return out
 
     def single(self, level: Array) -> dict[Candidate, Array]:
@@ -280,7 +280,7 @@ class Stack:
         return [(b, slice(int(e) - b.observed.size, int(e))) for b, e in zip(self.blocks, ends, strict=True)]
 
 
-def stacked(predicted: Products, observed: Products) -> Stack:
+def stack_of(predicted: Products, observed: Products) -> Stack:
     """Everything both sides hold, as far as both have values there.
 
     An error of the calibration is a part of what is predicted, whatever the noise of what was measured.
@@ -289,7 +289,7 @@ def stacked(predicted: Products, observed: Products) -> Stack:
     >>> axis, noisy = SpectralAxis(np.array([500.0, 600.0]), 5.0), np.array([0.8, 1.2])
     >>> error = 1e-4 * np.outer(noisy, noisy)
     >>> sides = [SpectralEstimate(np.ones(2), 0.0 * error), SpectralEstimate(noisy, error, calibration=error)]
-    >>> stacked(*(PredictedProducts(axis, radiance={"lawn": side}) for side in sides)).covariance.round(7).tolist()
+    >>> stack_of(*(PredictedProducts(axis, radiance={"lawn": side}) for side in sides)).covariance.round(7).tolist()
     [[0.0001, 0.0001], [0.0001, 0.0001]]
     """
     return Stack(tuple(_blocks(predicted, observed)))
@@ -359,8 +359,8 @@ def hotelling_factor(directions: float, dof: float) -> float:
     >>> round(hotelling_factor(1, 10.0), 2), round(hotelling_factor(16, 35.0), 2)
     (1.29, 2.33)
     """
-    left = max(dof - directions + 1.0, 1.0)
-    student = dof * directions / left * special.fdtri(directions, left, 1.0 - ENOUGH)
+    freedom = max(dof - directions + 1.0, 1.0)
+    student = dof * directions / freedom * special.fdtri(directions, freedom, 1.0 - ENOUGH)
     return float(min(student / special.chdtri(directions, ENOUGH), MOST_WIDENED))
 
 
@@ -369,11 +369,11 @@ def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> Itera
         use = predicted.axis.good & (predicted.snr[subject].mean > 1.0) & (estimate.mean > 1.0)
     if use.any():
         value = estimate.mean[use]
-        own = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)] / np.outer(value, value))
+        errors = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)] / np.outer(value, value))
         # Bands hang together by what the same few pixels say: weights of the inverse lean on that, and called a noise
         # that was right 4 % too large.  Each band counts by itself, as much less as the mean of all is known less.
-        shared = max(float(own.sum() / np.trace(own)), 1.0)
-        covariance = np.diag(shared * np.diag(own) + LOG_FLOOR**2)
+        shared = max(float(errors.sum() / np.trace(errors)), 1.0)
+        covariance = np.diag(shared * np.diag(errors) + LOG_FLOOR**2)
         yield ResidualBlock(
             "snr", subject, "", np.log(value), covariance,
             lambda p: np.asarray(np.log(np.maximum(p.snr[subject].mean[use], 1e-3))),
@@ -381,15 +381,15 @@ def _snr(subject: str, predicted: Products, estimate: SpectralEstimate) -> Itera
 
 
 def _scores(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
-    seen: set[tuple[float, float, str]] = set()
+    counted: set[tuple[float, float, str]] = set()
     for key, score in observed.scores.items():
-        there, same, n = predicted.scores.get(key), (score.mean, score.sd, key[1]), score.n or 0
+        law, same, n = predicted.scores.get(key), (score.mean, score.sd, key[1]), score.n or 0
         usable = n >= 3 and np.isfinite(score.mean) and score.sd > 0
         # Pixels of one object are not independent: the object counts.  One filter's background stands under each
         # of its targets.
-        if there is not None and there.sd > 0 and usable and not few_objects(observed, *key) and same not in seen:
-            seen.add(same)
-            variances = score.errors(there) ** 2 + [SCORE_FLOOR**2, LOG_FLOOR**2]
+        if law is not None and law.sd > 0 and usable and not few_objects(observed, *key) and same not in counted:
+            counted.add(same)
+            variances = score.errors(law) ** 2 + [SCORE_FLOOR**2, LOG_FLOOR**2]
             yield ResidualBlock("scores", *key, _moments(key, observed), np.diag(variances), partial(_moments, key))
 
 
@@ -417,7 +417,7 @@ def _objects(key: tuple[str, str], predicted: ObjectScores, measured: ObjectScor
 
 def _false_alarms(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
     """Logarithm of the false-alarm rate at the thresholds that the data reach 1e-2 and 1e-3 with."""
-    seen: set[tuple[str, float]] = set()
+    counted: set[tuple[str, float]] = set()
     for key, curve in observed.roc.items():
         (subject, detector, unit), n = key, curve.n_background or 0
         rates = np.array([p for p in POINTS if p * n >= LEAST_ALARMS and p >= curve.pfa[0]])
@@ -425,8 +425,8 @@ def _false_alarms(predicted: Products, observed: Products) -> Iterator[ResidualB
             continue
         thresholds = np.interp(np.log(rates), np.log(curve.pfa), curve.threshold)
         same = (detector, round(float(thresholds[0]), 9))
-        if same not in seen and np.isfinite(thresholds).all():
-            seen.add(same)
+        if same not in counted and np.isfinite(thresholds).all():
+            counted.add(same)
             clustered = _clustered_variance(observed, subject, detector, thresholds)
             variance = np.maximum(1.0 / (rates * n) + RATE_FLOOR**2, clustered)
             yield ResidualBlock(
@@ -441,9 +441,9 @@ def _clustered_variance(observed: Products, subject: str, detector: str, thresho
         if method == detector and (subject == name or subject.startswith(f"{name} ")):
             with np.errstate(divide="ignore", invalid="ignore"):
                 half = (np.log(curve.upper) - np.log(curve.lower)) / 2.0
-            known = np.isfinite(half)
-            if known.any():
-                return np.asarray((np.interp(threshold, curve.threshold[known], half[known]) / Z95) ** 2)
+            finite = np.isfinite(half)
+            if finite.any():
+                return np.asarray((np.interp(threshold, curve.threshold[finite], half[finite]) / Z95) ** 2)
     return 0.0
 
 

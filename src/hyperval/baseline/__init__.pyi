@@ -20,6 +20,5 @@ from .accepted import (
 
 __all__ = [
     "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "RunNumbers", "accept", "accepted_of", "campaign_metrics",
-    "check", "compare", "load_baseline", "rows_of", "sensor_metrics", "split_key",
-    "today",
+    "check", "compare", "load_baseline", "rows_of", "sensor_metrics", "split_key", "today",
 ]  # fmt: skip

@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 import hyperval
-from hyperval.campaign import Job, as_before, command_without_output, jobs_of, package_versions, validate
+from hyperval.campaign import Job, command_without_output, jobs_of, package_versions, unchanged_run, validate
 from hyperval.compare import row
 from hyperval.config import FILL_IN, Model, load_model
 from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
@@ -149,12 +149,12 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
     names = {(r.product, s.strip(), r.method) for r in planned for s in (r.subject, *r.subject.split(","))}
 
     def is_named(row: Result) -> bool:
-        own = row.product, row.subject, row.method
-        return any(all(map(fnmatchcase, own, patterns)) for patterns in names)
+        names_of_row = row.product, row.subject, row.method
+        return any(all(map(fnmatchcase, names_of_row, patterns)) for patterns in names)
 
-    behind = [row for row in whole if row.product in metric_of(row.metric).behind and is_named(row)]
+    derived = [row for row in whole if row.product in metric_of(row.metric).behind and is_named(row)]
     metrics: dict[str, Result] = {}
-    for new in [*planned, *behind]:
+    for new in [*planned, *derived]:
         old = metrics.setdefault(new.key, new)
         metrics[new.key] = replace(old, outcome=min(old.outcome, new.outcome, key=WORST_FIRST.index))
     return dict(sorted(metrics.items()))
@@ -192,8 +192,8 @@ def _bands(axis: SpectralAxis) -> Iterator[Result]:
     yield _item("bands", "good", "band_count", int(axis.good.sum()))
     level = sunlit_radiance(axis, suite.MIDDLE)
     for line in LINES_NM:
-        if (at := axis.nearest(line)) is not None:
-            yield _item("bands", f"{line:g} nm", "reference_radiance", level[at])
+        if (band := axis.nearest(line)) is not None:
+            yield _item("bands", f"{line:g} nm", "reference_radiance", level[band])
 
 
 def _noise(check: SensorCheck) -> Iterator[Result]:
@@ -318,9 +318,9 @@ class RunNumbers:
     def versions(self) -> dict[str, str]:
         """What the numbers were computed with: by the run's record where it says so, else in this process."""
         record = self.run.provenance
-        there = record.get("packages") or package_versions()
-        known = {name: there[name] for name in PACKAGES if name in there}
-        return {"hyperval": hyperval.__version__, "python": record.get("python") or platform.python_version(), **known}
+        build = record.get("packages") or package_versions()
+        used = {name: build[name] for name in PACKAGES if name in build}
+        return {"hyperval": hyperval.__version__, "python": record.get("python") or platform.python_version(), **used}
 
     @property
     def skipped(self) -> str | None:
@@ -346,8 +346,8 @@ class RunNumbers:
         if not path.is_file():
             return None
         found = load_baseline(path)
-        own, of = (self.kind, self.run.campaign), f"{found.kind} {found.name!r}"
-        refuse((found.kind, found.name) != own, "baseline.other", path, wanted=" ".join(own), of=of)
+        wanted, of = (self.kind, self.run.campaign), f"{found.kind} {found.name!r}"
+        refuse((found.kind, found.name) != wanted, "baseline.other", path, wanted=" ".join(wanted), of=of)
         return found
 
     @property
@@ -397,8 +397,8 @@ def all_runs(
     InputError : a finished run that is not there.
     """
     refuse(not campaigns and not sensors, "baseline.nothing")
-    given = [part for text in sensors for part in text.split(",") if part]
-    chosen = {n: load_sensor(n) for part in given for n in (library_names() if part == ALL else (part,))}
+    named = [part for text in sensors for part in text.split(",") if part]
+    chosen = {n: load_sensor(n) for part in named for n in (library_names() if part == ALL else (part,))}
     jobs = jobs_of(*campaigns) if campaigns else []
     with scratch_folder("check") as scratch:
         folder = source or keep or scratch / RUNS
@@ -418,7 +418,7 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     run, title = Run.open(folder), job.outline.title
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)
-    stale = finished and (folder / RECORD).is_file() and as_before(job, folder) is None
+    stale = finished and (folder / RECORD).is_file() and unchanged_run(job, folder) is None
     refuse(stale, "baseline.stale", folder, name=name)
     run = replace(run, table=table, campaign=name, title=title, simulated=bool(job.outline.simulated))
     return RunNumbers("campaign", run, str(job.path), campaign_metrics(table))

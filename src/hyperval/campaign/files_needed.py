@@ -67,8 +67,8 @@ class Item:
 
     def general(self, text: str) -> str:
         """A text with the words of the run as they stand in its file, such as {line}: the same in every run."""
-        for word, own in sorted(self.words.items(), key=lambda item: -len(item[1])):
-            text = text.replace(own, f"{{{word}}}") if own else text
+        for word, value in sorted(self.words.items(), key=lambda item: -len(item[1])):
+            text = text.replace(value, f"{{{word}}}") if value else text
         return text
 
     @property
@@ -127,12 +127,12 @@ def summary(items: Sequence[Item]) -> list[str]:
     """One sentence for each campaign, or for several that lack the same; who holds what is missing."""
     states: dict[tuple[str, str], list[str]] = {}
     for name in dict.fromkeys(i.campaign for i in items):
-        own = [i for i in items if i.campaign == name]
-        files, values, wrong, never = (sum(i.state == s for i in own) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
-        told = (files, "file{} missing"), (values, "value{} to fill in"), (wrong, "unknown name{}")
-        words = [f"{count} {what.format('s' * (count > 1))}" for count, what in told if count]
+        rows = [i for i in items if i.campaign == name]
+        files, values, wrong, never = (sum(i.state == s for i in rows) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
+        counts = (files, "file{} missing"), (values, "value{} to fill in"), (wrong, "unknown name{}")
+        words = [f"{count} {what.format('s' * (count > 1))}" for count, what in counts if count]
         ready = "ready" + f"; {never} acceptance criteria can never be met" * bool(never)
-        states.setdefault((own[0].general(name), ", ".join(words) or ready), []).append(name)
+        states.setdefault((rows[0].general(name), ", ".join(words) or ready), []).append(name)
     who = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
     out = [f"{names}: {state}" for (_, state), names in who.items()]
     owners = {owner.name: owner for i in items if i.state == MISSING and (owner := owner_of(i.what)) is not None}
@@ -249,13 +249,13 @@ class Lookup:
             self.add(location, ": ".join(filter(None, (error.where, error.what + expected))))
             return None
 
-    def one(self, at: Location, name: str, known: Sequence[str], lacks: str, fits: Any = str.__eq__) -> None:
+    def one(self, at: Location, name: str, names: Sequence[str], lacks: str, fits: Any = str.__eq__) -> None:
         """A mistake where a name is none of ``known``, or fits none."""
-        if not any(fits(one, name) for one in known):
-            self.add(at, f"{lacks} {name!r}; expected: one of {', '.join(known) or 'none'}")
+        if not any(fits(one, name) for one in names):
+            self.add(at, f"{lacks} {name!r}; expected: one of {', '.join(names) or 'none'}")
 
     def spectra(
-        self, at: Location, entry: Any, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
+        self, location: Location, entry: Any, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
     ) -> None:
         """Read the spectrum of an entry, and its covariance, as the run does; of ``regions`` the names alone.
 
@@ -269,7 +269,7 @@ class Lookup:
             source: Any = getattr(entry, key, None)
             stated = {} if source is None else source.model_dump(exclude_none=True)
             if stated and "relative_sd" not in stated and not str(stated.get("file")).startswith(SIMULATED):
-                self.tried((*at, key), sources.spectrum, source, name)
+                self.tried((*location, key), sources.spectrum, source, name)
 
 
 def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
@@ -281,20 +281,20 @@ def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
     """
     for i, source in enumerate(job.campaign.scenarios):
         for one, file, lines in scenarios_of(source, lookup.find, job.folder, job.words):
-            own = {"file": file, "lines": lines} if file else {"at": ("scenarios", i)}
-            yield one, replace(lookup, find=partial(resolve, base=one.folder or job.folder), **own)
+            origin = {"file": file, "lines": lines} if file else {"at": ("scenarios", i)}
+            yield one, replace(lookup, find=partial(resolve, base=one.folder or job.folder), **origin)
 
 
 def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[Item]:
     """Every name of a campaign and its scenarios that does not fit."""
-    (axis, known), cube, detection = _offered(campaign, lookup), campaign.collection.cube, campaign.detection
-    for at, name in texts_of(campaign.model_dump(mode="json")):
-        noun, *more = NAMES.get(".".join(part for part in at if isinstance(part, str)), ("",))
-        if noun in known:
-            lookup.one(at, name, (*more, *known[noun]), f"no {noun}")
-    regions, subjects = known.get("region", ()), known.get("subject", ())
-    given = axis, regions if cube and (cube.quantity != "radiance" or campaign.collection.empirical_line) else ()
-    predicted = [name for scenario, own in scenarios for name in _predicted(scenario, own, *given)]
+    (axis, by_noun), cube, detection = _offered(campaign, lookup), campaign.collection.cube, campaign.detection
+    for location, name in texts_of(campaign.model_dump(mode="json")):
+        noun, *more = NAMES.get(".".join(part for part in location if isinstance(part, str)), ("",))
+        if noun in by_noun:
+            lookup.one(location, name, (*more, *by_noun[noun]), f"no {noun}")
+    regions, subjects = by_noun.get("region", ()), by_noun.get("subject", ())
+    offered = axis, regions if cube and (cube.quantity != "radiance" or campaign.collection.empirical_line) else ()
+    predicted = [name for scenario, look in scenarios for name in _predicted(scenario, look, *offered)]
     # Metrics that a product does not have, and subjects of spectra and curves that neither side has.
     pools = [pool.name for pool in detection.pools] if detection else []
     both = {**{name: [*regions, *subjects] for name in SPECTRA}, "roc": [*subjects, *pools]}
@@ -333,19 +333,19 @@ def _offered(campaign: Campaign, lookup: Lookup) -> Offered:
     collection, detection, cube = campaign.collection, campaign.detection, campaign.collection.cube
     kind = next(key for key in ("simulate", "cube", "spectra", "radcalnet") if getattr(collection, key))
     read = {"simulate": _simulated, "cube": _opened}.get(kind, _observed)
-    axis, known = lookup.tried(("collection", kind), read, campaign, lookup) or (None, {})
+    axis, names = lookup.tried(("collection", kind), read, campaign, lookup) or (None, {})
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
         lookup.spectra(("collection", "empirical_line", "panels", i), panel, panel.region, axis)
     if detection is not None and cube is not None:
         for i, target in enumerate(detection.targets if not cube.by_number else ()):  # which are read by bands
             lookup.spectra(("detection", "targets", i), target, target.name, axis)
-    return axis, known
+    return axis, names
 
 
 def _observed(campaign: Campaign, lookup: Lookup) -> Offered:
     """A collection without a cube, which takes no time to look at."""
-    seen = observe(campaign.collection, None, lookup.find).observation
-    return seen.axis, {"region": list(seen.toa_reflectance or seen.radiance)}
+    observation = observe(campaign.collection, None, lookup.find).observation
+    return observation.axis, {"region": list(observation.toa_reflectance or observation.radiance)}
 
 
 def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
@@ -358,27 +358,27 @@ def _opened(campaign: Campaign, lookup: Lookup) -> Offered:
 
     place, names = opened(), list[str]()
     for i, source in enumerate(collection.regions):
-        at = "collection", "regions", i
+        location = "collection", "regions", i
         if part := source.half or source.ring:
-            lookup.one((*at, "half" if source.half else "ring", "of"), part.of, names, "no region")
+            lookup.one((*location, "half" if source.half else "ring", "of"), part.of, names, "no region")
         if part or source.normalized_difference is not None:
             names.append(str(source.name))
-        elif drawn := lookup.tried(at, opened, regions=[source]):
+        elif drawn := lookup.tried(location, opened, regions=[source]):
             names += drawn.regions
     for name in twice(names):
         lookup.add(("collection", "regions"), f"two regions are named {name!r}")
-    known: dict[str, Sequence[str]] = {"region": names}
-    seen = lookup.tried(("collection", "targets"), opened, targets=collection.targets) if collection.targets else place
-    if detection is not None and detection.targets and seen is not None:  # else one mistake would make others
-        lookup.tried(("detection",), check_line_for_detection, seen, collection)
+    offered: dict[str, Sequence[str]] = {"region": names}
+    truth = lookup.tried(("collection", "targets"), opened, targets=collection.targets) if collection.targets else place
+    if detection is not None and detection.targets and truth is not None:  # else one mistake would make others
+        lookup.tried(("detection",), check_line_for_detection, truth, collection)
         for i, target in enumerate(detection.targets):
-            at = "detection", "targets", i
-            groups = lookup.tried((*at, "material"), target_groups, seen.targets, target, detection.group)
-            known["subject"] = [*known.get("subject", ()), *(groups or ())]
-    if detection and (detection.areas or detection.unmixing) and (seen or place).pixel_area_m2 is None:
+            location = "detection", "targets", i
+            groups = lookup.tried((*location, "material"), target_groups, truth.targets, target, detection.group)
+            offered["subject"] = [*offered.get("subject", ()), *(groups or ())]
+    if detection and (detection.areas or detection.unmixing) and (truth or place).pixel_area_m2 is None:
         lacks = "areas need the ground area of a pixel, which neither the cube's map nor targets.pixel_size_m states"
         lookup.add(("detection", "areas" if detection.areas else "unmixing"), lacks)
-    return place.cube.axis, known
+    return place.cube.axis, offered
 
 
 def _simulated(campaign: Campaign, lookup: Lookup) -> Offered:
@@ -386,15 +386,15 @@ def _simulated(campaign: Campaign, lookup: Lookup) -> Offered:
     collection, detection = campaign.collection, campaign.detection
     file = lookup.find(str(collection.simulate))
     scene = load_scene(file)
-    own = file.parent / scene.sensor
+    sensor_file = file.parent / scene.sensor
     written = [p.name for p in scene.panels]
     drawn = (*(r.name for r in scene.regions), *(str(r.name) for r in collection.regions if not r.file))
     for i, panel in enumerate(collection.empirical_line.panels if collection.empirical_line else ()):
         if panel.spectrum.file == f"{SIMULATED}panel_spectra.csv":
-            at = "collection", "empirical_line", "panels", i, "spectrum"
-            lookup.one(at, str(panel.spectrum.record), written, "the simulation writes no spectrum")
-    known: dict[str, Sequence[str]] = {"region": [*written, *drawn]}
-    known["target of material"] = list(dict.fromkeys(g.material for g in scene.targets))
+            location = "collection", "empirical_line", "panels", i, "spectrum"
+            lookup.one(location, str(panel.spectrum.record), written, "the simulation writes no spectrum")
+    offered: dict[str, Sequence[str]] = {"region": [*written, *drawn]}
+    offered["target of material"] = list(dict.fromkeys(g.material for g in scene.targets))
     if detection is not None and detection.group == "{group}":  # else by columns of what is only to be written
-        known["subject"] = [g.name for g in scene.targets]
-    return load_sensor(str(own) if own.is_file() else scene.sensor).axis, known
+        offered["subject"] = [g.name for g in scene.targets]
+    return load_sensor(str(sensor_file) if sensor_file.is_file() else scene.sensor).axis, offered

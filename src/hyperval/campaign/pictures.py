@@ -61,10 +61,10 @@ def scene_content(
     of_targets = np.zeros(numbers.shape, bool)
     for one in (target for target in place.targets if target.name in kinds):
         contents += [kinds[one.name]] if kinds[one.name] not in contents else []
-        own = scored_part(one, place)
-        shared = of_targets[own.window][own.part]
-        numbers[own.window][own.part] = np.where(shared, -1, contents.index(kinds[one.name]))
-        own.paint(of_targets)
+        part = scored_part(one, place)
+        shared = of_targets[part.window][part.part]
+        numbers[part.window][part.part] = np.where(shared, -1, contents.index(kinds[one.name]))
+        part.paint(of_targets)
     return numbers, contents
 
 
@@ -87,10 +87,10 @@ def score_maps(
         return {}
     cube, size = observed.place.cube, observed.place.pixel_area_m2
     maps = expected_maps(observed.place, detection, prediction.expected_scores) if prediction else {}
-    said = {(r.subject, r.method): r.reason for r in rows if r.metric == "pfa_ratio_without@1e-2"}
+    reasons = {(r.subject, r.method): r.reason for r in rows if r.metric == "pfa_ratio_without@1e-2"}
     carried = {}
     for key, law in prediction.exceedance.items() if prediction else ():
-        if law.influence is not None and (words := said.get((background_of(key[0]), key[1]))):
+        if law.influence is not None and (words := reasons.get((background_of(key[0]), key[1]))):
             measured = observed.observation.exceedance[key]
             threshold = float(measured.threshold[false_alarm_ratio(law, measured, 1e-2).at])
             ratio = np.append(law.influence.at(threshold), np.nan)[law.influence.number]
@@ -140,7 +140,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
     for row, values in zip(colours, picture, strict=True):  # the whole picture in float64 would be the run's peak
         row[:] = np.rint(255.0 * np.nan_to_num(np.clip((values - offset) / gain / high, 0.0, 1.0)) ** GAMMA)
     number, members = observed.place.labels.number[::step, ::step], observed.place.regions.members.items()
-    outlines = {name: own[number] for name, own in members if name not in observed.place.by_rule}
+    outlines = {name: mask[number] for name, mask in members if name not in observed.place.by_rule}
     if observed.place.targets:
         outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
     size = observed.place.pixel_area_m2

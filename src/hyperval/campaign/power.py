@@ -55,8 +55,8 @@ class Injected(Model):
     @property
     def sight(self) -> Sight:
         """How far it is seen."""
-        seen = Sight.GATES if self.gates else Sight.INFORMING if self.informing else Sight.UNSEEN
-        return Sight.NOT_APPLICABLE if self.not_applicable else seen
+        sight = Sight.GATES if self.gates else Sight.INFORMING if self.informing else Sight.UNSEEN
+        return Sight.NOT_APPLICABLE if self.not_applicable else sight
 
     @property
     def words(self) -> str:
@@ -153,9 +153,9 @@ class PowerTable(Model):
         by = {sight: [name for name, one in self.errors.items() if one.sight is sight] for sight in Sight}
         injected = len(self.errors) - len(by[Sight.NOT_APPLICABLE])
         parts = [f"The criteria detect {len(by[Sight.GATES])} of {injected} injected model errors."]
-        told = {Sight.INFORMING: "Informational comparisons alone detect"}
+        phrase = {Sight.INFORMING: "Informational comparisons alone detect"}
         others = [sight for sight in Sight if sight is not Sight.GATES and by[sight]]
-        parts += [f"{told.get(s, s.capitalize())}: {', '.join(by[s])}." for s in others]
+        parts += [f"{phrase.get(s, s.capitalize())}: {', '.join(by[s])}." for s in others]
         if self.disagreeing:
             some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
             parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")
@@ -277,9 +277,9 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
             """
             sides: list[tuple[PredictedProducts, Truth]] = [(plain, {}) for plain in stated]
             refused = []
-            for i, (scenario, own) in enumerate(zip(here.scenarios, origins, strict=True)):
+            for i, (scenario, origin) in enumerate(zip(here.scenarios, origins, strict=True)):
                 try:
-                    sides[i] = attribute.injected_prediction(scenario, error, own, objects=True)
+                    sides[i] = attribute.injected_prediction(scenario, error, origin, objects=True)
                 except attribute.NotInjectable as why:
                     refused.append(why.what)
             if len(refused) == len(sides):
@@ -316,7 +316,7 @@ def _calibrated(causes: attribute.Causes) -> Reasons:
         if first != attribute.NOTHING:  # that chance explains a small error is no mistake
             stated.append((found.probability[found.first], first == kind))
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
-    calibration = [(low + 0.1, round(sum(own) / len(own), 3), len(own)) for low, own in steps if own]
+    calibration = [(low + 0.1, round(sum(hits) / len(hits), 3), len(hits)) for low, hits in steps if hits]
     standing = causes.standing()[1]
     chi_square = float(f"{standing.chi_square / standing.dof:.{DIGITS}g}")
     return Reasons(

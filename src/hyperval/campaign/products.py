@@ -22,7 +22,7 @@ from hyperval.atmosphere.solar import parse_utc
 from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place, scale_warnings
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
-from hyperval.compare import compare_products, judged, told_apart, would_decide
+from hyperval.compare import compare_products, judged, marked_as_fitted, would_decide
 from hyperval.compare.spectra import LEAST_OF_NOISE, snr_beside_texture
 from hyperval.config import twice
 from hyperval.data import NUMERICAL_DETECTORS, Mask
@@ -38,7 +38,7 @@ from hyperval.settings import with_settings
 from hyperval.storage import scratch_folder
 
 
-def as_collected(scenario: Scenario, place: observe.Place | None, detection: Detection | None) -> Scenario:
+def completed_scenario(scenario: Scenario, place: observe.Place | None, detection: Detection | None) -> Scenario:
     """The scenario with what it leaves to the collection; as it is where everything is stated.
 
     ``scene.fractions: measured``: a class counts the pixels of the region of its name, else of the one that its
@@ -50,24 +50,24 @@ def as_collected(scenario: Scenario, place: observe.Place | None, detection: Det
     UsageError : no image, a class without a region, or no pixel in any; a subject whose objects the truth does not
         know, or not by the fill of their pixels.
     """
-    told: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     if scenario.scene.fractions != "stated":
         place = needed(place, "fractions.image", name=scenario.name)
         counts = {c.name: int(place.pixels_of(_region_of(c, place)).sum()) for c in scenario.scene.classes}
         refuse(not any(counts.values()), "fractions.none", name=scenario.name)
-        told = {f"scene.classes.[{name}].fraction": n / sum(counts.values()) for name, n in counts.items()}
+        settings = {f"scene.classes.[{name}].fraction": n / sum(counts.values()) for name, n in counts.items()}
     asked = {
         f"scene.targets.[{t.name}]{f'.subjects.[{p.name}]' * bool(t.subjects)}.fill": p.name
         for t in scenario.scene.targets
         for p in t.populations
         if p.fill.truth is not None
     }
-    known = observe.fills_of(_members(place, detection)) if asked else {}
+    fills = observe.fills_of(_members(place, detection)) if asked else {}
     for path, name in asked.items():
-        there = one_of(known, "targets from a finer image or from abundances")
-        refuse(name not in known, "fractions.fill", name=name, there=there)
-        told[path] = {"listed": known[name]}
-    return with_settings(scenario, told) if told else scenario
+        offered = one_of(fills, "targets from a finer image or from abundances")
+        refuse(name not in fills, "fractions.fill", name=name, there=offered)
+        settings[path] = {"listed": fills[name]}
+    return with_settings(scenario, settings) if settings else scenario
 
 
 def _region_of(surface: BackgroundClass, place: observe.Place) -> str:
@@ -114,8 +114,8 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
         if state is not None and state.time_utc is not None:
             yield from time_notes(place.cube.raster.description.entries, parse_utc(str(state.time_utc)), scenario.name)
         if state is not None and sun is not None and abs(sun[0] - state.sun[0]) > MAX_SUN_DEG:
-            at = f"at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at {state.sun[0]:.2f} in {named}"
-            yield f"warning: the sun is {at}"
+            angles = f"at a zenith angle of {sun[0]:.2f} degrees in {sun[1]}, at {state.sun[0]:.2f} in {named}"
+            yield f"warning: the sun is {angles}"
         latitude, longitude = (state.latitude_deg, state.longitude_deg) if state is not None else (None, None)
         if where is not None and latitude is not None and longitude is not None:
             north, east = where[0] - latitude, (where[1] - longitude + 180.0) % 360.0 - 180.0  # on a sphere
@@ -174,7 +174,7 @@ def _of_fractions(detection: Detection | None, place: observe.Place, scenario: S
 def _of_model(side: Collected, scenario: Scenario) -> Iterator[str]:
     """Warnings where bands of the image are not as wide as the sensor's, or its filters look for another spectrum."""
     detected, detection, place = side.observed.detected, side.campaign.detection, side.observed.place
-    stated, axis = model.read(scenario, side.origins(scenario)).stated, side.observed.observation.axis
+    stated, axis = model.read_world(scenario, side.origins(scenario)).stated, side.observed.observation.axis
     own = stated.sensor.axis if stated.sensor is not None else axis
     times = float(np.median(axis.fwhm_nm / np.interp(axis.centre_nm, own.centre_nm, own.fwhm_nm)))
     if max(times, 1.0 / times) > 1.2:  # as much more of the signal
@@ -213,13 +213,13 @@ def _differences(place: observe.Place, fill: Fill, members: Sequence[TargetObjec
     counted = float(np.mean([np.count_nonzero(observe.scored_part(o, place).part) for o in members]))
     pixel_m, sides_m = math.sqrt(place.pixel_area_m2 or 0.0), [o.side_m for o in members if math.isfinite(o.side_m)]
     side_m = float(np.mean(sides_m)) if sides_m else None
-    for words, own, other, most in (
+    for words, value, other, most in (
         ("the prediction counts {:.3g} pixels for each object, the truth {:.3g}", stated, counted, MAX_PIXEL_RATIO),
         ("its pixels are {:g} m wide (gsd_m), those of the image {:.3g} m", geometry.gsd_m, pixel_m, MAX_LENGTH_RATIO),
         ("its sides are {:g} m (side_m), those of the truth {:.3g} m", geometry.side_m, side_m, MAX_LENGTH_RATIO),
     ):
-        if own and other and max(own / other, other / own) > most:
-            yield words.format(own, other)
+        if value and other and max(value / other, other / value) > most:
+            yield words.format(value, other)
 
 
 @dataclass(frozen=True)
@@ -254,8 +254,8 @@ class Collected:
         counted = place.pixels_of(*detection.false_alarms) & np.isfinite(scores)
         number, first = np.full(scores.shape, -1), 0
         for region, without in law.left_out.items():
-            own = self._laws.parts(region)
-            number = np.where(counted & (number < 0) & (own >= 0), own + first, number)
+            parts = self._laws.parts(region)
+            number = np.where(counted & (number < 0) & (parts >= 0), parts + first, number)
             first += len(without)
         others = counted & (number < 0)
         number[others] = first + compact_parts(*np.nonzero(others))
@@ -296,7 +296,7 @@ def collected(
         )
         for path in observed.place.source_files if observed.place is not None else ():  # such as a cube's header
             inputs.add(path)
-        scenarios = [as_collected(scenario, observed.place, campaign.detection) for scenario in scenarios]
+        scenarios = [completed_scenario(scenario, observed.place, campaign.detection) for scenario in scenarios]
         yield Collected(campaign, inputs, scenarios, observed, seed)
 
 
@@ -317,27 +317,27 @@ def predicted_side(
     if (unmixed := observed.unmixed) and detection and (how := detection.unmixing):
         truths = truths or [{} for _ in side.scenarios]
         for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
-            own = scenario, side.origins(scenario), truth, prediction
-            areas |= model.predicted_areas(*own, unmixed, how.draws, how.seed)
-    whole = joined(side, side.scenarios, predictions)
+            inputs = scenario, side.origins(scenario), truth, prediction
+            areas |= model.predicted_areas(*inputs, unmixed, how.draws, how.seed)
+    whole = joined_prediction(side, side.scenarios, predictions)
     errors = whole.classification
     if task is not None:
         quantity = str(observed.observation.provenance.get("quantity", "radiance"))
         training = observe.training_pixels(task, observed.observation.distribution, observed.masks)
-        sides = merged(predictions), observe.class_sets(task), task.features
+        sides = merged_predictions(predictions), observe.class_sets(task), task.features
         errors = model.predicted_classification(*sides, quantity, task.seed, training)
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
     return replace(whole, classification=errors, exceedance=shared, abundance=areas)
 
 
-def joined(
+def joined_prediction(
     side: Collected, scenarios: Sequence[Scenario], predictions: Sequence[PredictedProducts]
 ) -> PredictedProducts:
     """The predictions of scenarios in one, without what came from its collection, and with the campaign's pools.
 
     Their curves are averaged as the collection counts its targets.
     """
-    whole = without_circles(merged(predictions), scenarios, side.observed.place)
+    whole = without_circular_spectra(merged_predictions(predictions), scenarios, side.observed.place)
     curves, observed, detection = dict(whole.roc), side.observed.observation.roc, side.campaign.detection
     for pool in detection.pools if detection is not None else ():
         for name, detector, unit in observed:
@@ -348,7 +348,7 @@ def joined(
     return replace(whole, roc=curves)
 
 
-def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
+def merged_predictions(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
     """One prediction out of several scenarios on the same axis; no subject may stand in two of them."""
     first, *rest = predictions
     if not rest:
@@ -362,7 +362,7 @@ def merged(predictions: Sequence[PredictedProducts]) -> PredictedProducts:
     return replace(first, **parts, notes=tuple(dict.fromkeys(n for p in predictions for n in p.notes)))
 
 
-def without_circles(
+def without_circular_spectra(
     prediction: PredictedProducts, scenarios: Sequence[Scenario], place: observe.Place | None = None
 ) -> PredictedProducts:
     """The prediction without what was taken from the collection it is compared with: that agrees whatever is wrong.
@@ -373,8 +373,8 @@ def without_circles(
     surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
     taken = {s.name for s in surfaces if s.spectrum.measured is not None}
     measured = [(s.name, s.covariance.measured) for s in surfaces if s.covariance and s.covariance.measured is not None]
-    known: Mapping[str, Mask] = place.regions if place is not None else {}
-    spread = {own for own, of in measured if not {own, of} <= known.keys() or np.any(known[own] & known[of])}
+    masks: Mapping[str, Mask] = place.regions if place is not None else {}
+    spread = {name for name, of in measured if not {name, of} <= masks.keys() or np.any(masks[name] & masks[of])}
     radiance, reflectance = (
         {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in spectra.items() if k not in taken}
         for spectra in (prediction.radiance, prediction.reflectance)
@@ -406,7 +406,7 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     method = "+".join(sorted({s.atmosphere.engine for s in side.scenarios if s.atmosphere})) or "statistics"
     margin, fitted_on = campaign.equivalence_margin, campaign.fitted_on
     rows = compare_products(*sides, method=method, equivalence_margin=margin, fitted_on=fitted_on)
-    return told_apart(judged(rows, campaign.comparisons), fitted_on)
+    return marked_as_fitted(judged(rows, campaign.comparisons), fitted_on)
 
 
 def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:
@@ -430,9 +430,9 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
     A signal-to-noise ratio that is in part texture is not asked about.
     """
 
-    def of_noise(seen: Products) -> Products:
-        kept = {s: e for s, e in seen.snr.items() if np.median(snr_beside_texture(prediction, s)) >= LEAST_OF_NOISE}
-        return replace(seen, snr=kept)
+    def of_noise(products: Products) -> Products:
+        kept = {s: e for s, e in products.snr.items() if np.median(snr_beside_texture(prediction, s)) >= LEAST_OF_NOISE}
+        return replace(products, snr=kept)
 
     observation = of_noise(side.observed.observation)
     # Where every object is one pixel, the scores of pixels say the same.
@@ -460,7 +460,7 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
 
     def predicted(scenarios: Sequence[Scenario], truths: Sequence[Truths], budgeted: bool) -> Iterator[Products]:
         sides = [moved_side(s, [truth[i] for truth in truths], budgeted) for i, s in enumerate(scenarios)]
-        return (joined(side, scenarios, parts) for parts in zip(*sides, strict=True))
+        return (joined_prediction(side, scenarios, parts) for parts in zip(*sides, strict=True))
 
     def measured_again(changes: Mapping[str, Any], mistake: Mapping[str, Any]) -> Products:
         if "exchanged" in mistake and not side.observed.place:
@@ -481,7 +481,7 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
         return of_noise(observe.observe(campaign.collection, detection, side.inputs.resolve, before=before).observation)
 
     looked_for = spectra_of(side.campaign.detection.targets if side.campaign.detection else ())
-    worlds = [model.read(scenario, side.origins(scenario)) for scenario in side.scenarios]
+    worlds = [model.read_world(scenario, side.origins(scenario)) for scenario in side.scenarios]
     sides = observation, prediction
     return ScenarioModel(side.scenarios, worlds, predicted, *sides, measured_again, exchanges_of(side), looked_for)
 
@@ -525,8 +525,8 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
     of_model = spectra_of(target for scenario in side.scenarios for target in scenario.scene.targets)
     in_place = others_in_place(spectra_of(detection.targets if detection else ()), of_model, "of the model")
     looked_for = in_place if len(in_place) <= _MOST_TRIED else {}
-    behind = detection.background if detection and place else []
-    others = [name for name in (*place.regions, observe.SCENE) if [name] != behind] if place and behind else []
+    background = detection.background if detection and place else []
+    others = [name for name in (*place.regions, observe.SCENE) if [name] != background] if place and background else []
     steps: dict[float, dict[float, dict[str, float]]] = {}
     for region in collection.regions:
         rule = region.normalized_difference

@@ -57,9 +57,9 @@ def command_without_output(arguments: Sequence[str] | None = None) -> list[str]:
 
     Two runs into different folders have the same provenance.
     """
-    program, *given = [*(command_line() if arguments is None else arguments)] or [""]
+    program, *words = [*(command_line() if arguments is None else arguments)] or [""]
     out, skip = [Path(program).name] if program else [], False
-    for word in given:
+    for word in words:
         path = Path(word)
         of_place = re.match(r"(--output|--data-dir|--junit)(=|$)|-o", word)
         # Left out is what gives the same results.

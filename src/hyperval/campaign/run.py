@@ -28,7 +28,7 @@ from hyperval.compare import product_rows
 from hyperval.datasets import SIMULATED, InputLog, owner_of, resolve
 from hyperval.errors import HypervalError, MissingDataError, refuse, words_and_code
 from hyperval.executors import WorkersLostError, in_order, worker_count, workers
-from hyperval.imagery import COMPANIONS, companion
+from hyperval.imagery import COMPANIONS, companion_file
 from hyperval.model import predict
 from hyperval.observe import Observed, open_source
 from hyperval.observe import write_reflectance as reflectance_cube
@@ -92,12 +92,12 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         power, prediction = accepted_table(campaign.name, side.inputs.base), predicted_side(side, predicted)
         rows = outcomes(side, prediction)
         deciding = undecided(side, rows, prediction)
-        told = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
-        rows = [replace(row, reason=told[id(row)]) if id(row) in told else row for row in rows]
+        reason_of = {id(row): f"{row.reason}; it takes {words}".removeprefix("; ") for row, words in deciding}
+        rows = [replace(row, reason=reason_of[id(row)]) if id(row) in reason_of else row for row in rows]
         if campaign.attribution is not None:  # why the two sides differ
-            since = (known.sides, known.reduced_chi_square) if power and (known := power.reasons) else None
-            own = asked_again(side, prediction), campaign.attribution, since
-            rows += attribute(*own, simulated=bool(campaign.simulated))
+            since = (reasons.sides, reasons.reduced_chi_square) if power and (reasons := power.reasons) else None
+            asked = asked_again(side, prediction), campaign.attribution, since
+            rows += attribute(*asked, simulated=bool(campaign.simulated))
     else:
         rows = list(product_rows(observed.observation, "observed"))
     notes = ["the collection is imagery and truth that DIRSIG made"] if campaign.simulated == "dirsig" else []
@@ -118,10 +118,10 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
 
 def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
     """What a campaign's file and its rows alone say; ``more`` : other fields of :class:`hyperval.run.Run`."""
-    own: dict[str, Any] = {name: getattr(campaign, name) for name in ("title", "description", "references")}
-    own["computed"] = isinstance(campaign, Campaign) and campaign.collection.radcalnet is not None  # by a network
+    fields: dict[str, Any] = {name: getattr(campaign, name) for name in ("title", "description", "references")}
+    fields["computed"] = isinstance(campaign, Campaign) and campaign.collection.radcalnet is not None  # by a network
     table = ResultTable(of_campaign(rows, campaign.name))
-    return Run(table, campaign=campaign.name, simulated=bool(campaign.simulated), **own, **more)
+    return Run(table, campaign=campaign.name, simulated=bool(campaign.simulated), **fields, **more)
 
 
 def unfinished(job: Job, outcome: Outcome, reason: str, remedy: str = "") -> Run:
@@ -178,7 +178,7 @@ def _named(job: Job) -> list[str]:
     paths = [path for one in job.files if one.path is not None for path in matching(one.path)]
     if (collection := job.campaign.collection).cube is not None and not collection.simulate:
         raster = open_source(collection.cube, partial(resolve, base=job.folder), collection.bands).raster
-        paths += [*raster.source_files, *filter(None, (companion(raster.path, kind) for kind in COMPANIONS))]
+        paths += [*raster.source_files, *filter(None, (companion_file(raster.path, kind) for kind in COMPANIONS))]
     return sorted({path.name for path in paths})
 
 
@@ -203,11 +203,11 @@ class CampaignRun(NamedTuple):
         Each file of an earlier run gets a second name; nothing is copied where the file system knows several names
         of a file.  What else stands there stays.
         """
-        if run := as_before(self.job, self.folder):
+        if run := unchanged_run(self.job, self.folder):
             return run
         shutil.rmtree(self.folder, ignore_errors=True)
         self.folder.mkdir(parents=True)
-        if self.earlier is None or (run := as_before(self.job, self.earlier)) is None:
+        if self.earlier is None or (run := unchanged_run(self.job, self.earlier)) is None:
             return None
         for name in (*json.loads((self.earlier / RECORD).read_bytes())["outputs"], RECORD):
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -248,7 +248,7 @@ class CampaignRun(NamedTuple):
         return replace(run, table=table, given={}, score_maps={}, quicklook=None), code
 
 
-def as_before(job: Job, folder: Path) -> Run | None:
+def unchanged_run(job: Job, folder: Path) -> Run | None:
     """The report that stands whole in ``folder``, without its arrays, where it is unchanged."""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError, HypervalError):
         record, log = json.loads((folder / RECORD).read_bytes()), InputLog(job.folder)
@@ -264,14 +264,14 @@ def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callabl
     done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
     for run, _ in done.values():
         tell(f"{run.campaign}: unchanged since the earlier run, whose results are kept (--again repeats it)")
-    left = [i for i in range(len(pieces)) if i not in done]
-    with workers(worker_count(len(left)), scheduler if left else None) as where:
+    todo = [i for i in range(len(pieces)) if i not in done]
+    with workers(worker_count(len(todo)), scheduler if todo else None) as where:
         here = where.executor is None  # one after the other, each with its own bars
-        results = in_order(where, CampaignRun.run, [pieces[i] for i in left], ahead=max(1, len(left)))
+        results = in_order(where, CampaignRun.run, [pieces[i] for i in todo], ahead=max(1, len(todo)))
         try:
-            done |= zip(left, track(results, "campaigns", len(left), show=False if here else None), strict=False)
+            done |= zip(todo, track(results, "campaigns", len(todo), show=False if here else None), strict=False)
         except WorkersLostError as error:  # the campaigns whose results are not there yet
-            done |= {i: pieces[i].failed(error) for i in left if i not in done}
+            done |= {i: pieces[i].failed(error) for i in todo if i not in done}
     return [done[i] for i in range(len(pieces))]
 
 

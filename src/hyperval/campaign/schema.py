@@ -114,8 +114,8 @@ def scenarios_of(
     else:
         path = resolve(source if isinstance(source, str) else source.scenario)
         data, lines = load_yaml(path)
-        for at in [{}] if isinstance(source, str) else _words(source, resolve(source.radcalnet), data, path):
-            made = validate(Scenario, with_words(with_words(data, words), at), lines, str(path))
+        for of_time in [{}] if isinstance(source, str) else _words(source, resolve(source.radcalnet), data, path):
+            made = validate(Scenario, with_words(with_words(data, words), of_time), lines, str(path))
             made._folder = path.resolve().parent
             yield made, path, lines
 
@@ -290,8 +290,8 @@ class Job:
         """What it says of itself, which needs no value to be filled in; UsageError for mistakes in that."""
         if not self.to_fill_in:
             return self.campaign
-        own, whole = Outline.model_fields, Campaign.model_fields  # unknown keys are left in, so that they are named
-        content = {key: value for key, value in self.content.items() if key in own or key not in whole}
+        fields, whole = Outline.model_fields, Campaign.model_fields  # unknown keys are left in, so that they are named
+        content = {key: value for key, value in self.content.items() if key in fields or key not in whole}
         return validate(Outline, content, self.lines, str(self.path))
 
     @cached_property
@@ -343,13 +343,13 @@ def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int]
 
 def _files(content: Any, base: Path) -> Iterator[Reference]:
     for location, text in texts_of(content):
-        at = [part for part in location if isinstance(part, str)]  # not the number of an entry of a list
-        key = at[-1] if at else ""
+        keys = [part for part in location if isinstance(part, str)]  # not the number of an entry of a list
+        key = keys[-1] if keys else ""
         name = (reference_of(text) or "") if key == "solar_spectrum" else text
         is_sensor = key == "sensor" and name.endswith((".yaml", ".yml"))
-        is_file = key in FILE_KEYS or "rasters" in at or is_sensor or name.startswith(PREFIX)
+        is_file = key in FILE_KEYS or "rasters" in keys or is_sensor or name.startswith(PREFIX)
         if name and is_file and not text.startswith((SIMULATED, FILL_IN)):
-            yield Reference(".".join(at), name, base)
+            yield Reference(".".join(keys), name, base)
 
 
 @reader
@@ -399,6 +399,6 @@ def jobs_of(*paths: Path, compares: bool = True) -> list[Job]:
     jobs = [job if compares else job.observing for path in paths for job in read_jobs(path)]
     for job in jobs:
         job.check(compares=compares)
-    for name, own in grouped(jobs, lambda job: job.outline.name).items():
-        refuse(len(own) > 1, "campaign.twice", " and ".join(dict.fromkeys(str(job.path) for job in own)), name=name)
+    for name, same in grouped(jobs, lambda job: job.outline.name).items():
+        refuse(len(same) > 1, "campaign.twice", " and ".join(dict.fromkeys(str(job.path) for job in same)), name=name)
     return jobs

@@ -159,9 +159,9 @@ class Draft:
         lines, samples, bands = self.raster.size
         asked = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
         header = self.reference(sources.header) if sources.header else None
-        told = {"header": header, "variable": sources.key or None, "scale": sources.scale}
+        entries = {"header": header, "variable": sources.key or None, "scale": sources.scale}
         cube: Entry = {"path": self.reference(sources.cube), "quantity": asked}
-        cube |= {key: value for key, value in told.items() if value is not None}
+        cube |= {key: value for key, value in entries.items() if value is not None}
         self.collection |= {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]}
         self.collection["regions"] = self.collection["regions"] or [_WHOLE]
         what = f"{quantity or 'unknown'} image of {lines} lines, {samples} samples and {bands} bands"
@@ -185,7 +185,7 @@ class Draft:
         else:
             self._by_wavelength()
         self._unused()
-        guesses = [f"{'.'.join(at)}: {because}" for at, because in self.guesses.items()]
+        guesses = [f"{'.'.join(location)}: {because}" for location, because in self.guesses.items()]
         self.content["assumptions"] = [f"guess: {text}" for text in guesses] or ["none beyond what the files state"]
         return guesses
 
@@ -209,10 +209,10 @@ class Draft:
         lines = yaml.dump(self.content, Dumper=_Written, **style).splitlines()
         places = parse_yaml("\n".join(lines))[1]
         comments: dict[int, str] = {}
-        for at, because in self.guesses.items():
-            place: Location = (at[0], 0, *at[1:]) if at[0] == "scenarios" and len(at) > 1 else at
+        for key, because in self.guesses.items():
+            place: Location = (key[0], 0, *key[1:]) if key[0] == "scenarios" and len(key) > 1 else key
             if place in places:
-                row, keys = places[place] - 1, "|".join(at)
+                row, keys = places[place] - 1, "|".join(key)
                 while not re.match(rf"[- ]*({keys}):", lines[row]):  # what begins below its key, or within a line
                     row -= 1
                 indent = len(lines[row]) - len(lines[row].lstrip())
@@ -245,14 +245,14 @@ class Draft:
         matched = {region: match for region in place.regions if (match := self.matching(region))}
         flat = [region for region, match in matched.items() if match.flat]
         panels = [region for region in place.regions if _PANEL.search(region) or (len(flat) > 1 and region in flat)]
-        known = [panel for panel in panels if panel in matched]
-        if quantity == "counts" and len(known) < 2:
+        usable = [panel for panel in panels if panel in matched]
+        if quantity == "counts" and len(usable) < 2:
             self._by_objects("no line")
             return
-        if quantity != "reflectance" and len(known) > 1:
-            entries = [{"region": panel, "spectrum": matched[panel].source} for panel in known]
+        if quantity != "reflectance" and len(usable) > 1:
+            entries = [{"region": panel, "spectrum": matched[panel].source} for panel in usable]
             collection["empirical_line"] = {"panels": entries}
-            self.guess("line", panels=", ".join(known))
+            self.guess("line", panels=", ".join(usable))
         if panels:
             collection["leave_out"] = collection["snr_regions"] = panels
         try:
@@ -264,7 +264,7 @@ class Draft:
         except UsageError as error:
             for key in ("scenarios", "comparisons", "detection"):
                 self.content.pop(key, None)
-            self.guesses = {at: why for at, why in self.guesses.items() if at[0] == "collection"}
+            self.guesses = {location: why for location, why in self.guesses.items() if location[0] == "collection"}
             self.guess("no prediction", what=error.what, expected=error.expected)
 
     def _scale(self) -> None:
@@ -307,10 +307,10 @@ class Draft:
         good, centre = place.cube.axis.good, place.cube.axis.centre_nm
         for name in place.regions:
             if (match := self.matching(name)) is not None:
-                own = np.interp(centre, match.record.wavelength_nm, match.record.values, np.nan, np.nan)
+                reflectance = np.interp(centre, match.record.wavelength_nm, match.record.values, np.nan, np.nan)
                 some = place.cube.spectra(drawn_pixels(place.region(name), _SOME, np.random.default_rng(0)))
-                known = (some.sum(axis=0) / (len(some) * own))[good & np.isfinite(own)]
-                ratios += [float(np.median(known))] if known.size else []
+                ratio = (some.sum(axis=0) / (len(some) * reflectance))[good & np.isfinite(reflectance)]
+                ratios += [float(np.median(ratio))] if ratio.size else []
         return ratios
 
     def _coordinates(self, entry: Entry, **parts: Any) -> None:
@@ -342,15 +342,15 @@ class Draft:
             size = self.sources.pixel_size_m
             truth = {"guard_pixels": 2} | ({"pixel_size_m": size} if size is not None else {})
             file = self.reference(self.sources.targets)
-            own: Entry = {"csv": file}
+            listed: Entry = {"csv": file}
             head = head_of(self.sources.targets, 4096).partition(b"\n")[0].lower()
             if not (self.sources.targets.suffix.lower() == ".csv" and re.search(b"material|targets_type", head)):
                 every = {"material": "every region", "file": file}
                 whole = parts | {"targets": {"regions": [every], **truth}}
                 self._coordinates(every, **whole)
                 names = dict.fromkeys(target.attributes["region"] for target in self.opened(**whole).targets)
-                own = {"regions": [{**every, "material": name, "regions": [escape(name)]} for name in names]}
-            parts["targets"] = self.collection["targets"] = own | truth
+                listed = {"regions": [{**every, "material": name, "regions": [escape(name)]} for name in names]}
+            parts["targets"] = self.collection["targets"] = listed | truth
         return self.opened(**parts)
 
     # Spectra ----------------------------------------------------------------------------------------------------------
@@ -371,15 +371,15 @@ class Draft:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has."""
         words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
         fits = ([s for s in self.spectra if _words(s.name) and test(_words(s.name), words)] for test in tests)
-        return next((own[0] for own in fits if len(own) == 1), None)
+        return next((matches[0] for matches in fits if len(matches) == 1), None)
 
     def _unused(self) -> None:
         """Say which files of spectra stand nowhere in the campaign, and which folders hold none."""
-        told = str(self.content)
+        text = str(self.content)
         if FILL_IN in str(cube := self.collection["cube"]):
             return  # of which nothing is drafted yet
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
-        idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in told)
+        idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
         if idle:
             names = [Path(file).name for file in idle]
             self.guess("unused", names=", ".join(names[:_MOST_NAMED]) + ", ..." * (len(names) > _MOST_NAMED))
@@ -406,8 +406,8 @@ class Draft:
         alone = ", ".join(region for region in single if region not in classes)
         without = f"; single pixels have no spread and are none: {alone}" * bool(measured and alone)
         self.guess("classes", without=without)
-        if known := [{"name": panel, "spectrum": matched[panel].source} for panel in panels if panel in matched]:
-            scene["panels"] = known
+        if with_spectra := [{"name": panel, "spectrum": matched[panel].source} for panel in panels if panel in matched]:
+            scene["panels"] = with_spectra
         flight = self._flight(place) if self.quantity == "radiance" else {}
         processing: Entry = {"detectors": ["cem"], "bands": {"drop_bad": True}}
         processing |= {} if self.quantity == "radiance" and measured else {"elm": "none"}
@@ -423,23 +423,23 @@ class Draft:
             state["latitude_deg"], state["longitude_deg"] = (round(degrees, 4) for degrees in centre)
         stated = {"sensor_altitude_km": sources.altitude_km, "time_utc": sources.time_utc}
         if not sources.time_utc:
-            told = place.cube.raster.description.entries.get("acquisition time", "")
+            time_text = place.cube.raster.description.entries.get("acquisition time", "")
             with suppress(UsageError):  # of no time, or in a form that is not clear
-                when, clock = parse_utc(told), re.search("[T ]([0-9].*)", told)
+                when, clock = parse_utc(time_text), re.search("[T ]([0-9].*)", time_text)
                 stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
                 if clock and not re.search("[Zz+-]", clock[1]):
                     self.guess("time")
         state |= {key: value for key, value in stated.items() if value}
-        own = Path(sources.sensor or "")
-        sensor = self.reference(own) if own.is_file() else sources.sensor or self._library_sensor(place)
+        sensor_file = Path(sources.sensor or "")
+        sensor = self.reference(sensor_file) if sensor_file.is_file() else sources.sensor or self._library_sensor(place)
         return {"atmosphere": state, "sensor": sensor, "uncertainty": {**usual["uncertainty"]}}
 
     def _library_sensor(self, place: Place) -> str:
         """The sensor of the library with the bands of the image."""
         axis = place.cube.axis
         for name in library_names():
-            own = load_sensor(name).axis
-            if len(own) == len(axis) and np.all(np.abs(own.centre_nm - axis.centre_nm) < own.fwhm_nm):
+            bands = load_sensor(name).axis
+            if len(bands) == len(axis) and np.all(np.abs(bands.centre_nm - axis.centre_nm) < bands.fwhm_nm):
                 self.guess("sensor", name=name)
                 return name
         has = f"no sensor of the library has these {len(axis)} bands"
@@ -448,29 +448,29 @@ class Draft:
     def _add_targets(self, place: Place, scenario: Entry) -> None:
         """Detection in the image, and the targets of the model."""
         materials = list(dict.fromkeys(target.material for target in place.targets))
-        known = {m: match for m in materials if (match := self.matching(m))}
-        if not known and len(materials) == len(self.spectra) == 1:
-            known = {materials[0]: self.spectra[0]}
+        spectra = {m: match for m in materials if (match := self.matching(m))}
+        if not spectra and len(materials) == len(self.spectra) == 1:
+            spectra = {materials[0]: self.spectra[0]}
             self.guess("only one", spectrum=self.spectra[0].name, material=materials[0])
-        if not known:
+        if not spectra:
             return
         if self.quantity == "radiance" and "empirical_line" not in self.collection:
             self.guess("no detection")
             return
-        members = {material: [t for t in place.targets if t.material == material] for material in known}
-        sizes = {material: _by_size(own) for material, own in members.items()}
-        looked_for = [{"name": m, "material": m, "spectrum": match.source} for m, match in known.items()]
+        members = {material: [t for t in place.targets if t.material == material] for material in spectra}
+        sizes = {material: _by_size(same) for material, same in members.items()}
+        looked_for = [{"name": m, "material": m, "spectrum": match.source} for m, match in spectra.items()]
         group = "{target} {side_m} m" if all(sizes.values()) else "{material}"
         self.content["detection"] = {"group": group, "detectors": ["cem"], "targets": looked_for}
         classes = [c["name"] for c in scenario["scene"]["classes"]]
         entries = scenario["scene"]["targets"] = []
-        for material, own in members.items():
+        for material, same in members.items():
             each = sizes[material].items() if all(sizes.values()) else ()
             subjects = [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]
-            fills = {"subjects": subjects} if subjects else {"fill": _fill(place, own)}
+            fills = {"subjects": subjects} if subjects else {"fill": _fill(place, same)}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
-            target = {"name": material, "spectrum": known[material].source, "covariance": spread}
-            entries.append({**target, "host": _host(place, own, classes), **fills})
+            target = {"name": material, "spectrum": spectra[material].source, "covariance": spread}
+            entries.append({**target, "host": _host(place, same, classes), **fills})
         self.guess("targets")
 
     def _compare(self, scenario: Entry) -> None:
@@ -480,8 +480,8 @@ class Draft:
             [surface["name"] for surface in scene.get(kind, []) if "measured" not in surface["spectrum"]]
             for kind in ("classes", "panels", "targets")
         )
-        if known := [*classes, *panels, *sought]:
-            stated = [{"subject": name, "relative": 0.05, "correlation_nm": 200} for name in known]
+        if compared := [*classes, *panels, *sought]:
+            stated = [{"subject": name, "relative": 0.05, "correlation_nm": 200} for name in compared]
             scenario.setdefault("uncertainty", {})["field_spectra"] = stated
             self.guess("field spectra")
         reflects = "empirical_line" in self.collection or self.quantity == "reflectance"
@@ -509,15 +509,15 @@ class Draft:
         if len(masks) < 2:
             self.guess("anomalies", why=why)
             return
-        scored, known = masks[::2], np.logical_or.reduce(masks[1::2])
-        marked = {"known objects": known, "other materials": others}
+        scored, target_pixels = masks[::2], np.logical_or.reduce(masks[1::2])
+        marked = {"known objects": target_pixels, "other materials": others}
         marked |= {f"scored object {i}": mask for i, mask in enumerate(scored, 1)}
         rows = [f"{name},{line},{sample}\n" for name, mask in marked.items() for line, sample in np.argwhere(mask)]
         write_text(self.folder / "objects.csv", "region,line,sample\n" + "".join(rows))
-        spectra = self.opened().cube.spectra(known)
+        spectra = self.opened().cube.spectra(target_pixels)
         mean = "\n".join(map(repr, np.nan_to_num(spectra.mean(axis=0)).tolist()))
         write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
-        usual, pixels = _templates()["objects"], int(np.sum(known))
+        usual, pixels = _templates()["objects"], int(np.sum(target_pixels))
         left_out = [name for name in usual["collection"]["leave_out"] if marked[name].any()]
         collection["regions"] += [{"name": name, "file": "objects.csv"} for name in left_out]
         collection |= {**usual["collection"], "leave_out": left_out}
@@ -549,9 +549,9 @@ class Draft:
         groups = {name: objects(region.mask)[1] for name, region in regions.items()}
         most = max(groups, key=lambda name: groups[name])
         every = np.logical_or.reduce([region.mask for region in regions.values()])
-        own = every if groups[most] < 2 else regions[most].mask
-        masks, why = groups_by_size(own)
-        others = every & ~own
+        mask = every if groups[most] < 2 else regions[most].mask
+        masks, why = groups_by_size(mask)
+        others = every & ~mask
         return masks, why + f" of {most!r}; other materials of the map are left out" * bool(others.any()), others
 
 
@@ -566,10 +566,10 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
         with suppress(UsageError, InputError):
             records = read_records(path, reflectance_unit=unit)
             if unit is None or max(np.nanpercentile(one.values, 95) for one in records) <= 1.5:
-                told = {"reflectance_unit": unit} if unit else {}
+                more = {"reflectance_unit": unit} if unit else {}
                 if len(records) == 1:
-                    return [RecordedSpectrum(path.stem, {"file": reference, **told}, records[0])]
-                return [RecordedSpectrum(r.name, {"file": reference, "record": r.name, **told}, r) for r in records]
+                    return [RecordedSpectrum(path.stem, {"file": reference, **more}, records[0])]
+                return [RecordedSpectrum(r.name, {"file": reference, "record": r.name, **more}, r) for r in records]
     read_records(path)  # the reader's own words for what is wrong
     raise refusal("starter.unit", path)
 
@@ -610,8 +610,8 @@ def _fill(place: Place, members: Sequence[TargetObject]) -> Entry:
 def told_quantity(raster: Raster) -> str | None:
     """Whether an image holds radiance or reflectance, by words of its header, else by its name; None: nothing says."""
     entries = raster.description.entries
-    told = (text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
-    for text in (" ".join(told).lower(), raster.path.name.lower()):
+    texts = (text for key, text in entries.items() if re.search(r"unit|plot titles|description|level", key))
+    for text in (" ".join(texts).lower(), raster.path.name.lower()):
         named = [quantity for quantity, pattern in _NAMED.items() if re.search(pattern, text)]
         if len(named) == 1:
             return named[0]

@@ -93,13 +93,13 @@ def say_verdicts(output: Path) -> None:
     """
     outcomes = hyperval.results.Outcome
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
-    for name, own in hyperval.results.grouped(rows, lambda row: row.campaign).items():
-        if any(row.outcome is not outcomes.SKIPPED for row in own):  # else the reason, below, says all
-            note(f"{name}: {hyperval.report.first_screen(own).words}")
+    for name, some in hyperval.results.grouped(rows, lambda row: row.campaign).items():
+        if any(row.outcome is not outcomes.SKIPPED for row in some):  # else the reason, below, says all
+            note(f"{name}: {hyperval.report.first_screen(some).words}")
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
-        told = (row for row in rows if row.outcome is outcome and row.reason)
+        listed = (row for row in rows if row.outcome is outcome and row.reason)
         # Those that differ in measured numbers alone are one.
-        for alike in hyperval.results.grouped(told, lambda row: re.sub(r"(?<= )[\d.]+\b", "", row.reason)).values():
+        for alike in hyperval.results.grouped(listed, lambda row: re.sub(r"(?<= )[\d.]+\b", "", row.reason)).values():
             more = len({row.reason for row in alike}) - 1
             names = ", ".join(dict.fromkeys(row.campaign for row in alike))
             line = f"{names}: {outcome}: {alike[0].reason}" + (f" (and {more} more like it)" if more else "")
@@ -373,10 +373,10 @@ def init(
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     path = output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml"
     called = path.stem if path == output else output.resolve().name
-    own = re.sub(r"[^a-z0-9]+", "-", (name or called).lower()).strip("-") or "campaign"
-    given = cube, regions or (), targets, spectra or (), header, quantity, unit
-    sources = campaign.StarterSources(*given, sensor, time, altitude_km, pixel_size_m, key, scale)
-    text, guesses = campaign.starter_campaign(sources, path.parent, own)
+    title = re.sub(r"[^a-z0-9]+", "-", (name or called).lower()).strip("-") or "campaign"
+    files = cube, regions or (), targets, spectra or (), header, quantity, unit
+    sources = campaign.StarterSources(*files, sensor, time, altitude_km, pixel_size_m, key, scale)
+    text, guesses = campaign.starter_campaign(sources, path.parent, title)
     hyperval.config.write_draft(path, "campaign", text)
     for guess in guesses:
         note(f"guess: {guess}")
@@ -431,8 +431,8 @@ def benchmark(
 ) -> int:
     """Rank all detectors on every campaign."""
     refuse(wrong := [one for one in scores or () if not all(one.partition("="))], "scores.form", value=wrong)
-    maps, own = dict(one.split("=", 1) for one in scores or ()), extend or []
-    code = scoreboard.benchmark(campaigns, output, extensions=own, scores=maps, seed=seed, scheduler=scheduler)
+    maps, files = dict(one.split("=", 1) for one in scores or ()), extend or []
+    code = scoreboard.benchmark(campaigns, output, extensions=files, scores=maps, seed=seed, scheduler=scheduler)
     return finished(code, output)
 
 
@@ -447,7 +447,7 @@ def power(
     tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
     done = [item.table for item in tables if item.table is not None]
     every = {name: [table.errors[name] for table in done] for table in done[:1] for name in table.errors}
-    rows = [(n, *(": ".join(filter(None, (e.words, e.not_applicable))) for e in own)) for n, own in every.items()]
+    rows = [(n, *(": ".join(filter(None, (e.words, e.not_applicable))) for e in each)) for n, each in every.items()]
     print_table(("injected error", *(table.campaign for table in done)), rows)
     for item in tables:
         if item.skipped:

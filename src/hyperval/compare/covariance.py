@@ -166,14 +166,14 @@ def sampled(
     bands, n = compared_bands(p, o, observed.axis), o.n
     if n < FEWEST_PIXELS or not bands.any():
         return without("few_pixels.covariance", COMPARISON, n=n, bands=int(bands.sum()))
-    at = np.ix_(bands, bands)
-    first, second = np.asarray(p.pixel_covariance)[at], np.asarray(o.pixel_covariance)[at]
+    block = np.ix_(bands, bands)
+    first, second = np.asarray(p.pixel_covariance)[block], np.asarray(o.pixel_covariance)[block]
     first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return without("no_value.covariance", COMPARISON)
     # Pixels that have tails scatter by them, whatever law is predicted.
-    there, law = (side.distribution.get(subject, PixelDistribution()) for side in (observed, predicted))
-    tails = law.tail_dof, there.leading_tail_dof if math.isfinite(there.leading_upper) else math.inf
+    tail, law = (side.distribution.get(subject, PixelDistribution()) for side in (observed, predicted))
+    tails = law.tail_dof, tail.leading_tail_dof if math.isfinite(tail.leading_upper) else math.inf
     kurtosis = pixels.kurtosis_parameter(min(tails))
     if math.isinf(kurtosis):
         return without("heavy_tails.covariance", COMPARISON, predicted=tails[0], measured=tails[1])
@@ -266,13 +266,13 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     bands = sample.bands & np.isfinite(total) & (total > 0)
     if not bands.any():
         return
-    at = np.ix_(bands, bands)
-    texture = np.asarray(predicted.pixel_covariance)[at] - np.diag(total[bands])
+    block = np.ix_(bands, bands)
+    texture = np.asarray(predicted.pixel_covariance)[block] - np.diag(total[bands])
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
     beyond = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
     calibration = calibration + beyond
     noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
-    first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[at]
+    first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[block]
     columns = {"calibration": calibration, "samples": samples}
     factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)
     low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))

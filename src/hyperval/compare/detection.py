@@ -80,9 +80,9 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
                 yield from without("few_alarms.pfa", f"pfa_ratio@{label}", n=observed.n, alarms=level * n)
             continue
         ratio = false_alarm_ratio(predicted, observed, level)
-        at, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
+        k, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
         beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
-        halves = math.nan if observed.half_image is None else float(observed.half_image[at])
+        halves = math.nan if observed.half_image is None else float(observed.half_image[k])
         words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
         yield from _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
@@ -126,10 +126,10 @@ def compare_classification(p: ClassificationError, o: ClassificationError) -> It
     ('error_bounds', 0.066)]
     """
     words = "" if o.effective_n is None else f"{o.effective_n:.0f} of {o.n} pixels count as independent"
-    left = row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
-    right = row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
-    yield from (rows := of_sides("error_{}".format, left, right))
-    yield _inside_row("error_inside_interval", rows[-1], right)
+    first = row("error_predicted", p.error, (p.lower, p.upper), n=p.n)
+    second = row("error_observed", o.error, (o.lower, o.upper), n=o.n, reason=words)
+    yield from (rows := of_sides("error_{}".format, first, second))
+    yield _inside_row("error_inside_interval", rows[-1], second)
     yield row("error_approximation", p.approximation)
     yield row("distance_predicted", p.distance)
     yield row("distance_observed", o.distance, n=o.n)
@@ -158,8 +158,8 @@ def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -
     right, so objects of different kinds are judged together.  Source: Rosenblatt, Ann. Math. Stat. 23, 470, 1952.
     The share is (below + 1/2) / (N + 1), so that no score is impossible to a finite number of draws.
     """
-    at, ordered = np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None)
-    below = 0.5 * (np.searchsorted(ordered, at, "left") + np.searchsorted(ordered, at, "right"))
+    scores, ordered = np.asarray(score, dtype=float), np.sort(np.asarray(draws, dtype=float), axis=None)
+    below = 0.5 * (np.searchsorted(ordered, scores, "left") + np.searchsorted(ordered, scores, "right"))
     return np.asarray((below + 0.5) / (ordered.size + 1.0))
 
 
@@ -230,9 +230,9 @@ def judged_together(
     for subject, scores in measured.items():
         draws = predicted[subject].values
         values.append(probability_integral_transform(scores, draws))
-        own, *spread = transforms_of_draws(draws)
+        transforms, *spread = transforms_of_draws(draws)
         column = rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
-        drawn.append(own[shared, column])
+        drawn.append(transforms[shared, column])
         wider.append(np.stack([x[shared[-POWER_DRAWS:], column[-POWER_DRAWS:]] for x in spread]))
         strength += [float(np.median(draws))] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
@@ -258,13 +258,13 @@ def _width_found(reference: Array, wide: Array, level: float = POWER_LEVEL) -> f
 
 
 def _inside_rows(u: Array, reference: Array, wide: Array, note: str) -> Iterator[Result]:
-    inside, n, expected = int(np.sum(central(u))), u.size, central(reference).sum(axis=1)
+    inside, n, expected = int(np.sum(in_central_95(u))), u.size, in_central_95(reference).sum(axis=1)
     low, high = np.quantile(expected, [0.025, 0.975], method="nearest") / n
     lower, upper = map(float, clopper_pearson(inside, n))
     why = f"the model expects {low:.3g} to {high:.3g}; the interval treats objects as independent{note}"
     yield row(OF_ALL[0], inside / n, (lower, upper), n=n, reason=why)
     about = Effect(inside / n, lower, upper, partial(drawn_range, expected / n, 1.0, 0.0), decides=False)
-    width, why = _width_found(-expected, -central(wide).sum(axis=2)), f"of so few inside, by the model{note}"
+    width, why = _width_found(-expected, -in_central_95(wide).sum(axis=2)), f"of so few inside, by the model{note}"
     yield row(OF_ALL[1], _tail(-inside, -expected), n=n, detectable=width, reason=why, about=about)
 
 
@@ -328,7 +328,7 @@ def drawn_range(sizes: Array, below: float, above: float, level: float) -> Inter
     return (float(low) if below else math.nan), (float(high) if above else math.nan)
 
 
-def central(values: npt.ArrayLike) -> Mask:
+def in_central_95(values: npt.ArrayLike) -> Mask:
     """True for transform values in the central 95 %."""
     return np.asarray((np.asarray(values) >= 0.025) & (np.asarray(values) <= 0.975))
 
@@ -371,13 +371,11 @@ def _of_subject(model: ObjectScores, scores: Array) -> Iterator[Result]:
     else:
         low, middle, high = (float(x) for x in np.quantile(model.values, [0.025, 0.5, 0.975]))
         (u,) = probability_integral_transform(scores, model.values)
-        why = f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}"
+        why, z = f"measured {scores[0]:.4g}, predicted {low:.4g} to {high:.4g}", float(scipy.special.ndtri(u))
         yield row("object_score_measured", scores[0], n=1)
         yield row("object_score_predicted", middle, (low, high))
         yield row("object_score_pit", u, n=1)
-        yield row(
-            "object_score_inside_95", float(central(u)), n=1, reason=why, about=Effect(float(scipy.special.ndtri(u)))
-        )
+        yield row("object_score_inside_95", float(in_central_95(u)), n=1, reason=why, about=Effect(z))
 
 
 def ratio_limits(a: float, ua: float, b: float, ub: float) -> Interval:
@@ -511,11 +509,11 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     [('far_measured@1e-2', 2500.0), ('joint_pfa@1e-2', 0.01), ('joint_pd@1e-2', 0.6),
     ('pd_inside_joint_region@1e-2', 1.0)]
     """
-    at, m, n = np.flatnonzero(np.abs(observed.pfa - pfa) <= 1e-9 * pfa), observed.n_target, observed.n_background or 0
-    if observed.alarms is None or pfa * n < LEAST_EXPECTED_ALARMS or not at.size:
+    i, m, n = np.flatnonzero(np.abs(observed.pfa - pfa) <= 1e-9 * pfa), observed.n_target, observed.n_background or 0
+    if observed.alarms is None or pfa * n < LEAST_EXPECTED_ALARMS or not i.size:
         return
-    label, alarms, density = scientific(pfa), int(observed.alarms[at[-1]]), samples_per_km2(observed)
-    counted = np.array([alarms, n]) / (1.0 if observed.design_effect is None else observed.design_effect[at[-1]])
+    label, alarms, density = scientific(pfa), int(observed.alarms[i[-1]]), samples_per_km2(observed)
+    counted = np.array([alarms, n]) / (1.0 if observed.design_effect is None else observed.design_effect[i[-1]])
     if math.isnan(density):
         yield from without("no_ground_area.background", f"far_measured@{label}")
     else:
@@ -524,7 +522,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         yield row(f"far_measured@{label}", alarms / area, ends, n=n, reason=f"{alarms} alarms in {area:.4g} km2")
     if not m:
         return
-    detected = round(float(observed.pd[at[-1]]) * m)
+    detected = round(float(observed.pd[i[-1]]) * m)
     both, level = (counted, (detected, m)), math.sqrt(0.95)
     span, (least, most) = (tuple(map(float, clopper_pearson(k, of, level))) for k, of in both)
     why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
@@ -538,11 +536,11 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         return
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
     without_band = math.nan, math.nan
-    left, right = (read_at(predicted, x) if first <= x <= last else (float(x > last), without_band) for x in span)
-    bands = np.nan_to_num([right[1][1] - right[0], left[0] - left[1][0]])
+    lo, hi = (read_at(predicted, x) if first <= x <= last else (float(x > last), without_band) for x in span)
+    bands = np.nan_to_num([hi[1][1] - hi[0], lo[0] - lo[1][0]])
     below, above = np.hypot([detected / m - least, most - detected / m], bands)
     # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
-    yield row(name, right[0] >= detected / m - below and left[0] <= detected / m + above, n=m)
+    yield row(name, hi[0] >= detected / m - below and lo[0] <= detected / m + above, n=m)
 
 
 def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator[Result]:
@@ -575,8 +573,8 @@ def far_at_detection_rows(predicted: RocCurve | None, observed: RocCurve) -> Ite
         why = said("far_measured", point=point, observed=observed, density=density, at_most=at_most)
         ends = point.pfa_lower * density, point.pfa_upper * density
         measured = row(name("measured"), point.pfa * density, ends, n=observed.n_target, reason=why)
-        left = _predicted_alarms(name("predicted"), predicted, point.pd, density) if predicted else None
-        yield from of_sides(name, left, measured)
+        first = _predicted_alarms(name("predicted"), predicted, point.pd, density) if predicted else None
+        yield from of_sides(name, first, measured)
 
 
 def _predicted_alarms(metric: str, curve: RocCurve, pd: float, density: float) -> Result:
@@ -622,15 +620,15 @@ def area_rows(predicted: RocCurve | None, observed: RocCurve | None) -> Iterator
     ('log_auc_difference@1e-3..1e-1', 0.0)]
     """
     for full, area in AREAS.items():
-        base, at, span = full.partition("@")
-        name, left = f"{base}_{{}}{at}{span}".format, None
+        base, sign, span = full.partition("@")
+        name, first = f"{base}_{{}}{sign}{span}".format, None
         if predicted is not None:
             value, *limits = (curve_area(predicted, area, y) for y in (None, predicted.pd_lower, predicted.pd_upper))
-            left = row(name("predicted"), value, (min(value, *limits), max(value, *limits)))
+            first = row(name("predicted"), value, (min(value, *limits), max(value, *limits)))
             if math.isnan(value):
-                (left,) = without("beyond_curve.area", left.metric, span=span)
-        right = _measured_area(name("measured"), observed, full, area) if observed else None
-        yield from of_sides(name, left, right)
+                (first,) = without("beyond_curve.area", first.metric, span=span)
+        second = _measured_area(name("measured"), observed, full, area) if observed else None
+        yield from of_sides(name, first, second)
 
 
 ALWAYS = (1e-1, 1e-2, 1e-3)
@@ -740,21 +738,21 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
     difference = rows[-1]
     yield _inside_row(names[3], difference, right)
     # An unknown measured interval must not read as "outside": the verdict itself is unknown.
-    known = math.nan if math.isnan(low + high) else 1.0
-    yield row(names[4], known * (low <= p <= high), n=n)
+    valid = math.nan if math.isnan(low + high) else 1.0
+    yield row(names[4], valid * (low <= p <= high), n=n)
     if margin is not None:
         ends = difference.lower, difference.upper
         about = Effect(difference.value, *ends, lambda _: (-margin, margin))
         code, word = equivalence(ends, margin)
-        yield row(names[5], known * code, n=n, reason=f"{word} by a margin {margin:g}", about=about)
+        yield row(names[5], valid * code, n=n, reason=f"{word} by a margin {margin:g}", about=about)
     yield from _preset_rows(predicted, pfa, p, right)
 
 
 def _inside_row(metric: str, difference: Result, measured: Result, why: str = "") -> Result:
     """1 or 0, whether the interval of the difference holds 0; NaN without a measured interval."""
-    known = math.nan if math.isnan(measured.lower + measured.upper) else 1.0
+    valid = math.nan if math.isnan(measured.lower + measured.upper) else 1.0
     about = Effect(difference.value, difference.lower, difference.upper)
-    return row(metric, known * (about.lower <= 0.0 <= about.upper), n=measured.n, reason=why, about=about)
+    return row(metric, valid * (about.lower <= 0.0 <= about.upper), n=measured.n, reason=why, about=about)
 
 
 def _preset_rows(predicted: RocCurve, pfa: float, swept: float, measured: Result) -> Iterator[Result]:

@@ -78,23 +78,23 @@ class Gate(Model):
         return self
 
     def _refuse_slips(self) -> None:
-        given = [name for name in ("at_most", "at_least", "within") if getattr(self, name) is not None]
-        refuse(len(given) > 1, "gate.limits", names=" and ".join(given))
-        refuse(not given and self.fraction_at_least is None, "gate.none")
+        stated = [name for name in ("at_most", "at_least", "within") if getattr(self, name) is not None]
+        refuse(len(stated) > 1, "gate.limits", names=" and ".join(stated))
+        refuse(not stated and self.fraction_at_least is None, "gate.none")
         for name in ("within", "bands_nm"):
             ends = getattr(self, name)
             refuse(ends is not None and not ends[0] < ends[1], "gate.empty", name=name, ends=ends)
         refuse(self.chosen_after != bool(self.before), "gate.before")
-        known, limit, (floor, ceiling) = metric_of(self.metric), self.limit_text, self.limits
-        whole, bounded = floor <= known.low and ceiling >= known.high, math.isfinite(known.low)
-        ends = (known.low, known.high)
+        metric, limit, (floor, ceiling) = metric_of(self.metric), self.limit_text, self.limits
+        whole, bounded = floor <= metric.low and ceiling >= metric.high, math.isfinite(metric.low)
+        ends = (metric.low, metric.high)
         refuse(whole, "gate.all" if bounded else "gate.ever", metric=self.metric, ends=ends, limit=limit)
         # A ratio to the collected value may be larger than 1, but a limit of 100 % or more is a slip of the pen.
-        relative = (known.agreement == 0.0 and "difference_ratio" in known.name) or known.name == "bias_ratio"
+        relative = (metric.agreement == 0.0 and "difference_ratio" in metric.name) or metric.name == "bias_ratio"
         refuse(relative and max(abs(x) for x in self.limits if math.isfinite(x)) >= 1.0, "gate.percent", limit=limit)
-        slip = known.name.startswith("chi2_reduced") and _CHI2_SLIP <= ceiling < math.inf
+        slip = metric.name.startswith("chi2_reduced") and _CHI2_SLIP <= ceiling < math.inf
         refuse(slip, "gate.reduced", limit=limit)
-        refuse(known.kind is Kind.TEST and self.at_least is None, "gate.level", metric=self.metric)
+        refuse(metric.kind is Kind.TEST and self.at_least is None, "gate.level", metric=self.metric)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -173,7 +173,7 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     return shared_levels(out)
 
 
-def told_apart(rows: Sequence[Result], fitted_on: Sequence[str]) -> list[Result]:
+def marked_as_fitted(rows: Sequence[Result], fitted_on: Sequence[str]) -> list[Result]:
     """The rows with whether budget and settings were fitted on their subjects: names, or patterns with * and ?.
 
     What is about several subjects is unseen where all of them are.
@@ -192,8 +192,8 @@ def told_apart(rows: Sequence[Result], fitted_on: Sequence[str]) -> list[Result]
             fnmatchcase(s, name) for name in fitted_on for s in (subject, *subject.split(", "))
         )
 
-    seen = {subject: "fitted" if fitted(subject) else "unseen" for subject in subjects}
-    return [replace(row, subjects_seen=seen[row.subject]) for row in rows] if fitted_on else list(rows)
+    kinds = {subject: "fitted" if fitted(subject) else "unseen" for subject in subjects}
+    return [replace(row, subjects_seen=kinds[row.subject]) for row in rows] if fitted_on else list(rows)
 
 
 def against_range(lower: float, upper: float, low: float, high: float) -> Outcome:
@@ -210,7 +210,7 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
     interval is undecided, unless its metric has no sampling error.  A test disagrees below its level ``low`` and
     agrees above it where it had 80 % power against the departure of its metric.
     """
-    known = metric_of(row.metric)
+    metric = metric_of(row.metric)
     if row.outcome in (Outcome.SKIPPED, Outcome.ERROR):
         return row.outcome, row.cause
     if math.isnan(row.value):
@@ -218,18 +218,18 @@ def outcome_of(row: Result, low: float, high: float) -> Judgement:
     slack = _SLACK * max(1.0, abs(row.value))
     if row.lower > row.upper or row.value < row.lower - slack or row.value > row.upper + slack:
         return Outcome.ERROR, Cause.BAD_INTERVAL
-    if known.kind is Kind.TEST:
+    if metric.kind is Kind.TEST:
         return _of_test(row, low)
-    if known.is_bare:
-        return Outcome.UNDECIDED, Cause.NOT_JUDGED if known.kind is Kind.STATISTIC else Cause.NO_INTERVAL
-    if known.kind is Kind.EQUIVALENCE:
+    if metric.is_bare:
+        return Outcome.UNDECIDED, Cause.NOT_JUDGED if metric.kind is Kind.STATISTIC else Cause.NO_INTERVAL
+    if metric.kind is Kind.EQUIVALENCE:
         codes = {1.0: Outcome.AGREES, -1.0: Outcome.DISAGREES}
         return codes.get(row.value, Outcome.UNDECIDED), Cause.NONE
-    ends = (row.lower, row.upper) if known.kind is Kind.QUANTITY else (row.value, row.value)
+    ends = (row.lower, row.upper) if metric.kind is Kind.QUANTITY else (row.value, row.value)
     if any(map(math.isnan, ends)):
         return Outcome.UNDECIDED, Cause.NO_INTERVAL
     outcome = against_range(*ends, low, high)
-    if known.kind is Kind.COVERAGE and outcome is Outcome.AGREES:
+    if metric.kind is Kind.COVERAGE and outcome is Outcome.AGREES:
         return Outcome.UNDECIDED, Cause.COVERAGE
     if outcome is not Outcome.UNDECIDED:
         return outcome, Cause.NONE
@@ -253,24 +253,24 @@ def tail_probability(row: Result) -> float:
     >>> round(tail_probability(of_five), 4)  # P(|t| > 2 x 2.776)
     0.0051
     """
-    known, value = metric_of(row.metric), row.value
-    if known.kind is Kind.TEST:
-        return min(2.0 * min(value, 1.0 - value), 1.0) if known.two_sided else value
-    equal, end = known.agreement, row.lower if value > known.agreement else row.upper
-    if math.isinf(known.high) and equal == 1.0 and min(value, end) > 0.0:
+    metric, value = metric_of(row.metric), row.value
+    if metric.kind is Kind.TEST:
+        return min(2.0 * min(value, 1.0 - value), 1.0) if metric.two_sided else value
+    equal, end = metric.agreement, row.lower if value > metric.agreement else row.upper
+    if math.isinf(metric.high) and equal == 1.0 and min(value, end) > 0.0:
         equal, value, end = 0.0, math.log(value), math.log(end)
     if value == end:
         return float(value == equal)
-    dof = (row.n or 0) - 1 if "Student" in known.interval else 0
+    dof = (row.n or 0) - 1 if "Student" in metric.interval else 0
     law = scipy.stats.t(dof) if dof > 0 else scipy.stats.norm
     return 2.0 * float(law.sf(law.isf(0.025) * abs(value - equal) / abs(end - value)))
 
 
 def _of_test(row: Result, level: float) -> Judgement:
-    known = metric_of(row.metric)
+    metric = metric_of(row.metric)
     if tail_probability(row) < level:
-        return Outcome.DISAGREES, Cause.TOO_WIDE if known.two_sided and row.value > 0.5 else Cause.NONE
-    if not row.detectable <= known.alternative:
+        return Outcome.DISAGREES, Cause.TOO_WIDE if metric.two_sided and row.value > 0.5 else Cause.NONE
+    if not row.detectable <= metric.alternative:
         return Outcome.UNDECIDED, Cause.NO_POWER
     return Outcome.AGREES, Cause.NONE
 
@@ -286,11 +286,11 @@ def shared_levels(rows: Sequence[Result]) -> list[Result]:
     out, shares = list(rows), {}
     families: dict[tuple[Role, float], list[int]] = {}
     for i, row in enumerate(out):
-        known = metric_of(row.metric)
-        distance = math.isfinite(row.lower + row.upper + known.agreement)
-        if known.kind is Kind.TEST and math.isfinite(row.value) and math.isfinite(row.limit_low):
+        metric = metric_of(row.metric)
+        distance = math.isfinite(row.lower + row.upper + metric.agreement)
+        if metric.kind is Kind.TEST and math.isfinite(row.value) and math.isfinite(row.limit_low):
             families.setdefault((row.role, row.limit_low), []).append(i)
-        elif known.kind is Kind.QUANTITY and row.role is Role.GATE and distance:
+        elif metric.kind is Kind.QUANTITY and row.role is Role.GATE and distance:
             families.setdefault((row.role, INTERVALS), []).append(i)
     for (_, level), members in families.items():
         order = sorted(members, key=lambda i: tail_probability(out[i]))
@@ -314,18 +314,18 @@ def detectable_sides(row: Result, low: float, high: float) -> tuple[float, float
     such as that of a size at 0, says nothing of the width: the other half stands for it.  NaN where no interval or
     no limit is known.
     """
-    known = metric_of(row.metric)
-    if known.kind is not Kind.QUANTITY or math.isnan(known.agreement) or math.isnan(row.upper - row.lower):
+    metric = metric_of(row.metric)
+    if metric.kind is not Kind.QUANTITY or math.isnan(metric.agreement) or math.isnan(row.upper - row.lower):
         return math.nan, math.nan
     reach = 1.0 + float(scipy.special.ndtri(0.8)) / Z95
     below, above = row.value - row.lower, row.upper - row.value
-    if row.lower <= known.low:
+    if row.lower <= metric.low:
         below = max(below, above)
-    elif row.upper >= known.high:
+    elif row.upper >= metric.high:
         above = max(below, above)
     return (
-        max(known.agreement - low, 0.0) + above * reach if math.isfinite(low) else math.nan,
-        max(high - known.agreement, 0.0) + below * reach if math.isfinite(high) else math.nan,
+        max(metric.agreement - low, 0.0) + above * reach if math.isfinite(low) else math.nan,
+        max(high - metric.agreement, 0.0) + below * reach if math.isfinite(high) else math.nan,
     )
 
 
@@ -339,20 +339,20 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
     ----------
     level : of a test, its part of the campaign's level
     """
-    known, unit, about = metric_of(row.metric), metric_of(row.metric).effect, row.about
-    row = replace(row, about=None, p_value=row.value if known.kind is Kind.TEST else math.nan)
+    metric, unit, about = metric_of(row.metric), metric_of(row.metric).effect, row.about
+    row = replace(row, about=None, p_value=row.value if metric.kind is Kind.TEST else math.nan)
     if unit is None or not row.planned or math.isnan(row.value):
         return row
-    about = about or (_of_quantity(row) if known.kind is Kind.QUANTITY else None)
+    about = about or (_of_quantity(row) if metric.kind is Kind.QUANTITY else None)
     if about is None:
         return row
-    tested = known.kind is not Kind.TEST or math.isfinite(level)
+    tested = metric.kind is not Kind.TEST or math.isfinite(level)
     low, high = about.accepted(level) if about.accepted and tested else (math.nan, math.nan)
     beyond = about.decides and (about.lower < low or about.upper > high)
     if beyond and row.outcome is Outcome.AGREES:
         row = replace(row, outcome=Outcome.UNDECIDED, cause=Cause.WIDE_INTERVAL)
     effect, lower, upper, below, above = map(unit, (about.value, about.lower, about.upper, *about.detectable))
-    ideal = known.agreement if unit.ideal is None else unit.ideal
+    ideal = metric.agreement if unit.ideal is None else unit.ideal
     return replace(
         row, effect=effect, effect_lower=lower, effect_upper=upper, ideal=unit(ideal),
         effect_unit=unit.unit.format(product=product_words(row.product)),
@@ -362,10 +362,10 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
 
 def _of_quantity(row: Result) -> Effect:
     """A quantity as its own effect, which the range of its row has decided already."""
-    known, limits = metric_of(row.metric), (row.limit_low, row.limit_high)
+    metric, limits = metric_of(row.metric), (row.limit_low, row.limit_high)
     below, above = detectable_sides(row, *limits)
-    below = math.nan if known.agreement - below < known.low else known.agreement - below  # no value is that small
-    return Effect(row.value, row.lower, row.upper, lambda _: limits, (below, known.agreement + above), decides=False)
+    below = math.nan if metric.agreement - below < metric.low else metric.agreement - below  # no value is that small
+    return Effect(row.value, row.lower, row.upper, lambda _: limits, (below, metric.agreement + above), decides=False)
 
 
 def detectable_share(n: int, least: float) -> float:
@@ -392,10 +392,10 @@ def _by_gate(row: Result, gate: Gate) -> Result:
 
 def _concluded(row: Result, limits: tuple[float, float], *reasons: str) -> Result:
     """The row with its outcome by a range; of a test ``detectable`` is the departure that it was asked about."""
-    (outcome, cause), known = outcome_of(row, *limits), metric_of(row.metric)
-    words = said("concluded", row=row, cause=cause.name, departure=known.departure)
+    (outcome, cause), metric = outcome_of(row, *limits), metric_of(row.metric)
+    words = said("concluded", row=row, cause=cause.name, departure=metric.departure)
     low, high = (limit if math.isfinite(limit) else math.nan for limit in limits)
-    found = row.detectable if known.kind is Kind.TEST else float(np.fmin(*detectable_sides(row, *limits)))
+    found = row.detectable if metric.kind is Kind.TEST else float(np.fmin(*detectable_sides(row, *limits)))
     return replace(
         row, outcome=outcome, cause=cause, limit_low=low, limit_high=high, detectable=found,
         reason=_joined(words, row.reason, *reasons),
@@ -422,10 +422,10 @@ def _unmet(rows: Sequence[Result], met: Collection[str], gate: Gate) -> Iterator
 
 def _nearest(rows: Sequence[Result], gate: Gate) -> dict[str, list[str]]:
     """What comes near to what a gate names: subjects with that metric, else metrics of that name."""
-    own = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
+    same = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
     anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
-    near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in own if anywhere.covers(r)))
-    return {"near": near, "close": difflib.get_close_matches(gate.metric, sorted({row.metric for row in own}), n=1)}
+    near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in same if anywhere.covers(r)))
+    return {"near": near, "close": difflib.get_close_matches(gate.metric, sorted({row.metric for row in same}), n=1)}
 
 
 def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:

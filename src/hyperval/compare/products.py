@@ -43,8 +43,8 @@ def product_rows(products: Products, side: str) -> Iterator[Result]:
             u = estimate.standard_uncertainty
             half = Z95 * np.where(u > 0.0, u, np.nan)  # none is stated
             rows = (
-                row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=float(at), n=estimate.n)
-                for b, at in enumerate(products.axis.centre_nm)
+                row("mean", estimate.mean[b], half=half[b], unit=unit, band_nm=float(nm), n=estimate.n)
+                for b, nm in enumerate(products.axis.centre_nm)
                 if np.isfinite(estimate.mean[b])
             )
             yield from named(rows, product, subject, side)
@@ -68,18 +68,18 @@ def _thresholds(curve: ExceedanceCurve, n: int) -> Iterator[Result]:
     """``anomaly_threshold@1e-3``: score that this part of the background exceeds."""
     for level in sorted(ANOMALY_LEVELS, reverse=True):
         if level * n >= LEAST_EXPECTED_ALARMS:
-            at = nearest_point(curve, level)
-            why = f"{curve.probability[at]:.3g} of {n} background pixels lie above"
-            yield row(f"anomaly_threshold@{scientific(level)}", curve.threshold[at], n=n, reason=why)
+            k = nearest_point(curve, level)
+            why = f"{curve.probability[k]:.3g} of {n} background pixels lie above"
+            yield row(f"anomaly_threshold@{scientific(level)}", curve.threshold[k], n=n, reason=why)
 
 
 def _of_curve(curve: RocCurve) -> Iterator[Result]:
     """P_D at decades of P_FA and areas of a curve; of a measured one its false alarms per km2 and joint regions too."""
     for decade in range(-9, 0):
-        at = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
-        if abs(np.log10(curve.pfa[at]) - decade) <= 1e-6:
-            limits = (curve.pd_lower[at], curve.pd_upper[at]) if curve.has_limits else None
-            yield row(f"pd@1e{decade}", curve.pd[at], limits, n=curve.n_target)
+        k = int(np.argmin(np.abs(np.log10(curve.pfa) - decade)))
+        if abs(np.log10(curve.pfa[k]) - decade) <= 1e-6:
+            limits = (curve.pd_lower[k], curve.pd_upper[k]) if curve.has_limits else None
+            yield row(f"pd@1e{decade}", curve.pd[k], limits, n=curve.n_target)
     if curve.n_target is None:
         unknown: dict[str, Any] = {} if curve.has_limits else {"lower": math.nan, "upper": math.nan}
         yield from (replace(item, **unknown) for item in detection.area_rows(curve, None))
@@ -176,7 +176,7 @@ def compare_products(
     return [*rows, *detection.compare_area_errors(predicted.abundance, observed.abundance)]
 
 
-def _pairs(left: Mapping[Any, Any], right: Mapping[Any, Any]) -> Iterator[tuple[Any, Any, Any]]:
+def _pairs(predicted: Mapping[Any, Any], measured: Mapping[Any, Any]) -> Iterator[tuple[Any, Any, Any]]:
     """What either side has under each key, those of the observation first and in its order."""
-    for key in dict.fromkeys([*right, *left]):
-        yield key, left.get(key), right.get(key)
+    for key in dict.fromkeys([*measured, *predicted]):
+        yield key, predicted.get(key), measured.get(key)

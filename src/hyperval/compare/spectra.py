@@ -350,14 +350,14 @@ def covariance_dof(parts: Sequence[tuple[Array, float]]) -> float:
 def whitening(covariance: npt.ArrayLike, estimated: Sequence[EstimatedPart] = ()) -> Whitening:
     """Directions of :func:`chi_square_full` for a covariance (B, B) and the parts of it that were estimated."""
     stated = np.asarray(covariance, dtype=float)
-    known = stated - sum((p.covariance for p in estimated), np.zeros_like(stated))
+    fixed = stated - sum((p.covariance for p in estimated), np.zeros_like(stated))
     parts = [(p, p.covariance if p.model is None else p.model) for p in estimated]
-    some, whiten = _unit_directions(known + sum((m for _, m in parts), np.zeros_like(stated)))
+    some, whiten = _unit_directions(fixed + sum((m for _, m in parts), np.zeros_like(stated)))
     bands = np.ix_(some, some)
     nu = covariance_dof([(whiten.T @ m[bands] @ whiten, p.dof) for p, m in parts])
     if nu < DOF_PER_DIRECTION * whiten.shape[1]:
         samples = [(m, p.dof) if p.sample is None else (p.sample, p.sample_dof) for p, m in parts]
-        whiten, nu = _smooth(known[bands], [(s[bands], v) for s, v in samples])
+        whiten, nu = _smooth(fixed[bands], [(s[bands], v) for s, v in samples])
     else:
         nu = covariance_dof([_with_factors(p.of_each(lambda c: c[bands]), m[bands], whiten) for p, m in parts])
     transform = np.zeros((whiten.shape[1], some.size))
@@ -374,14 +374,14 @@ def _with_factors(part: EstimatedPart, model: Array, whiten: Array) -> tuple[Arr
     c = whiten.T @ model @ whiten
     if part.factors is None:
         return c, part.dof
-    f, own = whiten.T @ part.factors @ whiten, np.diag(model - part.factors) * np.sum(whiten**2, axis=1)
-    scatter = np.sum(f * f.T) + np.trace(f) ** 2 + 2.0 * (np.trace(f) * np.trace(c - f) + np.sum(own**2))
+    f, rest = whiten.T @ part.factors @ whiten, np.diag(model - part.factors) * np.sum(whiten**2, axis=1)
+    scatter = np.sum(f * f.T) + np.trace(f) ** 2 + 2.0 * (np.trace(f) * np.trace(c - f) + np.sum(rest**2))
     return c, part.sample_dof * float((np.sum(c * c.T) + np.trace(c) ** 2) / scatter)
 
 
-def _smooth(known: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
+def _smooth(fixed: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
     """Cosines over the bands, half a wave more in each, with three degrees of freedom for each."""
-    total = known + sum((s for s, _ in samples), np.zeros_like(known))
+    total = fixed + sum((s for s, _ in samples), np.zeros_like(fixed))
     scale = np.sqrt(np.diag(total))
     size = scale.size
     waves = np.cos(np.pi * (np.arange(size)[:, None] + 0.5) * np.arange(size) / size) / scale[:, None]
@@ -510,13 +510,13 @@ def wavelength_rows(predicted: SpectralEstimate, observed: SpectralEstimate, axi
     [('absorption_centre_difference@oxygen-763', 1.0)]
     """
     use = axis.good & np.isfinite(predicted.mean) & np.isfinite(observed.mean)
-    at = np.flatnonzero(use)[np.argsort(axis.centre_nm[use], kind="stable")]
-    w = axis.centre_nm[at]
+    i = np.flatnonzero(use)[np.argsort(axis.centre_nm[use], kind="stable")]
+    w = axis.centre_nm[i]
     for feature in pixels.FEATURES:
-        centres = [pixels.absorption_centre(w, side.mean[at], feature)[0] for side in (predicted, observed)]
+        centres = [pixels.absorption_centre(w, side.mean[i], feature)[0] for side in (predicted, observed)]
         if not any(map(math.isnan, centres)):
             sd = [
-                pixels.centre_uncertainty(w, side.mean[at], side.error_covariance[np.ix_(at, at)], feature, centre)
+                pixels.centre_uncertainty(w, side.mean[i], side.error_covariance[np.ix_(i, i)], feature, centre)
                 for side, centre in zip((predicted, observed), centres, strict=True)
             ]
             half = Z95 * math.hypot(*sd) or math.nan
@@ -544,8 +544,8 @@ def shifted_rows(predicted: Products, observed: Products) -> Iterator[Result]:
     []
     """
     spectra = dict(observed.radiance or observed.reflectance)
-    for name, own in predicted.reflectance.items() if not observed.radiance else ():
-        edges = pixels.wavelength_shifts(own.mean, predicted.axis, reflectance=True)
+    for name, spectrum in predicted.reflectance.items() if not observed.radiance else ():
+        edges = pixels.wavelength_shifts(spectrum.mean, predicted.axis, reflectance=True)
         if any(s.certain and s.feature == pixels.RED_EDGE.name for s in edges):
             spectra.pop(name, None)
     found = pixels.common_shifts((s.mean for s in spectra.values()), observed.axis, reflectance=not observed.radiance)
@@ -583,10 +583,10 @@ def snr_beside_texture(predicted: Products, subject: str) -> Array:
     >>> [snr_beside_texture(products, s).round(2).tolist() for s in ("field", "panel")]
     [[0.2, 0.2, 0.2, 0.2], [1.0, 1.0, 1.0, 1.0]]
     """
-    seen, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
-    if seen is None or noise is None or seen.pixel_covariance is None or seen.mean.size < 3:
+    radiance, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
+    if radiance is None or noise is None or radiance.pixel_covariance is None or radiance.mean.size < 3:
         return np.ones(len(predicted.axis))
-    return np.fmin(pixels.snr_from_moments(seen.mean, seen.pixel_covariance) / noise.mean, 1.0)
+    return np.fmin(pixels.snr_from_moments(radiance.mean, radiance.pixel_covariance) / noise.mean, 1.0)
 
 
 def compare_spectra(
@@ -616,10 +616,10 @@ def compare_spectra(
     difference = predicted.mean - observed.mean
     z = z_scores(difference, predicted.error_covariance + observed.error_covariance)
     for b in np.flatnonzero(usable):
-        at, why = float(axis.centre_nm[b]), "" if np.isfinite(ratio[b]) else "observed value is not positive"
-        yield row("difference_ratio", ratio[b], half=half[b], band_nm=at, n=n, reason=why)
+        nm, why = float(axis.centre_nm[b]), "" if np.isfinite(ratio[b]) else "observed value is not positive"
+        yield row("difference_ratio", ratio[b], half=half[b], band_nm=nm, n=n, reason=why)
         if np.isfinite(z[b]):
-            yield row("z", z[b], band_nm=at, n=n)
+            yield row("z", z[b], band_nm=nm, n=n)
     parts = regions(axis)
     window = usable & parts["windows"]
     for ending, bands in (("", usable), ("_windows", window)):
@@ -642,11 +642,11 @@ def fraction_inside_stated(difference: Array, stated: Array) -> float:
     return float(np.mean(np.abs(difference) <= STATED_COVERAGE * stated))
 
 
-def shares(left: SpectralEstimate, right: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:
+def shares(predicted: SpectralEstimate, measured: SpectralEstimate, bands: Mask) -> list[tuple[str, float]]:
     """Sources of both sides with their parts of the variance of the mean difference ratio, the largest first."""
-    p, o = left.mean[bands], right.mean[bands]
+    p, o = predicted.mean[bands], measured.mean[bands]
     found: dict[str, float] = {}
-    for side, slope in ((left, 1.0 / o), (right, p / o**2)):
+    for side, slope in ((predicted, 1.0 / o), (measured, p / o**2)):
         whole = float(slope @ side.error_covariance[np.ix_(bands, bands)] @ slope)
         by_source = {name: float(np.nansum((slope * u[bands]) ** 2)) for name, u in side.budget.items()}
         for name, errors in side.errors.items():
@@ -669,11 +669,11 @@ def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterato
     (nan, '1 of 4')
     """
     names, use = [f"{metric}_{name}" for metric in _SUMMARIES], bands & np.isfinite(ratio)
-    told = {"lost": int(np.sum(bands & ~use)), "count": int(bands.sum())}
-    if told["lost"] > MOST_WITHOUT_RATIO * told["count"] or not use.any():
-        yield from without("no_bands.positive" if use.any() else "no_bands.region", *names, region=name, **told)
+    lost = {"lost": int(np.sum(bands & ~use)), "count": int(bands.sum())}
+    if lost["lost"] > MOST_WITHOUT_RATIO * lost["count"] or not use.any():
+        yield from without("no_bands.positive" if use.any() else "no_bands.region", *names, region=name, **lost)
         return
-    why, r, here = said("no_bands.positive", **told) if told["lost"] else "", ratio[use], covariance[np.ix_(use, use)]
+    why, r, here = said("no_bands.positive", **lost) if lost["lost"] else "", ratio[use], covariance[np.ix_(use, use)]
     values, intervals = (np.median(r), np.median(np.abs(r)), np.max(np.abs(r))), summary_intervals(r, here)
     for metric, value, interval in zip(names, values, intervals, strict=True):
         yield row(metric, value, interval, n=r.size, reason=why)
@@ -827,22 +827,22 @@ def joint_difference(pairs: Mapping[str, tuple[SpectralEstimate, SpectralEstimat
     bands = within.sum(axis=1).astype(float)
     by_predicted, by_measured, of_sensor = np.zeros((3, *within.shape))
     difference, noise, relative = np.empty(count), np.zeros((count, count)), np.zeros(())
-    for n, at in enumerate(within):
+    for n, part in enumerate(within):
         p, m = list(pairs.values())[subject[n]]
-        by_predicted[n, at], by_measured[n, at] = 1.0 / p.mean[at] / bands[n], 1.0 / m.mean[at] / bands[n]
-        difference[n] = np.log(p.mean[at] / m.mean[at]).mean()
+        by_predicted[n, part], by_measured[n, part] = 1.0 / p.mean[part] / bands[n], 1.0 / m.mean[part] / bands[n]
+        difference[n] = np.log(p.mean[part] / m.mean[part]).mean()
     directions: dict[tuple[str, str, int], Array] = {}  # source, draw and their number
     for i, (name, (p, m)) in enumerate(pairs.items()):
-        own, left = subject == i, np.nan_to_num(m.error_covariance)
+        mine, single = subject == i, np.nan_to_num(m.error_covariance)
         for source, errors in p.errors.items():
             key = source, name if source == OWN else errors.draw, len(errors.rows)
             rows = directions.setdefault(key, np.zeros((len(errors.rows), count)))
-            rows[:, own] = np.nan_to_num(errors.rows) @ by_predicted[own].T
+            rows[:, mine] = np.nan_to_num(errors.rows) @ by_predicted[mine].T
         if m.calibration is not None:  # a relative error that all spectra of a sensor share
             level, common = np.where(m.mean > 0.0, m.mean, np.inf), np.nan_to_num(m.calibration)
-            of_sensor[own], relative = by_measured[own] * np.nan_to_num(m.mean), common / np.outer(level, level)
-            left = left - common
-        noise[np.ix_(own, own)] = by_measured[own] @ left @ by_measured[own].T
+            of_sensor[mine], relative = by_measured[mine] * np.nan_to_num(m.mean), common / np.outer(level, level)
+            single = single - common
+        noise[np.ix_(mine, mine)] = by_measured[mine] @ single @ by_measured[mine].T
     sources = {REST: noise}
     for (source, *_), rows in directions.items():
         sources[source] = sources.get(source, 0.0) + rows.T @ rows
@@ -870,9 +870,9 @@ def _regions(joint: JointDifference) -> Iterator[tuple[str, Array, Array]]:
     for low, high in REGIONS_NM:
         bands = np.where((ends[:, 0] >= low) & (ends[:, 1] <= high), joint.bands, 0.0)
         if np.any(bands):
-            own = bands * (joint.subject == np.unique(joint.subject[bands > 0.0])[:, None])
+            each = bands * (joint.subject == np.unique(joint.subject[bands > 0.0])[:, None])
             pieces = bands @ joint.of_piece
-            yield f"{low}-{high}", pieces / pieces.sum(), own / own.sum(axis=1, keepdims=True)
+            yield f"{low}-{high}", pieces / pieces.sum(), each / each.sum(axis=1, keepdims=True)
 
 
 def _left(covariance: Array, difference: Array, column: Array) -> float:
@@ -912,15 +912,15 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
     if joint is None:
         return []
     found, rows = joint.in_common(joint.of_piece), list[Result]()
-    for label, pieces, own in _regions(joint):
-        budget, d, n = joint.budget(found, pieces), own @ joint.difference, len(own)
+    for label, pieces, mean in _regions(joint):
+        budget, d, n = joint.budget(found, pieces), mean @ joint.difference, len(mean)
         largest = {name: Z95 * x for name, x in sorted(budget.items(), key=lambda item: -item[1])[:3]}
         why = said("joint", least=np.expm1(d.min()), most=np.expm1(d.max()), largest=largest)
         value, half = float(pieces @ found.value), Z95 * math.hypot(*budget.values())
         number, *ends = np.expm1([value, value - half, value + half]).tolist()
         rows.append(row(f"joint_difference_ratio@{label}", number, ends, n=n, reason=why))
-        levels = np.ones(n), own @ joint.inverse_level
-        gain, offset = (_left(own @ joint.covariance @ own.T, d, column) for column in levels)
+        levels = np.ones(n), mean @ joint.inverse_level
+        gain, offset = (_left(mean @ joint.covariance @ mean.T, d, column) for column in levels)
         why = f"chi-square {gain:.3g} of {n - 1} as a gain, {offset:.3g} as an offset"
         rows.append(row(f"p_value_between@{label}", float(scipy.stats.chi2.sf(gain, n - 1)), n=n, reason=why))
     middle, *ends = found.unstated.tolist()
@@ -950,10 +950,10 @@ def _sensor_rows(joint: JointDifference, found: InCommon) -> Iterator[Result]:
     for name, fit, some in (("sensor_gain", found, range(count.size)), ("sensor_gain_beside_offset", both, apart)):
         halves = Z95 * np.sqrt(np.diag(fit.covariance - fit.weights @ of_calibration @ fit.weights.T))
         for k, q in enumerate(some):
-            at, n, (x, half) = sum(PIECES_NM[numbers[q]]) // 2, count[q], (fit.value[q], halves[q])
-            yield row(f"{name}@{at}", math.exp(-x), (math.exp(-x - half), math.exp(half - x)), n=int(n))
+            nm, n, (x, half) = sum(PIECES_NM[numbers[q]]) // 2, count[q], (fit.value[q], halves[q])
+            yield row(f"{name}@{nm}", math.exp(-x), (math.exp(-x - half), math.exp(half - x)), n=int(n))
             if fit is both:
-                yield row(f"sensor_offset@{at}", fit.value[count.size + k], half=halves[count.size + k], n=int(n))
+                yield row(f"sensor_offset@{nm}", fit.value[count.size + k], half=halves[count.size + k], n=int(n))
 
 
 def would_decide(item: Result, predicted: Products, observed: Products, fitted_on: Sequence[str] = ()) -> str:
@@ -1004,20 +1004,20 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
 def _of_region(item: Result, predicted: Products, observed: Products) -> tuple[dict[str, float], int]:
     """Standard uncertainty by source of what subjects have in common in a region, and how many they are."""
     joint = joint_pieces(predicted, observed)
-    for label, pieces, own in _regions(joint) if joint else ():
+    for label, pieces, means in _regions(joint) if joint else ():
         if joint and item.metric == f"joint_difference_ratio@{label}":
-            return joint.budget(joint.in_common(joint.of_piece), pieces), len(own)
+            return joint.budget(joint.in_common(joint.of_piece), pieces), len(means)
     return {}, 1
 
 
 def _of_level(item: Result, predicted: Products, observed: Products) -> dict[str, float]:
     """The same of the level of one spectrum, all of them together 1; none of any other row."""
-    left, right = (getattr(side, item.product, {}).get(item.subject) for side in (predicted, observed))
-    if not isinstance(left, SpectralEstimate) or not isinstance(right, SpectralEstimate):
+    p, m = (getattr(side, item.product, {}).get(item.subject) for side in (predicted, observed))
+    if not isinstance(p, SpectralEstimate) or not isinstance(m, SpectralEstimate):
         return {}
-    parts, use = regions(observed.axis), comparable_bands(left, right, observed.axis) & (right.mean > 0)
+    parts, use = regions(observed.axis), comparable_bands(p, m, observed.axis) & (m.mean > 0)
     use &= parts.get(item.metric.rpartition("_")[2], parts["windows"])
-    return {name: math.sqrt(share) for name, share in shares(left, right, use)} if use.any() else {}
+    return {name: math.sqrt(share) for name, share in shares(p, m, use)} if use.any() else {}
 
 
 def deciding(

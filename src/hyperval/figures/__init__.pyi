@@ -24,8 +24,8 @@ from .spec import (
 )
 
 __all__ = [
-    "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part",
-    "campaigns_figure", "canvas_of", "criteria_figure",
-    "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure", "first_figures", "further_figures",
-    "house_style", "many_objects_figure", "outcome_words", "spectra_figure", "statement",
+    "MOST_SUBJECTS", "Axis", "ColourScale", "Drawing", "Figure", "Mark", "Panels", "Part", "campaigns_figure",
+    "canvas_of", "criteria_figure", "densities_figure", "draw_pictures", "drawings_of", "exceedance_figure",
+    "first_figures", "further_figures", "house_style", "many_objects_figure", "outcome_words", "spectra_figure",
+    "statement",
 ]  # fmt: skip

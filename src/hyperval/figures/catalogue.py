@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import betaincinv
 
-from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, central, probability_integral_transform, sampled
+from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, in_central_95, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
 from hyperval.figures.rows import MET, NOT_MET
 from hyperval.figures.spec import (
@@ -98,8 +98,8 @@ def a_row_each(
         return None
     marks, looks = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
     names = [", ".join(key) for key in shown]
-    for own, (make, marker, shift) in zip(both, looks, strict=True):
-        here = [(i, own[key]) for i, key in enumerate(shown) if key in own]
+    for side, (make, marker, shift) in zip(both, looks, strict=True):
+        here = [(i, side[key]) for i, key in enumerate(shown) if key in side]
         if here:
             columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
             words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
@@ -131,14 +131,14 @@ def spectra_figure(
     ranks = [(WORST_FIRST.index(row.outcome), row.subject) for row in rows if row.planned and row.product == product]
     worst = {subject: rank for rank, subject in sorted(ranks, reverse=True)}
     shown = sorted(drawn, key=lambda subject: worst.get(subject, len(WORST_FIRST)))[:MOST_SUBJECTS]
-    axis = next(side.axis for side, own in zip(sides, both, strict=True) if side and shown[0] in own)
+    axis = next(side.axis for side, each in zip(sides, both, strict=True) if side and shown[0] in each)
     # Sides on other bands are not drawn over each other.
-    aligned = [own if side and side.axis.matches(axis) else {} for side, own in zip(sides, both, strict=True)]
-    pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in own for own in aligned)]
+    aligned = [each if side and side.axis.matches(axis) else {} for side, each in zip(sides, both, strict=True)]
+    pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in each for each in aligned)]
     identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
     counted = any(side and side.provenance.get("quantity") == "counts" for side in sides)
     about = ("counts", "Counts", False) if counted else SPECTRA[product]
-    views = tuple(_view(axis, s, [own.get(s) for own in aligned], about, not identical, names) for s in shown)
+    views = tuple(_view(axis, s, [each.get(s) for each in aligned], about, not identical, names) for s in shown)
     title = f"{about[1]}: {_there(both, names)}" + ", which are identical" * identical
     title += "" if axis.numbered else " (grey: absorption)"
     return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
@@ -150,7 +150,7 @@ def _view(
 ) -> Panels:  # fmt: skip
     """Both sides, and below them their difference, with its standard uncertainty as of independent sides."""
     (label, _, ratio), keep, words = about, in_windows(axis), ""
-    known = [(e.mean, e.standard_uncertainty) for e in both if e is not None]
+    estimates = [(e.mean, e.standard_uncertainty) for e in both if e is not None]
 
     def part(label: str, marks: Sequence[Mark], trim: float, rules: Rules = ()) -> Part:
         values = [mark.numbers.get(end, mark.numbers["y"])[keep] for mark in marks for end in ("low", "high")]
@@ -163,8 +163,8 @@ def _view(
         for e, make, name in ((both[1], measured_mark, names[1]), (both[0], predicted_mark, names[0])) if e is not None
     ]  # fmt: skip
     parts = [part(label, marks, 0.5)]
-    if differ and len(known) == 2:
-        (p, up), (m, um) = known
+    if differ and len(estimates) == 2:
+        (p, up), (m, um) = estimates
         gap = difference_ratio(p, m) if ratio else p - m
         u = np.hypot(up, (gap + 1.0) * um) / m if ratio else np.hypot(up, um)
         columns, below = {"x": axis.centre_nm, "y": gap, "half": Z95 * u}, f"difference{' ratio' * ratio}"
@@ -179,10 +179,10 @@ def budget_figure(sides: Sides) -> Figure | None:
     """Relative uncertainty of the radiance by source, stacked to the total; a view for each subject and side."""
     estimates, drawn, _ = drawn_of(sides, "radiance")
     panels: dict[str, tuple[SpectralAxis, SpectralEstimate]] = {
-        f"{subject} ({name})": (side.axis, own[subject])
+        f"{subject} ({name})": (side.axis, of_side[subject])
         for subject in drawn
-        for name, side, own in zip(SIDES, sides, estimates, strict=True)
-        if side and subject in own and own[subject].budget
+        for name, side, of_side in zip(SIDES, sides, estimates, strict=True)
+        if side and subject in of_side and of_side[subject].budget
     }
     sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
     head = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
@@ -242,8 +242,8 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
     if predicted is None or observed is None:
         return _eigenvalues_alone(sides) if quantity == "radiance" else None
     both = both_of(sides, quantity)
-    known = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
-    most = sorted(known, key=lambda one: -one[1])[:_MOST_SPREADS]
+    counts = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
+    most = sorted(counts, key=lambda one: -one[1])[:_MOST_SPREADS]
     found = {s: sampled(predicted, observed, s, quantity, MOST_EIGENVALUES) for s, _ in most}
     spreads = {s: one for s, one in found.items() if isinstance(one, Sampled)}
 
@@ -269,16 +269,16 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
 def _eigenvalues_alone(sides: Sides) -> Figure | None:
     """Those of the radiance of a side alone, for which no band of chance is known."""
     make = measured_mark if sides[0] is None else predicted_mark
-    known = {k: e for own in both_of(sides, "radiance") for k, e in own.items() if e.pixel_covariance is not None}
+    shown = {k: e for side in both_of(sides, "radiance") for k, e in side.items() if e.pixel_covariance is not None}
 
     def view(subject: str) -> Panels:
-        values = _eigenvalues(known[subject])
+        values = _eigenvalues(shown[subject])
         mark = make("line", {"x": np.arange(1.0, values.size + 1), "y": values}, marker="circle")
         x, y = Axis(_EIGENVALUE, ends=(0.0, MOST_EIGENVALUES + 1.0)), Axis(_EIGENVALUES["radiance"], "log")
         return single(x, y, [mark], subject, at=1.0 if values.size else None)
 
     title = "Eigenvalues of the pixel covariance"
-    return a_view_each("radiance-eigenvalues", "covariance", title, list(known), view)
+    return a_view_each("radiance-eigenvalues", "covariance", title, list(shown), view)
 
 
 def _eigenvalues(estimate: SpectralEstimate) -> Array:
@@ -309,15 +309,15 @@ def tail_figure(sides: Sides) -> Figure | None:
         marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]
         marks.append(Mark("line", curve(math.inf), "normal law", dash="dotted"))
         marks.append(Mark("line", curve(law.leading_tail_dof), "fitted t", DIFFERENCE, "dashdot"))
-        told = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
+        prediction = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
         y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
         name = f"{subject}: {dimension} components, n = {count_text(n)}"
-        return single(x, y, marks, name, f"{_dof(law.leading_tail_dof)} measured{told}")
+        return single(x, y, marks, name, f"{_dof(law.leading_tail_dof)} measured{prediction}")
 
-    known = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
+    subjects = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
     title = "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)"
-    return a_view_each("pixel-tails", "covariance", title, known, view)
+    return a_view_each("pixel-tails", "covariance", title, subjects, view)
 
 
 def _dof(dof: float) -> str:
@@ -329,15 +329,15 @@ def class_error_figure(sides: Sides) -> Figure | None:
     both = both_of(sides, "classification")
     keys = list(dict.fromkeys([*both[1], *both[0]]))
     # Left end of the axis: below every error that was measured or predicted, and not below a millionth.
-    least = min([1e-2, *(x for own in both for e in own.values() for x in (e.error, e.lower) if x > 0)])
+    least = min([1e-2, *(x for of_side in both for e in of_side.values() for x in (e.error, e.lower) if x > 0)])
     floor, under = max(least / 2.0, 1e-6), []
     bounded = {i: both[0][k] for i, k in enumerate(keys[:_MOST_ROWS]) if k in both[0] and both[0][k].bound_upper > 0}
     if bounded:
         numbers = np.array([(e.bound_lower, e.bound_upper, e.approximation) for e in bounded.values()])
-        (low, high, estimate), at = np.maximum(numbers, floor).T, np.array(list(bounded), float)
-        bars = {"left": low, "right": high, "bottom": at - 0.31, "top": at + 0.31}
+        (low, high, estimate), place = np.maximum(numbers, floor).T, np.array(list(bounded), float)
+        bars = {"left": low, "right": high, "bottom": place - 0.31, "top": place + 0.31}
         under.append(Mark("bars", bars, "bounds from the predicted distance"))
-        under.append(Mark("dots", {"x": estimate, "y": at}, "estimate from it", marker="tick", along="x"))
+        under.append(Mark("dots", {"x": estimate, "y": place}, "estimate from it", marker="tick", along="x"))
 
     def entry(e: ClassificationError) -> Entry:
         value, low, high = (max(x, floor) for x in (e.error, e.lower, e.upper))
@@ -345,7 +345,7 @@ def class_error_figure(sides: Sides) -> Figure | None:
 
     return a_row_each(
         "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys,
-        [{key: entry(e) for key, e in own.items()} for own in both],
+        [{key: entry(e) for key, e in of_side.items()} for of_side in both],
         Axis("probability of error", "log", ends=(floor / 1.4, 1.0)), under=under,
         legend=f"bar: 95 % interval; an error below {floor:.0e} is drawn there",
     )  # fmt: skip
@@ -366,15 +366,15 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     measured: Mapping[Key, RocCurve] = both[1]
     kinds = grouped(drawn, lambda key: key[1:])  # detector and unit
     # Two decades past what the background can resolve are enough.
-    seen = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
+    least = min((0.01 / c.n_background for c in measured.values() if c.n_background), default=0.0)
     views = []
-    for own in kinds.values():
+    for curves in kinds.values():
         # Of too many those with the most targets, pools of targets among them.
-        most = sorted(own, key=lambda key: -(getattr(measured.get(key), "n_target", -1) or 0))
+        most = sorted(curves, key=lambda key: -(getattr(measured.get(key), "n_target", -1) or 0))
         chosen = most[: MOST_SUBJECTS // len(kinds) or 1]
-        keys = [key for key in own if key in chosen]
+        keys = [key for key in curves if key in chosen]
         lowest = min((float(c[k].pfa[c[k].pfa > 0].min()) for c in both for k in keys if k in c), default=1e-3)
-        views += [_roc_view(key, [own.get(key) for own in both], max(lowest, seen), names) for key in keys]
+        views += [_roc_view(key, [curves.get(key) for curves in both], max(lowest, least), names) for key in keys]
     if not views:
         return None
     title = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
@@ -414,8 +414,8 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
         both = predicted[key], measured[key]
         low = max(both[0].pfa[0], both[1].pfa[both[1].pfa > 0].min(), 3.0 / (both[1].n_background or 3e9))
         pfa = np.geomspace(low, min(curve.pfa[-1] for curve in both), 120)
-        known = [[detection_at(c, pfa, values) for values in (c.pd, c.pd_lower, c.pd_upper)] for c in both]
-        (p, p_low, p_high), (m, m_low, m_high) = known
+        detected = [[detection_at(c, pfa, values) for values in (c.pd, c.pd_lower, c.pd_upper)] for c in both]
+        (p, p_low, p_high), (m, m_low, m_high) = detected
         d, below, above = p - m, np.hypot(p - p_low, m_high - m), np.hypot(p_high - p, m - m_low)
         columns = {"x": pfa, "y": d, "low": d - below, "high": d + above}
         line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
@@ -434,7 +434,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
     predicted, measured = both_of(sides, "exceedance")
 
     def view(key: tuple[str, str]) -> Panels:
-        law, found, floor, span, at = predicted[key], measured.get(key), 1e-6, None, None
+        law, found, floor, span, rule = predicted[key], measured.get(key), 1e-6, None, None
         columns = {"x": law.threshold, "y": law.probability, "low": law.lower, "high": law.upper}
         marks = [predicted_mark("line", _thinned(columns))]
         if found is not None:
@@ -444,9 +444,9 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             columns = {"x": x, "y": p, "low": np.maximum(low, 1e-9), "high": high}
             marks.insert(0, measured_mark("line", _thinned(columns)))
             floor, span = 0.3 * float(p.min()), (1.05 * x[0] - 0.05 * x[-1], 1.35 * x[-1] - 0.35 * x[0])
-            at = x[np.argmin(np.abs(np.log(p) - math.log(1e-2)))]
+            rule = x[np.argmin(np.abs(np.log(p) - math.log(1e-2)))]
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
-        return single(Axis("score", ends=span), y, marks, ", ".join(key), at=at)
+        return single(Axis("score", ends=span), y, marks, ", ".join(key), at=rule)
 
     title = "False-alarm probability against the threshold"
     keys = sorted(predicted, key=lambda key: key not in measured)
@@ -463,7 +463,7 @@ def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
 
 def score_figure(sides: Sides) -> Figure | None:
     """Mean and 95 % range of each population's score."""
-    both = [{key: _entry(s.mean, s.sd, s.n) for key, s in own.items()} for own in both_of(sides, "scores")]
+    both = [{key: _entry(s.mean, s.sd, s.n) for key, s in of_side.items()} for of_side in both_of(sides, "scores")]
     return a_row_each(
         "scores", "scores", f"Score distributions: {_there(both)}", both_first(*both), both, Axis("score"),
         rules=(0.0, 1.0), legend="dot: mean; bar: mean ± 1.96 standard deviations",
@@ -473,10 +473,10 @@ def score_figure(sides: Sides) -> Figure | None:
 def abundance_figure(sides: Sides) -> Figure | None:
     """Area of each target from its abundance, where no nominal area is known."""
     both = [
-        {k: _entry(a.area_m2, a.standard_uncertainty, a.n, " m²") for k, a in own.items() if a.nominal_m2 is None}
-        for own in both_of(sides, "abundance")
+        {k: _entry(a.area_m2, a.standard_uncertainty, a.n, " m²") for k, a in of_side.items() if a.nominal_m2 is None}
+        for of_side in both_of(sides, "abundance")
     ]
-    areas = np.array([area for own in both for area, *_ in list(own.values())[:_MOST_ROWS]])
+    areas = np.array([area for of_side in both for area, *_ in list(of_side.values())[:_MOST_ROWS]])
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
@@ -494,12 +494,12 @@ def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
 
 def _there(both: Sequence[Mapping[Any, Any]], names: tuple[str, str] = SIDES) -> str:
     """The sides that have anything."""
-    return " and ".join(word for word, own in zip(names, both, strict=True) if own)
+    return " and ".join(word for word, of_side in zip(names, both, strict=True) if of_side)
 
 
 def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
     """Areas by unmixing against the nominal ones, and the root mean square error by size, by method."""
-    both = [{k: a for k, a in own.items() if a.nominal_m2} for own in both_of(sides, "abundance")]
+    both = [{k: a for k, a in of_side.items() if a.nominal_m2} for of_side in both_of(sides, "abundance")]
 
     def view(method: str) -> Panels:
         sized = grouped((key for key in both[1] if key[1] == method), lambda key: both[1][key].nominal_m2)
@@ -509,18 +509,18 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
             place |= zip(keys, area * 10.0 ** np.linspace(-0.13, 0.13, len(keys) + 2)[1:-1], strict=True)
         above, below = list[Mark](), list[Mark]()
         looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
-        for own, (make, marker, name, shift) in zip(both, looks, strict=True):
-            each = {key: own[key] for key in place if key in own}
+        for of_side, (make, marker, name, shift) in zip(both, looks, strict=True):
+            each = {key: of_side[key] for key in place if key in of_side}
             every = [(place[key], a.nominal_m2, a.area_m2, a.standard_uncertainty) for key, a in each.items()]
-            at, nominal, area, u = np.array(every).reshape(-1, 4).T
-            columns = {"x": at * shift, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
-            said = tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items())
-            above.append(make("dots", columns, marker=marker, words=said))
+            rank, nominal, area, u = np.array(every).reshape(-1, 4).T
+            columns = {"x": rank * shift, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
+            labels = tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items())
+            above.append(make("dots", columns, marker=marker, words=labels))
             points = sorted((float(r.subject.removesuffix(" m2").rpartition(" ")[2]), r.value, r.lower, r.upper)
                             for r in rows if (r.method, r.metric) == (method, f"area_rmse_{name}"))  # fmt: skip
             below.append(make("line", columns_of(points), "", marker=marker))
-            told = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
-            words += [f"{name.replace('observed', 'measured')}: {told}"] if told else []
+            text = ", ".join(f"{value:.2g} m² at {size:g} m²" for size, value, *_ in points)
+            words += [f"{name.replace('observed', 'measured')}: {text}"] if text else []
         ratio = Axis("estimated / nominal area", ends=(-0.6, 4.2))
         below.append(Mark("line", {"x": sizes, "y": sizes}, "as large as the target"))
         parts = Part(ratio, tuple(above), (("y", 1.0),)), Part(Axis("rms error [m²]", "log"), tuple(below))
@@ -553,18 +553,18 @@ def transform_figure(sides: Sides) -> Figure | None:
     objects = _objects(sides)
 
     def view(detector: str) -> Panels:
-        own = [(draws, [score for _, score in scores]) for (_, by), draws, scores in objects if by == detector]
-        u = np.sort(np.concatenate([probability_integral_transform(scores, draws) for draws, scores in own]))
+        pairs = [(draws, [score for _, score in scores]) for (_, by), draws, scores in objects if by == detector]
+        u = np.sort(np.concatenate([probability_integral_transform(scores, draws) for draws, scores in pairs]))
         n, rank = u.size, np.arange(1, u.size + 1)
-        at = (rank - 0.5) / n
+        expected = (rank - 0.5) / n
         low, high = (betaincinv(rank, n + 1 - rank, q) for q in (0.025, 0.975))
         marks = (
-            predicted_mark("area", {"x": at, "low": low, "high": high}, "95 % of independent objects"),
+            predicted_mark("area", {"x": expected, "low": low, "high": high}, "95 % of independent objects"),
             Mark("line", {"x": [0.0, 1.0], "y": [0.0, 1.0]}, "uniform", dash="dotted"),
-            measured_mark("line", {"x": at, "y": u}, "objects, in order"),
+            measured_mark("line", {"x": expected, "y": u}, "objects, in order"),
         )
         x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("uniform quantile", "probability integral transform"))
-        return single(x, y, marks, detector, f"{n} objects, {np.mean(central(u)):.0%} in the central 95 %")
+        return single(x, y, marks, detector, f"{n} objects, {np.mean(in_central_95(u)):.0%} in the central 95 %")
 
     title = "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction"
     detectors = list(dict.fromkeys(detector for (_, detector), *_ in objects))
@@ -575,15 +575,15 @@ def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, list[tuple[str,
     """(subject, detector), predicted draws, and name and measured score of each object of what both sides hold."""
     predicted, measured = both_of(sides, "object_scores")
     both = ((key, zip(measured[key].names, measured[key].values, strict=True)) for key in predicted if key in measured)
-    known = ((key, [(name, float(score)) for name, score in each if np.isfinite(score)]) for key, each in both)
-    return [(key, predicted[key].values.ravel(), scores) for key, scores in known if scores]
+    finite = ((key, [(name, float(score)) for name, score in each if np.isfinite(score)]) for key, each in both)
+    return [(key, predicted[key].values.ravel(), scores) for key, scores in finite if scores]
 
 
 def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | None:
     """The objects of each score map at their places, coloured by measured minus predicted score, above the histogram
     of their scores; None where they are few.
     """
-    found = {name: own for name, one in maps.items() if (own := _map_objects(name, one, sides)) is not None}
+    found = {name: drawn for name, one in maps.items() if (drawn := _map_objects(name, one, sides)) is not None}
     title = "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
     title += "in one is highlighted in the other"
     return a_view_each("objects", "scores", title, list(found), found.__getitem__)
@@ -592,28 +592,28 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
     found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
     for (_, detector), draws, scores in _objects(sides):
-        own = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
-        found += [(*one, float(np.median(draws))) for one in own]
-        laws += [(len(own), draws)] if own else []
+        inside = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
+        found += [(*one, float(np.median(draws))) for one in inside]
+        laws += [(len(inside), draws)] if inside else []
     if min(len(found), len(score_map.outlines)) <= _MOST_ROWS:  # each has its place in a list
         return None
     names, measured, median = zip(*found, strict=True)
     line, sample = np.array([np.mean(np.nonzero(score_map.outlines[one]), axis=1) for one in names]).T + 0.5
     value = np.array(measured) - np.array(median)
     reach = float(np.max(np.abs(value))) or 1.0
-    said = tuple(f"{one}: measured {m:.3g}, predicted median {p:.3g}"
+    labels = tuple(f"{one}: measured {m:.3g}, predicted median {p:.3g}"
                  for one, m, p in zip(names, measured, median, strict=True))  # fmt: skip
     scale = ColourScale("signed", -reach, reach, "measured − predicted")
     columns = {"x": sample, "y": line, "value": value}
-    dots = Mark("dots", columns, marker="circle", words=said, scale=scale, linked=True)
+    dots = Mark("dots", columns, marker="circle", words=labels, scale=scale, linked=True)
     lines, samples = (float(n) for n in np.shape(score_map.values))
     place = Part(Axis("line [pixel]", ends=(lines, 0.0)), (dots,))
-    parts = place, _scores_of_all(measured, laws, said)
+    parts = place, _scores_of_all(measured, laws, labels)
     words = f"{len(names)} objects, median measured {np.median(measured):.3g}, predicted {np.median(median):.3g}"
     return Panels(Axis("sample [pixel]", ends=(0.0, samples)), parts, name, words=words)
 
 
-def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], said: tuple[str, ...]) -> Part:
+def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]], labels: tuple[str, ...]) -> Part:
     """Histogram of measured scores and of those that the prediction expects.
 
     Scores beyond the edges count in the outermost bins, so that both sum to the number of objects.
@@ -628,7 +628,7 @@ def _scores_of_all(measured: Sequence[float], laws: Sequence[tuple[int, Array]],
     marks = (
         measured_mark("bars", bins, alpha=0.35),
         predicted_mark("steps", {"x": edges, "y": np.append(expected, np.ravel(expected)[-1])}),
-        measured_mark("dots", dots, "", marker="circle", words=said, linked=True),
+        measured_mark("dots", dots, "", marker="circle", words=labels, linked=True),
     )
     x = Axis("greatest score over the object's pixels", ends=(float(edges[0] - margin), float(edges[-1] + margin)))
     return Part(Axis("number of objects", ends=(0.0, top)), marks, x=x)
@@ -644,8 +644,8 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
     def view(detector: str) -> Panels:
         curves = []
         for number, (label, side) in enumerate(sides):
-            own = [(subject, one) for (subject, by), one in side.scores.items() if by == detector and one.sd > 0]
-            curves += [(label, number, subject, *density_of(one)) for subject, one in own[:_MOST_POPULATIONS]]
+            drawn = [(subject, one) for (subject, by), one in side.scores.items() if by == detector and one.sd > 0]
+            curves += [(label, number, subject, *density_of(one)) for subject, one in drawn[:_MOST_POPULATIONS]]
         subjects = list(dict.fromkeys(subject for _, _, subject, *_ in curves))
         top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
         marks = tuple(
@@ -700,13 +700,13 @@ def reason_figures(table: ResultTable) -> list[Figure | None]:
     """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
     gains = table.where(product="attribution", metric="likelihood_gain")
     whole = sorted(gains.where(subject="all"), key=lambda r: -r.value)
-    told = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
-    tests, moves = told.where(metric="reduced_chi_square"), told.where(product="sensitivity")
-    left = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
-    first = next((f"Residuals before and after: {r.method}" for r in left), "")
+    moved = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
+    tests, moves = moved.where(metric="reduced_chi_square"), moved.where(product="sensitivity")
+    residuals = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
+    first = next((f"Residuals before and after: {r.method}" for r in residuals), "")
     outcomes = tests.where(product="what-if")
     return [
-        _before_and_after("residuals", "attribution", left, [r.subject for r in left], first),
+        _before_and_after("residuals", "attribution", residuals, [r.subject for r in residuals], first),
         _inputs(whole[:_MOST_INPUTS], table) if whole else None,
         _gain(table),
         _by_subject([r for r in gains if r.subject != "all"]),
@@ -718,20 +718,20 @@ def reason_figures(table: ResultTable) -> list[Figure | None]:
 def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     needed = table.where(product="attribution", metric="needed_uncertainty")
     stated, names = {r.method for r in needed if r.cause is not Cause.NO_UNCERTAINTY}, [r.method for r in rows]
-    best, at, ends = rows[0], np.arange(float(len(rows))), np.array([max(r.value, 0.1) for r in rows])
-    columns = {"left": np.full(at.size, 0.1), "right": ends, "bottom": at - 0.35, "top": at + 0.35}
+    best, place, ends = rows[0], np.arange(float(len(rows))), np.array([max(r.value, 0.1) for r in rows])
+    columns = {"left": np.full(place.size, 0.1), "right": ends, "bottom": place - 0.35, "top": place + 0.35}
     # An input that explains nothing has nothing to say, however far it moves.
     words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
     marks = bars.by_kind([name in stated for name in names], _STATED)
-    told = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
+    caption = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
     legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
     numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
     legend += "; a number in brackets: one of several independent shapes of an error" * numbered
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
     title = "Inputs that would explain the differences if they were less certain"
     y = Axis.named(names, _LONGEST)
-    return of_rows("attribution-inputs", "attribution", title, x, y, marks, told, legend, (_TELLING,))
+    return of_rows("attribution-inputs", "attribution", title, x, y, marks, caption, legend, (_TELLING,))
 
 
 def _gain(table: ResultTable) -> Figure | None:
@@ -768,18 +768,18 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
     gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
     part = gains / np.maximum(gains.max(axis=1, keepdims=True), 1e-300)
-    at = np.nonzero(gains > 0.0)
-    columns = {"x": at[1].astype(float), "y": at[0].astype(float), "size": 14.0 * np.sqrt(part[at])}
-    words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[at])
-    marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[at] >= 0.999, _GREATEST)
+    cells = np.nonzero(gains > 0.0)
+    columns = {"x": cells[1].astype(float), "y": cells[0].astype(float), "size": 14.0 * np.sqrt(part[cells])}
+    words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[cells])
+    marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[cells] >= 0.999, _GREATEST)
     legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
     quiet = len({r.subject for r in rows}) - len(telling)
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
     legend += left_out(len(subjects), len(telling), "results.csv")
-    tops = "; ".join(f"{s}: {inputs[at]}" for s, at in zip(subjects, gains.argmax(axis=1), strict=True))
+    tops = "; ".join(f"{s}: {inputs[cells]}" for s, cells in zip(subjects, gains.argmax(axis=1), strict=True))
     names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
-    told = f"input of the greatest gain: {tops}"
-    return of_rows("attribution-subjects", "attribution", "The same for each subject", *names, marks, told, legend)
+    summary = f"input of the greatest gain: {tops}"
+    return of_rows("attribution-subjects", "attribution", "The same for each subject", *names, marks, summary, legend)
 
 
 def _effects(rows: Sequence[Result]) -> Figure:
@@ -805,31 +805,31 @@ def _effects(rows: Sequence[Result]) -> Figure:
     scale = ColourScale("signed", -reach, reach, "change per unit")
     cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
     largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
-    told = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
+    text = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
     legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
     legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
     quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
     ways = Axis.named(names, _LONGEST), Axis.named(quantities, 56)
     title = "Change by one unit of each input"
-    return of_rows("attribution-effects", "sensitivity", title, *ways, [cells], told, legend)
+    return of_rows("attribution-effects", "sensitivity", title, *ways, [cells], text, legend)
 
 
 def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
     """Reduced chi-square of each row, and what it was before."""
     if not rows:
         return None
-    (before, after), at = np.array([(r.before, r.value) for r in rows]).T, np.arange(float(len(rows)))
-    start = Mark("dots", {"x": before, "y": at}, "as in the campaign", marker="circle", hollow=True)
-    columns = {"x": after, "y": at, "low": np.minimum(before, after), "high": np.maximum(before, after)}
+    (before, after), place = np.array([(r.before, r.value) for r in rows]).T, np.arange(float(len(rows)))
+    start = Mark("dots", {"x": before, "y": place}, "as in the campaign", marker="circle", hollow=True)
+    columns = {"x": after, "y": place, "low": np.minimum(before, after), "high": np.maximum(before, after)}
     end = Mark("dots", columns, along="x", words=tuple(f"{value:.3g}" for value in after), beside="right")
     marks = [start, *end.by_kind(after < before, _CLOSER)]
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
-    told = "; ".join(f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
+    words = "; ".join(f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
     legend = "dotted: 1, as expected from the uncertainties"
-    return of_rows(name, product, title, x, Axis.named(names, _LONGEST), marks, told, legend, (1.0,))
+    return of_rows(name, product, title, x, Axis.named(names, _LONGEST), marks, words, legend, (1.0,))
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:

@@ -42,7 +42,7 @@ def draw_pictures(quicklook: Quicklook | None, maps: Mapping[str, ScoreMap], *, 
     """The scene, and the first score maps with what the model expects in their place."""
     scene = [] if quicklook is None else [quicklook_figure(quicklook, simulated=simulated)]
     first = enumerate(list(maps.items())[:_MOST_MAPS], start=1)
-    return scene + [one for n, (name, own) in first for one in _map_drawings(f"score-map-{n}", name, own, simulated)]
+    return scene + [one for n, (name, map_) in first for one in _map_drawings(f"score-map-{n}", name, map_, simulated)]
 
 
 def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
@@ -65,7 +65,7 @@ def _map_drawings(file: str, name: str, score_map: ScoreMap, simulated: bool) ->
     scores, outlines, metres = np.asarray(score_map.values), score_map.outlines, score_map.pixel_size_m
     view, limits = shown_window(scores.shape, outlines), _score_limits(score_map)
     values, block = block_maximum(scores[view].astype(float), _MOST_PIXELS)
-    colours = [int(tone[at : at + 2], 16) for tone in tones(VIRIDIS, _TONES) for at in (1, 3, 5)]
+    colours = [int(tone[k : k + 2], 16) for tone in tones(VIRIDIS, _TONES) for k in (1, 3, 5)]
     canvas = functools.partial(_Canvas, colours=colours, view=view, block=block, simulated=simulated)
     note = _cut(scores.shape, view)
     note += f"; each point is the largest score of {block} by {block} pixels" if block > 1 else ""
@@ -112,8 +112,8 @@ class _Canvas:
         self._end = _LEFT + width, _TOP + height
         right = _BAR_ROOM if limits else _RIGHT
         self._image = Image.new("P", (self._end[0] + right, max(self._end[1] + _FOOT, 330)), _WHITE)
-        own = [*colours, *[0] * (3 * _OWN - len(colours))][: 3 * _OWN]  # of the picture, then of lines and letters
-        self._image.putpalette(own + [int(colour[at : at + 2], 16) for colour in _LINES for at in (1, 3, 5)])
+        palette = [*colours, *[0] * (3 * _OWN - len(colours))][: 3 * _OWN]  # of the picture, then of lines and letters
+        self._image.putpalette(palette + [int(colour[k : k + 2], 16) for colour in _LINES for k in (1, 3, 5)])
         self._image.paste(Image.fromarray(picture).resize((width, height), Image.Resampling.NEAREST), (_LEFT, _TOP))
         self._pen = ImageDraw.Draw(self._image)
         words, room = title + (" (simulated collection)" if simulated else ""), self._image.width - 16
@@ -140,11 +140,11 @@ class _Canvas:
             self._label(*label)
         if pixel_size_m and math.isfinite(pixel_size_m):
             length_m = _round_length(0.25 * _size(self._view)[1] * pixel_size_m)
-            left, y = _LEFT + 0.04 * (self._end[0] - _LEFT), self._end[1] - 0.04 * (self._end[1] - _TOP)
-            right = left + length_m / pixel_size_m * self._per_pixel
+            start, y = _LEFT + 0.04 * (self._end[0] - _LEFT), self._end[1] - 0.04 * (self._end[1] - _TOP)
+            right = start + length_m / pixel_size_m * self._per_pixel
             for colour, width, more in ((_BLACK, 12, 2), (_WHITE, 7, 0)):
-                self._pen.line((left - more, y, right + more, y), colour, width)
-            self._label((left + right) / 2, y - 12, f"{length_m:g} m", _WHITE, "mb")
+                self._pen.line((start - more, y, right + more, y), colour, width)
+            self._label((start + right) / 2, y - 12, f"{length_m:g} m", _WHITE, "mb")
         out = io.BytesIO()
         self._image.save(out, format="png")
         named = "; ".join(f"{number}: {one}" for number, one in enumerate(regions, start=1))
@@ -174,16 +174,16 @@ class _Canvas:
             self._pen.text((_LEFT - 16, y), f"{line:g}", _BLACK, _font(_SMALL), anchor="rm")
 
     def _scale_of_colours(self, limits: tuple[float, float], what: str) -> None:
-        left, height = self._end[0] + 28, max(self._end[1] - _TOP, 200)
+        x, height = self._end[0] + 28, max(self._end[1] - _TOP, 200)
         tones = np.repeat(np.linspace(_TONES - 1, 0, height).round().astype(np.uint8)[:, None], _BAR, axis=1)
-        self._image.paste(Image.fromarray(tones), (left, _TOP))
-        self._pen.text((left, _TOP - 8), what, _BLACK, _font(_LETTER), anchor="lb")
+        self._image.paste(Image.fromarray(tones), (x, _TOP))
+        self._pen.text((x, _TOP - 8), what, _BLACK, _font(_LETTER), anchor="lb")
         for part in (0.0, 0.25, 0.5, 0.75, 1.0):
             y = _TOP + (1.0 - part) * height
             sign = {0.0: "< ", 1.0: "> "}.get(part, "")
             words = f"{sign}{limits[0] + part * (limits[1] - limits[0]):.3g}"
-            self._pen.line((left + _BAR, y, left + _BAR + 8, y), _GREY, 2)
-            self._pen.text((left + _BAR + 12, y), words, _BLACK, _font(_SMALL), anchor="lm")
+            self._pen.line((x + _BAR, y, x + _BAR + 8, y), _GREY, 2)
+            self._pen.text((x + _BAR + 12, y), words, _BLACK, _font(_SMALL), anchor="lm")
 
     def _label(self, x: float, y: float, words: str, colour: int, anchor: str) -> None:
         box = self._pen.textbbox((x, y), words, _font(_SMALL), anchor=anchor)
@@ -199,7 +199,7 @@ def _font(height: int) -> Any:
 def _ticks(along: slice) -> list[float]:
     """Round places within an axis."""
     step = max(_round_length((along.stop - along.start) / 3), 1.0)
-    return [float(at) for at in np.arange(math.ceil(along.start / step) * step, along.stop + 1e-9, step)]
+    return [float(tick) for tick in np.arange(math.ceil(along.start / step) * step, along.stop + 1e-9, step)]
 
 
 def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
@@ -210,8 +210,8 @@ def shown_window(shape: tuple[int, ...], regions: Mapping[str, Any]) -> Window:
     inside = functools.reduce(np.logical_or, masks, np.zeros(sides, bool))
     if inside.any():
         along = int(np.argmax(sides))
-        at, margin = np.flatnonzero(inside.any(axis=1 - along)), max(10, min(sides) // 10)
-        window[along] = slice(max(int(at[0]) - margin, 0), min(int(at[-1]) + 1 + margin, sides[along]))
+        inside_at, margin = np.flatnonzero(inside.any(axis=1 - along)), max(10, min(sides) // 10)
+        window[along] = slice(max(int(inside_at[0]) - margin, 0), min(int(inside_at[-1]) + 1 + margin, sides[along]))
     return window[0], window[1]
 
 
@@ -237,8 +237,8 @@ def block_maximum(values: Array, most: int) -> tuple[Array, int]:
     so that a target of one pixel is still seen; and the side of the block [pixels].
     """
     block = max(1, math.ceil(max(values.shape) / most))
-    known = np.where(np.isfinite(values), values, -np.inf)
-    reduced = known if block == 1 else block_reduce(known, block, np.max, cval=-np.inf)
+    finite = np.where(np.isfinite(values), values, -np.inf)
+    reduced = finite if block == 1 else block_reduce(finite, block, np.max, cval=-np.inf)
     return np.where(np.isfinite(reduced), reduced, np.nan), block
 
 

@@ -61,8 +61,8 @@ def drawings_of(
                 name = figure.name if len(figure.pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
                 canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
-                own = figure.section, figure.title, figure.alt, content.getvalue(), kind
-                out.append(Drawing(name, *own, legend=figure.legend))
+                content_of = figure.section, figure.title, figure.alt, content.getvalue(), kind
+                out.append(Drawing(name, *content_of, legend=figure.legend))
     return out
 
 
@@ -80,8 +80,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
     names = [len(part.y.names) for part in views[0].parts]
     ratios = [count + 1.5 for count in names] if any(names) else [2.0, *[1.0] * (parts - 1)]
     grid = canvas.add_gridspec(parts * rows, columns, height_ratios=ratios * rows)
-    for at, view in enumerate(views):
-        row, column = divmod(at, columns)
+    for k, view in enumerate(views):
+        row, column = divmod(k, columns)
         above: Axes | None = None
         for number, part in enumerate(view.parts):
             axes = canvas.add_subplot(grid[parts * row + number, column], sharex=None if part.x else above)
@@ -91,7 +91,7 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
             draw_part(axes, view, part)
             last = number == len(view.parts) - 1
             axes.set_ylabel(fill(plain(part.y.label), _LABEL).replace(" [", "\n[") if column == 0 else "")
-            axes.set_xlabel(plain((part.x or view.x).label) if part.x or (last and at + columns >= len(views)) else "")
+            axes.set_xlabel(plain((part.x or view.x).label) if part.x or (last and k + columns >= len(views)) else "")
             if not last and not part.x:
                 axes.tick_params(labelbottom=False)
             above = axes
@@ -134,8 +134,8 @@ def draw_part(axes: Axes, view: Panels, part: Part) -> None:
         _mark(axes, mark)
     for way, place in part.rules:
         (axes.axvline if way == "x" else axes.axhline)(place, color=GREY, linewidth=0.9, linestyle=":")
-    for at, note in enumerate(part.y.notes):
-        axes.annotate(plain(note), (1.0, at), xycoords=("axes fraction", "data"), xytext=(4, 0),
+    for height, note in enumerate(part.y.notes):
+        axes.annotate(plain(note), (1.0, height), xycoords=("axes fraction", "data"), xytext=(4, 0),
                       textcoords="offset points", va="center", annotation_clip=False)  # fmt: skip
 
 

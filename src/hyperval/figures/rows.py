@@ -146,10 +146,10 @@ def _words(row: Result) -> str:
 def row_label(row: Result, *, several: bool = False) -> str:
     """Subject, and where in the spectrum or on the curve."""
     subject = {"*": "all subjects", "all objects": ""}.get(row.subject, row.subject).replace("_", " ")
-    base, _, at = row.metric.partition("@")
-    ends = at.split("-")
+    base, _, place = row.metric.partition("@")
+    ends = place.split("-")
     nm = len(ends) == 2 and all(end.isdecimal() for end in ends)
-    region = f"P_FA {at}" if at.startswith("1e") else f"{'–'.join(ends)} nm" if nm else " ".join(ends)
+    region = f"P_FA {place}" if place.startswith("1e") else f"{'–'.join(ends)} nm" if nm else " ".join(ends)
     region = region or _REGIONS.get(base.rsplit("_", 1)[-1], "")
     unseen = "unseen" * (row.subjects_seen == "unseen")
     return ", ".join(word for word in (subject, unseen, region, _words(row) if several else "") if word) or _words(row)
@@ -167,12 +167,12 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     groups = grouped(every, lambda row: (row.product, row.effect_unit or _words(row)))
     if not groups:
         return None
-    apart = [own for own in groups.values() if own[0].outcome is not Outcome.AGREES] or list(groups.values())
+    apart = [some for some in groups.values() if some[0].outcome is not Outcome.AGREES] or list(groups.values())
     shown = apart[:_MOST_PARTS]
-    room = [min(1 + sum(row.outcome is not Outcome.AGREES for row in own), len(own)) for own in shown]
+    room = [min(1 + sum(row.outcome is not Outcome.AGREES for row in some), len(some)) for some in shown]
     while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
         room[room.index(max(room))] -= 1
-    parts = [_part(own, most) for own, most in zip(shown, room, strict=True)]
+    parts = [_part(some, most) for some, most in zip(shown, room, strict=True)]
     # One legend for all: marks of the first plot without a number.
     names = {mark.label: mark for part in parts for mark in part.marks}
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, (math.nan,)), words=()) for mark in names.values()]
@@ -184,30 +184,30 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     return Figure("criteria", "criteria", title, (Panels(Axis(), tuple(parts)),))
 
 
-def _part(own: Sequence[Result], most: int) -> Part:
+def _part(rows: Sequence[Result], most: int) -> Part:
     """The plot of one product and unit: ``most`` rows by themselves, the others in one."""
-    most = len(own) if len(own) <= most + 1 else most
-    several = len({_words(row) for row in own}) > 1
-    names = [row_label(row, several=several) + " †" * row.set_after for row in own[:most]]
-    methods = [f", {row.method.partition('/')[0]}" for row in own[:most]]
+    most = len(rows) if len(rows) <= most + 1 else most
+    several = len({_words(row) for row in rows}) > 1
+    names = [row_label(row, several=several) + " †" * row.set_after for row in rows[:most]]
+    methods = [f", {row.method.partition('/')[0]}" for row in rows[:most]]
     names = [n + m * (names.count(n) > 1 and len(set(methods)) > 1) for n, m in zip(names, methods, strict=True)]
-    notes = [effect_text(row) for row in own[:most]]
-    rest, first = own[most:], own[0]
+    notes = [effect_text(row) for row in rows[:most]]
+    rest, first = rows[most:], rows[0]
     if rest:
         names.append(f"more: {outcome_words(rest)}")
         values = [row.effect for row in rest if math.isfinite(row.effect)]
         notes.append(" to ".join(short_text(v, _sign(first)) for v in (min(values), max(values))) if values else "")
-    low, high = _ends(own, False)
-    log = first.effect_unit == _P_VALUE or (first.ideal == 1.0 and all(row.effect > 0 for row in own) and high > 3.0)
-    ends = _ends(own, True) if log else (low, high)
+    low, high = _ends(rows, False)
+    log = first.effect_unit == _P_VALUE or (first.ideal == 1.0 and all(row.effect > 0 for row in rows) and high > 3.0)
+    ends = _ends(rows, True) if log else (low, high)
     title = ": ".join(word for word in (product_words(first.product), "" if several else _words(first)) if word)
     label = f"{title[:1].upper()}{title[1:]}" + (f" [{first.effect_unit}]" if first.effect_unit else "")
     # What could be detected is another for each of those that are folded.
     folded = (replace(row, detectable_low=math.nan, detectable_high=math.nan) for row in rest)
-    at = [*((float(i), row) for i, row in enumerate(own[:most])), *((float(most), row) for row in folded)]
+    placed = [*((float(i), row) for i, row in enumerate(rows[:most])), *((float(most), row) for row in folded)]
     ideal = (("x", first.ideal),) if math.isfinite(first.ideal) else ()
     y = replace(Axis.named(names), notes=tuple(notes))
-    return Part(y, _marks(at, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
+    return Part(y, _marks(placed, ends), ideal, Axis(label, "log" if log else "linear", ends=ends))  # type: ignore[arg-type]
 
 
 def _detectable(row: Result) -> tuple[float, ...]:
@@ -231,21 +231,21 @@ def _ends(rows: Sequence[Result], log: bool) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _marks(at: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tuple[Mark, ...]:
-    accepted = dict.fromkeys((y, row.accepted_low, row.accepted_high) for y, row in at)
+def _marks(rows: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> tuple[Mark, ...]:
+    accepted = dict.fromkeys((y, row.accepted_low, row.accepted_high) for y, row in rows)
     ranges, marks = [one for one in accepted if any(map(math.isfinite, one[1:]))], []
     if ranges:
         y, low, high = np.array(ranges, float).T
         edges = {"left": np.where(np.isfinite(low), low, ends[0]), "right": np.where(np.isfinite(high), high, ends[1])}
         columns = edges | {"bottom": y - _HALF, "top": y + _HALF}
         marks.append(Mark("bars", columns, "accepted range", ACCEPTED, alpha=1.0))
-    known = [(y, row) for y, row in at if math.isfinite(row.effect)]
-    numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in known]
+    sized = [(y, row) for y, row in rows if math.isfinite(row.effect)]
+    numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in sized]
     columns = columns_of(numbers, ("x", "low", "high", "y"))
     columns["x"] = np.maximum(columns["x"], ends[0])  # a p-value may be as small as it likes
-    words = (f"{row.product}, {row_label(row)}: {row.outcome.word}, {effect_text(row)}" for _, row in known)
-    marks += Mark("dots", columns, along="x", words=tuple(words)).by_kind([row.outcome for _, row in known], _LOOKS)
-    found = [(d, y) for y, row in at for d in _detectable(row) if ends[0] <= d <= ends[1]]
+    words = (f"{row.product}, {row_label(row)}: {row.outcome.word}, {effect_text(row)}" for _, row in sized)
+    marks += Mark("dots", columns, along="x", words=tuple(words)).by_kind([row.outcome for _, row in sized], _LOOKS)
+    found = [(d, y) for y, row in rows for d in _detectable(row) if ends[0] <= d <= ends[1]]
     if found:
         x, y = np.array(found).T
         marks.append(Mark("dots", {"x": x, "y": y}, "smallest detectable error", marker="tick", along="x"))
@@ -257,7 +257,7 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
     criteria = {name: [row for row in rows if row.gates and row.evidence is Evidence.MODEL]
                 for name, rows in tables.items()}  # fmt: skip
     counts = {name: Counter(row.outcome for row in rows) for name, rows in criteria.items()}
-    names = [name for name, own in counts.items() if own.total() > own[Outcome.SKIPPED]]
+    names = [name for name, count in counts.items() if count.total() > count[Outcome.SKIPPED]]
     if not names:
         return None
     names.sort(key=lambda name: [-counts[name][outcome] / counts[name].total() for outcome in WORST_FIRST])

@@ -149,10 +149,10 @@ class Mark:
         """A mark for each kind of its points that there is, each kind with its own look."""
         marks = []
         for kind, look in looks.items():
-            own = [i for i, one in enumerate(kinds) if one == kind]
-            if own:
-                columns = {name: np.asarray(values)[own] for name, values in self.columns.items()}
-                words = tuple(self.words[i] for i in own if self.words)
+            members = [i for i, one in enumerate(kinds) if one == kind]
+            if members:
+                columns = {name: np.asarray(values)[members] for name, values in self.columns.items()}
+                words = tuple(self.words[i] for i in members if self.words)
                 marks.append(replace(self, columns=columns, words=words, **look))
         return marks
 
@@ -213,8 +213,8 @@ class Panels:
         marks = [mark for part in self.parts for mark in part.marks]
         numbers = [mark.told_at(self.at) for mark in marks if mark.label and self.at is not None]
         points = [": ".join(filter(None, (mark.label, "; ".join(mark.words)))) for mark in marks if any(mark.words)]
-        said = list(filter(None, [*numbers, self.words])) or points
-        return ": ".join(filter(None, (self.name, "; ".join(said))))
+        texts = list(filter(None, [*numbers, self.words])) or points
+        return ": ".join(filter(None, (self.name, "; ".join(texts))))
 
     def ends(self, way: Way, part: Part) -> tuple[float, float]:
         """Ends of an axis of a part: as stated, or with a margin about everything drawn along it."""
@@ -273,8 +273,8 @@ class Figure:
         shared = [part for part in self.views[0].parts if part.x is None]
         axes = [" over ".join(filter(None, (part.y.told, self.views[0].x.told))) for part in shared]
         names = dict.fromkeys(mark.label for view in self.views for part in view.parts for mark in part.marks)
-        told = ["; ".join(filter(None, each)) for each in (axes, names, (view.told for view in self.views))]
-        parts = [f"{what}{words}" for what, words in zip(("Axes: ", "Shown: ", ""), told, strict=True) if words]
+        texts = ["; ".join(filter(None, each)) for each in (axes, names, (view.told for view in self.views))]
+        parts = [f"{what}{words}" for what, words in zip(("Axes: ", "Shown: ", ""), texts, strict=True) if words]
         return f"{'. '.join([self.title, *parts])}."
 
     @property
@@ -390,9 +390,9 @@ def tones(palette: Sequence[str], count: int) -> list[str]:
     >>> tones(("#000000", "#ffffff"), 3)
     ['#000000', '#808080', '#ffffff']
     """
-    own = np.array([[int(tone[at : at + 2], 16) for at in (1, 3, 5)] for tone in palette], float)
+    colours = np.array([[int(tone[k : k + 2], 16) for k in (1, 3, 5)] for tone in palette], float)
     parts = np.linspace(0.0, len(palette) - 1.0, count)
-    mixed = np.stack([np.interp(parts, np.arange(len(palette)), own[:, i]) for i in range(3)], axis=-1)
+    mixed = np.stack([np.interp(parts, np.arange(len(palette)), colours[:, i]) for i in range(3)], axis=-1)
     return [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in mixed.round().astype(int)]
 
 

@@ -147,8 +147,8 @@ def _tree(path: Path, engine: str | None) -> xr.DataTree:
             except (NotImplementedError, TypeError, ValueError):  # an engine without groups
                 return xr.DataTree(xr.open_dataset(path, **options))
     except Exception as error:  # each engine has errors of its own
-        known = ", ".join(sorted(xr.backends.list_engines()))
-        raise refusal("array.no_engine", path, why=str(error).split("\n", 1)[0], known=known) from error
+        engines = ", ".join(sorted(xr.backends.list_engines()))
+        raise refusal("array.no_engine", path, why=str(error).split("\n", 1)[0], known=engines) from error
 
 
 @reader
@@ -317,11 +317,11 @@ class ArrayRaster(Raster):
 
     def _band_blocks(self) -> Iterator[slice]:
         """The bands, those of one block of a piece together."""
-        at = 0
+        first = 0
         for piece in self.pieces:
-            step, end = self._block(piece)["b"], at + piece.size("b")
-            yield from (slice(start, min(start + step, end)) for start in range(at, end, step))
-            at = end
+            step, end = self._block(piece)["b"], first + piece.size("b")
+            yield from (slice(start, min(start + step, end)) for start in range(first, end, step))
+            first = end
 
     def _block(self, piece: Piece) -> dict[str, int]:
         """Size of the blocks that a piece is stored in along each axis; a line where it is not stored in blocks."""
@@ -335,12 +335,12 @@ class ArrayRaster(Raster):
         return {axis: chunks[piece.axes.index(axis)] if axis in piece.axes else 1 for axis in AXES}
 
     def _box(self, bands: slice, lines: slice, samples: slice) -> Numbers:
-        parts, at = [], 0
+        parts, first = [], 0
         for piece in self.pieces:
-            own = slice(max(bands.start - at, 0), min(bands.stop - at, piece.size("b")))
-            if own.start < own.stop:
-                parts.append(self._values(piece, {"b": own, "l": lines, "s": samples}))
-            at += piece.size("b")
+            part = slice(max(bands.start - first, 0), min(bands.stop - first, piece.size("b")))
+            if part.start < part.stop:
+                parts.append(self._values(piece, {"b": part, "l": lines, "s": samples}))
+            first += piece.size("b")
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _values(self, piece: Piece, ranges: Mapping[str, slice]) -> Numbers:
@@ -561,11 +561,11 @@ def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, st
         return "deviations", None, ()
     if is_radiance(unit):
         return "radiance", unit, ()
-    known = _FRACTIONS.get((unit or "1").lower())
-    if known is None:
+    factor = _FRACTIONS.get((unit or "1").lower())
+    if factor is None:
         return None, None, (f"the array states its unit as {unit!r}, which is not known",)
-    says = known != "1" or re.search("reflectance|rfl|(?<![a-z])rrs", name, re.IGNORECASE)
-    return ("reflectance", known, ()) if says else (None, None, ())
+    says = factor != "1" or re.search("reflectance|rfl|(?<![a-z])rrs", name, re.IGNORECASE)
+    return ("reflectance", factor, ()) if says else (None, None, ())
 
 
 def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
@@ -581,8 +581,8 @@ def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Arra
     fits = [v for v in fits if v.dtype.kind in "iufb"]
     if len(fits) != 1:
         return None
-    own, there = (in_nm(_stated_unit(x)) for x in (fits[0], wave))
-    return np.asarray(fits[0].values, float) * (own / there if own and there else 1.0)
+    unit, wave_unit = (in_nm(_stated_unit(x)) for x in (fits[0], wave))
+    return np.asarray(fits[0].values, float) * (unit / wave_unit if unit and wave_unit else 1.0)
 
 
 def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> Position:
@@ -603,11 +603,11 @@ def _labelled_position(data: xr.Dataset, array: xr.DataArray, axes: str) -> Posi
 
 def _even_grid(x: Array, y: Array) -> Affine | None:
     """The transform of a grid by the coordinates of its centres along samples and lines; None where they are uneven."""
-    for at in (x, y):
-        step = np.diff(at)
-        if not step.size or not np.all(np.isfinite(at)) or not step[0] or not np.allclose(step, step[0], rtol=1e-3):
+    for c in (x, y):
+        step = np.diff(c)
+        if not step.size or not np.all(np.isfinite(c)) or not step[0] or not np.allclose(step, step[0], rtol=1e-3):
             return None
-    dx, dy = ((at[-1] - at[0]) / (at.size - 1) for at in (x, y))
+    dx, dy = ((c[-1] - c[0]) / (c.size - 1) for c in (x, y))
     return Affine(dx, 0.0, x[0] - 0.5 * dx, 0.0, dy, y[0] - 0.5 * dy)
 
 
@@ -653,8 +653,8 @@ def _matrix_axes(shape: tuple[int, ...], waves: set[int], beside: set[tuple[int,
     """
     fits = [axis for axis, size in enumerate(shape) if size in waves]
     bands_first = shape[1:] in beside and shape[:2] not in beside
-    at = fits[0] if len(fits) == 1 else 0 if bands_first else 2
-    return "ls"[:at] + "b" + "ls"[at:]
+    bands_at = fits[0] if len(fits) == 1 else 0 if bands_first else 2
+    return "ls"[:bands_at] + "b" + "ls"[bands_at:]
 
 
 def _likely(names: list[str], shapes: Mapping[str, tuple[int, ...]], is_map: bool) -> list[str]:
@@ -679,13 +679,13 @@ def _likely(names: list[str], shapes: Mapping[str, tuple[int, ...]], is_map: boo
 
 def _entries_of(arrays: Mapping[str, Numbers]) -> dict[str, str]:
     """The entries of an ENVI header as readers in MATLAB keep them, in a struct ``info`` beside the image."""
-    said = defaultdict[str, list[str]](list)
+    texts_of = defaultdict[str, list[str]](list)
     for name, value in arrays.items():
         _, found, rest = name.partition("/info/")
         if found:
             texts = [str(v) if value.dtype.kind == "U" else f"{v:.15g}" for v in value.flat]
-            said[rest.split("/")[0].replace("_", " ")] += texts
-    return {key: ", ".join(words) for key, words in said.items()}
+            texts_of[rest.split("/")[0].replace("_", " ")] += texts
+    return {key: ", ".join(words) for key, words in texts_of.items()}
 
 
 @reader
@@ -754,10 +754,10 @@ def open_matrix(
         held = {key: file[name].attrs.get(key) for key in keys}
         entries = {} if tree else _entries_of(file)
     header = EnviHeader(path, sizes["s"], sizes["l"], sizes.get("b", 1), 0, "", 0, 0, entries=entries)
-    own = None if wave is None else ListedBands(wave, width, header.text("wavelength units"))
+    bands = None if wave is None else ListedBands(wave, width, header.text("wavelength units"))
     unit, title = (" ".join(texts_of(held.get(key))) for key in ("units", "long_name"))
-    quantity, known, notes = quantity_of(unit, name.rpartition("/")[2], title)
+    quantity, scaled, notes = quantity_of(unit, name.rpartition("/")[2], title)
     scale = Scale(*packing(held), f"scale of the array {name!r}")
-    about = Description(f"array {name!r} of a {kind} file", own, scale, quantity, known, stated(held), notes=notes)
+    about = Description(f"array {name!r} of a {kind} file", bands, scale, quantity, scaled, stated(held), notes=notes)
     place = None if east is None or north is None else _even_grid(east, north), crs_of(header)
     return array_raster(store, (piece,), about, place)

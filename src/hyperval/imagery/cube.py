@@ -159,9 +159,9 @@ class Cube:
         >>> open_cube(two, quantity="reflectance").to_xarray().values.tolist()
         [[[0.1, 0.0], [nan, nan]]]
         """
-        stored, known = self.read_stored(first_line, count, np.zeros(self.bands, bool))
+        stored, valid = self.read_stored(first_line, count, np.zeros(self.bands, bool))
         values = self._scaled(stored.transpose(1, 2, 0), np.dtype(dtype))
-        values[~known] = np.nan
+        values[~valid] = np.nan
         return values
 
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
@@ -237,8 +237,8 @@ class Cube:
             if rows.shape != cols.shape or rows.ndim != 1 or rows.dtype.kind + cols.dtype.kind not in _WHOLE:
                 raise refusal("cube.index")
             if not np.all((rows >= 0) & (rows < self.lines) & (cols >= 0) & (cols < self.samples)):
-                given = {"top": rows.min(), "bottom": rows.max(), "left": cols.min(), "right": cols.max()}
-                raise refusal("cube.outside", last_line=self.lines - 1, last_sample=self.samples - 1, **given)
+                box = {"top": rows.min(), "bottom": rows.max(), "left": cols.min(), "right": cols.max()}
+                raise refusal("cube.outside", last_line=self.lines - 1, last_sample=self.samples - 1, **box)
         else:
             mask = np.asarray(where)
             if mask.dtype != bool or mask.shape != self.shape:
@@ -319,27 +319,27 @@ def _checked(cube: Cube, scale: float | None, by: str) -> Cube:
     values = cube._scaled(stored, np.dtype(float))
     values = values[np.nan_to_num(values).any(axis=1) & ~filled(stored.T, cube.ignore_value)]
     cube = replace(cube, notes=(*cube.notes, *fill_notes(stored, cube.ignore_value)))
-    known = np.isfinite(values)
-    some = np.asarray(known.any(axis=0)) & (cube.axis.good | known[known[:, cube.axis.good].all(axis=1)].all(axis=0))
-    highest = np.max(values, axis=0, where=known, initial=-np.inf)
-    varies = highest > np.min(values, axis=0, where=known, initial=np.inf)
+    valid = np.isfinite(values)
+    some = np.asarray(valid.any(axis=0)) & (cube.axis.good | valid[valid[:, cube.axis.good].all(axis=1)].all(axis=0))
+    highest = np.max(values, axis=0, where=valid, initial=-np.inf)
+    varies = highest > np.min(values, axis=0, where=valid, initial=np.inf)
     if len(values) >= _FEWEST_CHECKED and varies.any() and not np.all((varies | ~cube.axis.good) & some):
         axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & varies)
         numbers = ", ".join(str(n + 1) for n in cube.stored_band[~(varies & some)][:_MOST_LISTED])
-        none = ~known.any(axis=0)
+        none = ~valid.any(axis=0)
         what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(none)} none"
         what += f", {np.sum(~some & ~none)} bad ones not in all" * bool(np.any(~some & ~none))
         notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
-        left = {name: getattr(cube, name)[some] for name in ("stored_band", "gain", "offset")}
-        cube = replace(cube, axis=axis.select(some), notes=notes, **left)
+        arrays = {name: getattr(cube, name)[some] for name in ("stored_band", "gain", "offset")}
+        cube = replace(cube, axis=axis.select(some), notes=notes, **arrays)
         values = values[:, some]
     limit = PLAUSIBLE.get(cube.quantity, np.inf)
     judged = values[:, cube.axis.good]
     judged = judged[np.isfinite(judged).all(axis=1)]
     middle, high = np.percentile(judged, (50, 95)).tolist() if judged.size else (0.0, 0.0)
-    told = {"cube": cube, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
-    refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, **told)
-    refuse(middle < (least := _LOWEST * limit), "scale.low", cube.raster.path, middle=middle, least=least, **told)
+    names = {"cube": cube, "unit": "" if cube.unit == "1" else f" {cube.unit}"}
+    refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, **names)
+    refuse(middle < (least := _LOWEST * limit), "scale.low", cube.raster.path, middle=middle, least=least, **names)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
         raise refusal("scale.twice", cube.raster.path, by=by or "its unit", most=judged.max(), gain=gain[0])
     return cube
@@ -441,8 +441,8 @@ def kind_of(path: Path) -> str | None:
 
 def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
-    own = (_TIFF, _NETCDF3, *MATRICES)
-    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in own
+    without = (_TIFF, _NETCDF3, *MATRICES)
+    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in without
 
 
 @reader
@@ -483,11 +483,11 @@ def open_cube(
     image = path if isinstance(path, Path | str | Raster) else raster_of(path, variable)
     raster = image if isinstance(image, Raster) else open_raster(image, header=header, variable=variable, engine=engine)
     about, where = raster.description, str(raster.path)
-    axis, stored_band, said = about.band_table(wavelength_unit, where, sort_bands, axis, raster.bands)
+    axis, stored_band, remarks = about.band_table(wavelength_unit, where, sort_bands, axis, raster.bands)
     scaling = about.scaling(quantity, unit, scale, raster.bands, where)
     by = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
     notes: tuple[str, ...] = (f"read as {about.product}{by}",) if about.product else ()
-    notes += about.notes + said + ((scaling.source,) if scaling.source else ())
+    notes += about.notes + remarks + ((scaling.source,) if scaling.source else ())
     if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     cube = Cube(

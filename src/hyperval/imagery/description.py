@@ -171,7 +171,7 @@ class Description:
         return [scale for scale in stated if scale.changes]
 
     def band_table(
-        self, given_unit: str | None, where: str, sort_bands: bool = False, given: Bands = None, count: int = 0
+        self, given_unit: str | None, where: str, sort_bands: bool = False, stated: Bands = None, count: int = 0
     ) -> tuple[SpectralAxis, Index, tuple[str, ...]]:
         """The bands that have a wavelength, in nm and in order; which stored band each is; what was assumed.
 
@@ -191,24 +191,24 @@ class Description:
         UsageError : a unit that contradicts the file or that nobody states, or wavelengths implausible in it; an axis
             of another number of bands.
         """
-        if given == "numbers":
+        if stated == "numbers":
             warning = "warning: bands are identified by number: values labelled nm are band numbers"
             return SpectralAxis(np.arange(1.0, count + 1.0), np.ones(count)), np.arange(count), (warning,)
-        if given is not None:
-            refuse(len(given) != count, "bands.given", where, given=len(given), count=count)
-            return given, np.arange(count), ("wavelengths as given beside the cube",)
+        if stated is not None:
+            refuse(len(stated) != count, "bands.given", where, given=len(stated), count=count)
+            return stated, np.arange(count), ("wavelengths as given beside the cube",)
         bands = needed(self.listed(), "bands.none", where)
         has = np.flatnonzero(np.isfinite(bands.wavelength))
         refuse(not has.size, "bands.without", where)
         listed, notes = bands.wavelength[has], list(bands.notes)
-        at = {key: bands.where.get(key, where) for key in ("wavelength", "wavelength units", "fwhm", "bbl")}
-        centre, unit, note = wavelengths_in_nm(listed, bands.unit, given_unit, at["wavelength units"])
+        places = {key: bands.where.get(key, where) for key in ("wavelength", "wavelength units", "fwhm", "bbl")}
+        centre, unit, note = wavelengths_in_nm(listed, bands.unit, given_unit, places["wavelength units"])
         to_nm = to_internal(unit, "wavelength")
         notes += note
         if has.size < bands.wavelength.size:
             notes.append(f"{bands.wavelength.size - has.size} stored bands without a wavelength are left out")
         good = np.ones(has.size, bool) if bands.good is None else bands.good[has]
-        refuse(not good.any(), "bands.bad", at["bbl"])
+        refuse(not good.any(), "bands.bad", places["bbl"])
         if bands.good is not None and ("bbl" in bands.where or not good.all()):
             notes.append(f"bad-band list: {int((~good).sum())} of {good.size} bands are bad")
         width = None if bands.fwhm is None else bands.fwhm[has] * to_nm
@@ -217,12 +217,12 @@ class Description:
             width = None
         if width is not None:
             none, wide = np.flatnonzero(~(width > 0)), np.any(width >= centre) or np.median(width) < LEAST_FWHM_NM
-            refuse(none.size, "bands.width", at["fwhm"], band=none + 1, width=width[none] / to_nm)
-            refuse(wide, "bands.widths", at["fwhm"], least=width.min(), most=width.max(), unit=unit)
+            refuse(none.size, "bands.width", places["fwhm"], band=none + 1, width=width[none] / to_nm)
+            refuse(wide, "bands.widths", places["fwhm"], least=width.min(), most=width.max(), unit=unit)
         falls, same = np.flatnonzero(np.diff(centre) <= 0), np.unique(centre).size < centre.size
         pair = {"first": falls + 1, "second": falls + 2, "low": centre[falls], "high": centre[falls + 1]}
         unordered = falls.size and (same or not (sort_bands or self.sorts))
-        refuse(unordered, "bands.same" if same else "bands.order", at["wavelength"], **pair)
+        refuse(unordered, "bands.same" if same else "bands.order", places["wavelength"], **pair)
         order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
@@ -245,12 +245,12 @@ class Description:
         UsageError : another unit than the file's, one that nobody states or that is unknown, a scale that is none.
         """
         if self.quantity is not None and quantity not in ("counts", "other", self.quantity):
-            told = {"holds": self.quantity, "quantity": quantity}
-            raise refusal("scale.deviations" if self.quantity == "deviations" else "scale.quantity", where, **told)
+            both = {"holds": self.quantity, "quantity": quantity}
+            raise refusal("scale.deviations" if self.quantity == "deviations" else "scale.quantity", where, **both)
         if scale is not None:
             refuse(not np.isfinite(scale) or scale <= 0, "scale.number", scale=scale)
             # It multiplies the packed values, and gives a reflectance as a fraction.
-            own = self.unit if quantity == "radiance" else None
+            read = self.unit if quantity == "radiance" else None
             stated = Scale(scale / self.packing[0], -scale * self.packing[1] / self.packing[0])
             note = f"stored values x {scale:g} (stated)"
         else:
@@ -258,20 +258,20 @@ class Description:
             if len(active) > 1:
                 raise refusal("scale.two", where, first=active[0].source, second=active[1].source)
             stated = active[0] if active else UNSCALED
-            own, note = stated.unit or self.unit, stated.source
-            if quantity == "radiance" and unit and own and to_internal(unit, quantity) != to_internal(own, quantity):
-                raise refusal("scale.unit", where, own=own, by=f" ({note})" * bool(stated.unit), unit=unit)
-        factor, name = _unit_factor(quantity, unit or own)
+            read, note = stated.unit or self.unit, stated.source
+            if quantity == "radiance" and unit and read and to_internal(unit, quantity) != to_internal(read, quantity):
+                raise refusal("scale.unit", where, own=read, by=f" ({note})" * bool(stated.unit), unit=unit)
+        factor, name = _unit_factor(quantity, unit or read)
         if quantity == "reflectance" and factor != 1.0:
-            note = f"{note}; ".removeprefix("; ") + f"x {factor:g} (unit {unit or own})"
+            note = f"{note}; ".removeprefix("; ") + f"x {factor:g} (unit {unit or read})"
         gain, offset = (np.broadcast_to(factor * np.asarray(v, float), bands).copy() for v in stated[:2])
         return Scale(gain, offset, note, name)
 
 
 def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     """What an ENVI header states as a scale of a quantity."""
-    own = quantity == "reflectance" and "data reflectance gain values" in header.entries
-    kind = "data reflectance" if own else "data"
+    of_reflectance = quantity == "reflectance" and "data reflectance gain values" in header.entries
+    kind = "data reflectance" if of_reflectance else "data"
     gain, offset = (header.numbers(f"{kind} {name} values", header.bands) for name in ("gain", "offset"))
     factor = header.number("reflectance scale factor")
     refuse(gain is not None and np.any(gain == 0), "scale.zero", header.where(f"{kind} gain values"))
@@ -342,8 +342,8 @@ def _gain_file(path: Path, bands: int) -> Scale:
     refuse(len(table) != bands, "gain.rows", path, what=f"{len(table)} rows for {bands} bands", bands=bands)
     divisor, channel = table[:, 0], table[:, 1] if table.shape[1] > 1 else np.arange(1.0, bands + 1.0)
     wrong = ~((divisor > 0) & np.isfinite(divisor) & (channel == np.arange(1, bands + 1)))
-    at = int(np.argmax(wrong))
-    refuse(wrong.any(), "gain.rows", f"{path}:{first + at}", what=f"{divisor[at]:g} {channel[at]:g}", bands=bands)
+    row = int(np.argmax(wrong))
+    refuse(wrong.any(), "gain.rows", f"{path}:{first + row}", what=f"{divisor[row]:g} {channel[row]:g}", bands=bands)
     return Scale(1.0 / divisor, 0.0, f"stored values / those of {path.name}", RADIANCE_UNIT)
 
 
@@ -407,10 +407,10 @@ class Raster:
         out = np.empty((rows.size, self.bands), self.dtype)
         with self.kept_open():
             for here in self._together(rows, cols):
-                top, left = int(rows[here].min()), int(cols[here].min())
-                window = slice(top, int(rows[here].max()) + 1), slice(left, int(cols[here].max()) + 1)
+                top, first = int(rows[here].min()), int(cols[here].min())
+                window = slice(top, int(rows[here].max()) + 1), slice(first, int(cols[here].max()) + 1)
                 for bands in self._band_blocks():
-                    out[here, bands] = self._box(bands, *window)[:, rows[here] - top, cols[here] - left].T
+                    out[here, bands] = self._box(bands, *window)[:, rows[here] - top, cols[here] - first].T
         return out
 
     def some_pixels(self) -> npt.NDArray[Any]:
@@ -512,8 +512,8 @@ def fill_notes(stored: npt.NDArray[Any], ignore: float | None) -> list[str]:
     found = found[~np.isin(found, (0, np.nan if ignore is None else ignore))]
     listed = [f"{of:g}" for of in np.unique(found)]
     which = " or ".join(listed[:_MOST_FILLS]) + ", ..." * (len(listed) > _MOST_FILLS)
-    said = f"warning: {found.size} of {len(stored)} pixels seen hold {which} in every band"
-    return [f"{said}: taken for no data, which nothing states"] * bool(listed)
+    warning = f"warning: {found.size} of {len(stored)} pixels seen hold {which} in every band"
+    return [f"{warning}: taken for no data, which nothing states"] * bool(listed)
 
 
 _WORDS = "imagery/acquisition.yaml"
@@ -580,14 +580,14 @@ def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[s
         # Days in the form 2012-09-20 or 2012/09/20: other orders are not clear.
         day = _first(date, r"(?<![0-9])([0-9]{4})[-/]([0-9]{1,2})[-/]([0-9]{1,2})(?![0-9])", text)
         clock = _first(time, r"(?<![0-9:])([0-9]{1,2}):([0-9]{2})(?::([0-9]{2}))?", text)
-        told = {"key": key, "name": name, "utc": utc}
+        common = {"key": key, "name": name, "utc": utc}
         if day is not None and day != utc.date():
-            notes.append(_said("day", text, **told))
+            notes.append(_said("day", text, **common))
         elif clock is not None:
             apart = (datetime.combine(utc, clock, UTC) - utc).total_seconds() / 60.0
             apart = (apart + 720.0) % 1440.0 - 720.0
             if abs(apart) > MINUTES_APART:
-                notes.append(_said("time", text, minutes=abs(apart), side="after" if apart > 0 else "before", **told))
+                notes.append(_said("time", text, minutes=abs(apart), side="after" if apart > 0 else "before", **common))
     return tuple(notes)
 
 

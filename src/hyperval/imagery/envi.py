@@ -163,8 +163,8 @@ class EnviRaster(Raster):
         parts = self.bands if self.header.interleave == "bsq" else 1  # the lines of each band, or all at once
         with open(self.path, "rb") as stream:
             for number, part in enumerate(flat.reshape(parts, -1)):
-                at = number * self.lines * self.samples + first * self.samples * self.bands // parts
-                stream.seek(self.header.header_offset + at * self.dtype.itemsize)
+                start = number * self.lines * self.samples + first * self.samples * self.bands // parts
+                stream.seek(self.header.header_offset + start * self.dtype.itemsize)
                 refuse(stream.readinto(part.view("u1").data) < part.nbytes, "image.shrunk", self.path)
         return flat.reshape([shape[axis] for axis in order]).transpose([order.index(axis) for axis in (2, 0, 1)])
 
@@ -189,9 +189,9 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
         with open(data, "rb") as stream:
             head = stream.read(6)
         packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
-        told: dict[str, object] = {"header": parsed, "packed": packed, "size": size, "more": size - expected}
-        told["missing"] = 100.0 * (1.0 - size / expected)
-        raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **told)
+        sizes: dict[str, object] = {"header": parsed, "packed": packed, "size": size, "more": size - expected}
+        sizes["missing"] = 100.0 * (1.0 - size / expected)
+        raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **sizes)
     scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
     # The .gain file that the image's name begins with, as f130612t01p00r10rdn_e.gain.
     files = [] if scaled or parsed.dtype.kind == "f" else sorted(data.parent.glob("*.[gG][aA][iI][nN]"))

@@ -171,10 +171,10 @@ class LocationTable:
         return np.asarray(xy - 360.0 * turns)
 
     def _place(self, xy: Array, where: str, beyond: bool) -> Array:
-        (tree, nodes, scale), at = self._coarse, self._near(xy)
-        pixel = nearest = nodes[tree.query(at * scale)[1]]
+        (tree, nodes, scale), point = self._coarse, self._near(xy)
+        pixel = nearest = nodes[tree.query(point * scale)[1]]
         for _ in range(_STEPS):
-            place = self._by_plane(at, pixel)
+            place = self._by_plane(point, pixel)
             if place is None:
                 break
             before, pixel = pixel, np.clip(np.floor(place[::-1]).astype(int), 0, np.array(self.shape) - 1)
@@ -183,22 +183,22 @@ class LocationTable:
                 if beyond or outside <= _FARTHEST:
                     return place
                 break
-        place = self._by_plane(at, nearest) if beyond else None  # the planes of a line that turns lead nowhere
+        place = self._by_plane(point, nearest) if beyond else None  # the planes of a line that turns lead nowhere
         if place is not None:
             return place
         raise refusal("place.nowhere", where, xy=xy, crs=self.crs or "an unknown system")
 
-    def _by_plane(self, at: Array, pixel: Index) -> Array | None:
+    def _by_plane(self, point: Array, pixel: Index) -> Array | None:
         """(sample, line) of map coordinates by the plane around a pixel (line, sample); None where there is none."""
         fit = self._fit(*pixel.tolist())
-        return None if fit is None else np.asarray(pixel[::-1] + 0.5 + np.linalg.solve(fit[1], at - fit[0]))
+        return None if fit is None else np.asarray(pixel[::-1] + 0.5 + np.linalg.solve(fit[1], point - fit[0]))
 
     def _fit(self, line: int, sample: int) -> tuple[Array, Array] | None:
         """Map coordinates of a pixel's centre, and (2, 2) their change with sample and line; None without any."""
         for radius in _RADII:
-            top, left = max(0, line - radius), max(0, sample - radius)
+            top, first = max(0, line - radius), max(0, sample - radius)
             x, y = self._xy(top, min(self.shape[0], line + radius + 1) - top)
-            x, y = (v[:, left : sample + radius + 1] for v in (x, y))
+            x, y = (v[:, first : sample + radius + 1] for v in (x, y))
             used = self._valid(x, y)
             rows, columns = np.nonzero(used)
             if rows.size >= _FEWEST and np.ptp(rows) and np.ptp(columns):
@@ -206,7 +206,7 @@ class LocationTable:
         else:
             return None
         values: Array = np.column_stack([x[used], y[used]])
-        around = np.column_stack([np.ones(rows.size), columns + (left - sample), rows + (top - line)])
+        around = np.column_stack([np.ones(rows.size), columns + (first - sample), rows + (top - line)])
         fit = np.linalg.lstsq(around, values - values[0], rcond=None)[0]  # small numbers keep their digits
         return (np.asarray(fit[0] + values[0]), np.asarray(fit[1:].T)) if np.linalg.det(fit[1:]) else None
 
@@ -255,8 +255,8 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loc
         the image, fewer than two bands, or no pixel with a place.
     """
     raster = open_raster(table) if isinstance(table, Path | str) else table
-    seen = np.nan_to_num(raster.some_pixels()) if raster.dtype.kind == "f" and raster.transform is not None else 0.5
-    if is_table := raster.dtype.kind in "iu" or not np.any((seen % 1.0 > 0.0) | (seen > max(shape))):
+    values = np.nan_to_num(raster.some_pixels()) if raster.dtype.kind == "f" and raster.transform is not None else 0.5
+    if is_table := raster.dtype.kind in "iu" or not np.any((values % 1.0 > 0.0) | (values > max(shape))):
         raster = _places_of_cells(raster, shape)
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     places = LocationTable(raster, None)
@@ -321,15 +321,15 @@ _KINDS = re.compile(
 COMPANIONS = "glt", "igm", "loc", "obs"
 
 
-def companion(image: Path, kind: str) -> Path | None:
+def companion_file(image: Path, kind: str) -> Path | None:
     """The file of a kind of :data:`COMPANIONS` beside an image, by the names that producers give; None else.
 
     Their names are the same but for the words that say what a file is; of several that fit, the one that has the
     image's own such words (``x_rad_glt`` for ``x_rad``), and none where that leaves two.
     """
-    own, kinds = _name(image)
+    stem, kinds = _name(image)
     others = (p for p in image.parent.iterdir() if p != image and p.is_file())
-    fits = [p for p in others if kind in _name(p)[1] and _name(p)[0] == own]
+    fits = [p for p in others if kind in _name(p)[1] and _name(p)[0] == stem]
     if len(fits) > 1:
         fits = [p for p in fits if kinds <= _name(p)[1]]
     return fits[0] if len(fits) == 1 else None
@@ -346,10 +346,10 @@ def table_of(raster: Raster) -> tuple[LocationTable | None, tuple[str, ...]]:
     shape = raster.size[:2]
     if raster.transform is not None:
         return None, ()
-    if (own := table_in(raster)) is not None:
-        return open_lookup_table(own, shape), ()
+    if (inner := table_in(raster)) is not None:
+        return open_lookup_table(inner, shape), ()
     for kind in COMPANIONS[:3] if isinstance(raster, EnviRaster) else ():
-        path = companion(raster.path, kind)
+        path = companion_file(raster.path, kind)
         if path is None:
             continue
         try:
@@ -360,7 +360,7 @@ def table_of(raster: Raster) -> tuple[LocationTable | None, tuple[str, ...]]:
     return None, ()
 
 
-def record(raster: Raster) -> list[tuple[str, str, str]]:
+def image_record(raster: Raster) -> list[tuple[str, str, str]]:
     """What is known of an image: thing, value, and where the value comes from, or what would mend its lack.
 
     It is what the reader itself goes by: a file and line of a header, an entry of a product, a convention, a guess.
@@ -370,7 +370,7 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     >>> packed = {"units": "percent", "scale_factor": 0.1, "_FillValue": -9}
     >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
     >>> array = xr.DataArray(np.ones((1, 1, 2), "i2"), nm, ("y", "x", "b"), "reflectance", packed)
-    >>> told = {what: (value, origin) for what, value, origin in record(labelled_array(array))}
+    >>> told = {what: (value, origin) for what, value, origin in image_record(labelled_array(array))}
     >>> told["scale of reflectance"], told["no data"][0]
     (('x 0.1; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
     """
@@ -390,24 +390,24 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     row("is", by, "its first bytes" + (f", and {files} beside it" if files else ""))
     row("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples"))
     try:
-        (axis, _, said), listed = about.band_table(None, where, sort_bands=True), needed(about.listed(), "bands.none")
+        (axis, _, more), listed = about.band_table(None, where, sort_bands=True), needed(about.listed(), "bands.none")
         centre, width = axis.centre_nm, axis.fwhm_nm
         stated = listed.where.get("wavelength", by)
         row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
-        known = listed.wavelength[np.isfinite(listed.wavelength)]
-        _, unit, guessed = wavelengths_in_nm(known, listed.unit, None, where)
+        listed_nm = listed.wavelength[np.isfinite(listed.wavelength)]
+        _, unit, guessed = wavelengths_in_nm(listed_nm, listed.unit, None, where)
         row("wavelength unit", unit, "guess: by the values" if guessed else stated)
         by_width = "convention: the spacing of the bands" if listed.fwhm is None else origin("fwhm")
         row("widths", f"{_span(width)} nm", by_width)
-        notes += said
+        notes += more
     except HypervalError as error:
         row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
     row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")
     if about.quantity != "reflectance":
         key, written = about.unit_in_entries()
-        own = about.unit if is_radiance(about.unit) else None
-        by_init = by if own else f"{origin(key)}: init takes it; a campaign states unit:"
-        row("unit of radiance", own or written, by_init, "state unit: (init: --unit)")
+        known_unit = about.unit if is_radiance(about.unit) else None
+        by_init = by if known_unit else f"{origin(key)}: init takes it; a campaign states unit:"
+        row("unit of radiance", known_unit or written, by_init, "state unit: (init: --unit)")
     for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
         try:
             stages = [*about.scales(quantity), Scale(*about.packing, f"{by}: as it is packed")]
@@ -424,14 +424,14 @@ def record(raster: Raster) -> list[tuple[str, str, str]]:
     row("no data", "none" if ignore is None else f"{ignore:g}",
         "nothing states one" if ignore is None else origin("data ignore value"))  # fmt: skip
     try:
-        places, said = table_of(raster)
+        places, more = table_of(raster)
     except HypervalError as error:
-        places, said = None, (f"warning: what should place its pixels cannot be used: {error.what}",)
-    notes += said
+        places, more = None, (f"warning: what should place its pixels cannot be used: {error.what}",)
+    notes += more
     if places is not None:
-        what, at = places.raster.description.product or "coordinates", places.raster.path
-        row("position", f"of every pixel, by its {what}", by if at == raster.path else at.name)
-        row("coordinate system", str(places.crs or "not known"), by if at == raster.path else at.name)
+        what, path = places.raster.description.product or "coordinates", places.raster.path
+        row("position", f"of every pixel, by its {what}", by if path == raster.path else path.name)
+        row("coordinate system", str(places.crs or "not known"), by if path == raster.path else path.name)
     elif a is None:
         row("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them")
         if (area := pixel_area_m2(None, None, about.entries)) is not None:
@@ -472,7 +472,7 @@ def sun_zenith_deg(raster: Raster) -> tuple[float, str] | None:
     stated = raster.description.sun_zenith_deg
     if stated is not None:
         return stated, (*raster.other_files, raster.path)[0].name
-    path = companion(raster.path, COMPANIONS[3])
+    path = companion_file(raster.path, COMPANIONS[3])
     if path is None:
         return None
     with suppress(HypervalError):

@@ -67,12 +67,12 @@ class ProductTree:
         "*" is the only group of the file, of which :func:`arrays.check_own_values` has made sure that no
         part lies elsewhere.
         """
-        name, at, attribute = reference.partition("@")
+        name, mark, attribute = reference.partition("@")
         if name.startswith("*"):
             groups = [key for key, found in self.file.items() if isinstance(found, h5py.Group)]
             name = name.replace("*", groups[0] if len(groups) == 1 else "", 1)
         found = self.file.get(name) if name else self.file
-        return found.attrs.get(attribute) if at and found is not None else found
+        return found.attrs.get(attribute) if mark and found is not None else found
 
     def raw(self, reference: str | None) -> Any:
         """The content of a small array or an attribute, None when the file has none."""
@@ -157,7 +157,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
         for low, high in (np.sort(ends) for r in layout.bad_ranges_nm or () if (ends := tree.floats(r)).size == 2):
             good &= ~((wavelength >= low) & (wavelength <= high))
         sensor = (tree.text(layout.sensor) if layout.sensor.startswith("@") else layout.sensor) or ""
-        said = {"acquisition time": _time(tree), "sensor": sensor}
+        stated = {"acquisition time": _time(tree), "sensor": sensor}
         unit, unit_notes = _unit(tree)
         centre, widths = np.where(wavelength > 0, wavelength, np.nan), None if np.isnan(width).all() else width
         about = Description(
@@ -171,7 +171,7 @@ def open_product(path: Path) -> arrays.ArrayRaster | None:
             ignored=ignore,
             sensor=sensor,
             sorts=bool(layout.sorts),
-            entries={key: text for key, text in said.items() if text},
+            entries={key: text for key, text in stated.items() if text},
             notes=(*unit_notes, *notes, *([layout.remark] if layout.remark else [])),
             sun_zenith_deg=_sun(tree),
         )
@@ -249,10 +249,10 @@ def _unit(tree: ProductTree) -> tuple[str, tuple[str, ...]]:
 
 
 def _ignore(tree: ProductTree, image: h5py.Dataset) -> float | None:
-    own, ignore = arrays.stated(image.attrs), tree.layout.ignore
+    stated, ignore = arrays.stated(image.attrs), tree.layout.ignore
     if isinstance(ignore, str):
-        return next(iter(tree.floats(ignore).tolist()), own)
-    return ignore if own is None else own
+        return next(iter(tree.floats(ignore).tolist()), stated)
+    return ignore if stated is None else stated
 
 
 def _position(tree: ProductTree, piece: arrays.Piece) -> Position:
@@ -325,8 +325,8 @@ def _time(tree: ProductTree) -> str:
     ('2025-04-08T17:44:31.500000+00:00', '20120924T131511', '2024-06-15T10:57:42Z')
     """
     seconds = tree.floats(tree.layout.seconds)
-    if np.any(known := seconds > 0.0):
-        return datetime.fromtimestamp(float(np.median(seconds[known])), UTC).isoformat()
+    if np.any(valid := seconds > 0.0):
+        return datetime.fromtimestamp(float(np.median(seconds[valid])), UTC).isoformat()
     return tree.text(tree.layout.time) or "T".join(filter(None, map(tree.text, tree.layout.day_and_clock or ())))
 
 
@@ -361,9 +361,9 @@ def described_beside(image: Path, bands: int, nodata: float | None = None) -> tu
     InputError : metadata that are too large, not understood, or of another number of bands.
     """
     for sidecar in layouts().sidecars:
-        at = image.name.upper().find(sidecar.image.upper())
-        for name in (sidecar.metadata, sidecar.metadata.lower(), sidecar.metadata.upper()) if at >= 0 else ():
-            path = image.with_name(image.name[:at] + name)
+        start = image.name.upper().find(sidecar.image.upper())
+        for name in (sidecar.metadata, sidecar.metadata.lower(), sidecar.metadata.upper()) if start >= 0 else ():
+            path = image.with_name(image.name[:start] + name)
             if path.is_file() and (made := _from_xml(sidecar, checked_file(path), image, bands)) is not None:
                 return _filled(made, nodata, sidecar.fill), path
     for path, item, asset in _stac_assets(image):
@@ -399,8 +399,8 @@ def image_of(metadata: Path, detector: str | None = None) -> Path:
     fits.sort(key=lambda p: not p.stem.upper().endswith("_COG"))
     of_detector = {p.stem[len(start) :].upper().removesuffix("_COG").strip("_"): p for p in fits}
     chosen = [p for name, p in of_detector.items() if detector is None or name == detector.upper()]
-    told = {"names": ", ".join(p.name for p in of_detector.values()), "detectors": " or ".join(of_detector)}
-    refuse(len(chosen) != 1, "sidecar.images", metadata, count=len(of_detector), **told)
+    names = {"names": ", ".join(p.name for p in of_detector.values()), "detectors": " or ".join(of_detector)}
+    refuse(len(chosen) != 1, "sidecar.images", metadata, count=len(of_detector), **names)
     return chosen[0]
 
 
@@ -458,9 +458,9 @@ def _number(text: str | None, what: str, path: Path) -> float:
 
 def _stac_assets(image: Path) -> Iterator[tuple[Path, dict[str, Any], dict[str, Any]]]:
     """Items of STAC beside an image whose assets name it: the file, the item, the asset."""
-    own = image.with_suffix(".json")
+    named = image.with_suffix(".json")
     others = sorted(image.parent.glob("*.json"))[:MAX_ITEMS]
-    for path in [own, *(p for p in others if p != own)]:
+    for path in [named, *(p for p in others if p != named)]:
         if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
             continue
         try:
@@ -485,8 +485,8 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     >>> of.unit, of.scale.gain.tolist()
     ('W m-2 sr-1 um-1', [0.01, 0.01])
     """
-    given = item.get("properties")
-    properties: dict[str, Any] = given if isinstance(given, dict) else {}
+    held = item.get("properties")
+    properties: dict[str, Any] = held if isinstance(held, dict) else {}
     of_asset = asset.get("bands") or asset.get("eo:bands")
     listed = of_asset or properties.get("bands") or properties.get("eo:bands")
     if not isinstance(listed, list) or len(listed) != bands or not all(isinstance(b, dict) for b in listed):
@@ -500,11 +500,11 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     def column(*names: str, default: float | None = None) -> Array | None:
         each = zip(listed, details, strict=True)
         values = [next((d[n] for n in names for d in of_band if d.get(n) is not None), None) for of_band in each]
-        known = [isinstance(value, int | float) for value in values]
-        if default is not None and not all(known) and values != [None] * bands:
-            notes.append(f"{WARNING}{bands - sum(known)} bands have no number as {names[0]}: taken as {default:g}")
-            return np.array([v if k else default for v, k in zip(values, known, strict=True)], float)
-        return np.array(values, float) if all(known) else None
+        valid = [isinstance(value, int | float) for value in values]
+        if default is not None and not all(valid) and values != [None] * bands:
+            notes.append(f"{WARNING}{bands - sum(valid)} bands have no number as {names[0]}: taken as {default:g}")
+            return np.array([v if k else default for v, k in zip(values, valid, strict=True)], float)
+        return np.array(values, float) if all(valid) else None
 
     centre = column("eo:center_wavelength", "center_wavelength")
     if centre is None:
@@ -515,8 +515,8 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     sensor = str(instruments[0]) if isinstance(instruments, list) else str(instruments)
     width = column("eo:full_width_half_max", "full_width_half_max")
     when = properties.get("datetime") or properties.get("start_datetime")
-    said = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
-    quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in said else None
+    words = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
+    quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in words else None
     gain, offset = (column(f"raster:{n}", n, default=v) for n, v in (("scale", 1.0), ("offset", 0.0)))
     nodata = {d.get("nodata") for d in (*listed, *details, asset) if isinstance(d.get("nodata"), int | float)}
     return Description(

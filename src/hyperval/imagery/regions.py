@@ -62,15 +62,15 @@ def geometry_of(stated: Any, where: str) -> BaseGeometry:
     InputError : another kind of geometry, one that is empty, or coordinates that are none.
     """
     refuse(not isinstance(stated, dict | bytes), "region.no_geometry", where)
-    known, kind = (*_POINTS, *_AREAS), stated.get("type") if isinstance(stated, dict) else "of WKB"
+    kinds, kind = (*_POINTS, *_AREAS), stated.get("type") if isinstance(stated, dict) else "of WKB"
     try:
-        if kind in (*known, "of WKB"):
+        if kind in (*kinds, "of WKB"):
             made = shape_of(stated) if isinstance(stated, dict) else shapely.from_wkb(stated, on_invalid="fix")
             kind = made.geom_type
     except Exception as error:  # whatever damage makes of it
         what = f"geometry {kind!r} cannot be interpreted ({str(error)[:60]})"
         raise refusal("region.geometry", where, what=what) from error
-    refuse(kind not in known, "region.geometry", where, what=f"geometry {kind!r} has no area")
+    refuse(kind not in kinds, "region.geometry", where, what=f"geometry {kind!r} has no area")
     xy = shapely.get_coordinates(made)
     refuse(not np.all(np.isfinite(xy)), "region.not_finite", where)
     refuse(len(xy) > MAX_VERTICES, "region.vertices", where, count=f"more than {MAX_VERTICES}")
@@ -228,10 +228,10 @@ def raster_of_size(path: Path, image: Cube | ImageGrid, variable: str | None = N
     in_pixels = raster.crs is None and raster.transform == Affine.scale(1.0, -1.0)  # as a GIS shows what has no place
     on_map = None not in (raster.transform, position) and not in_pixels and (raster.crs is None) == (crs is None)
     raw = on_map and not isinstance(position, Affine)
-    told = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape, "own": raster.crs}
-    refuse(raster.size[:2] != shape, "image.on_map" if raw else "image.size", path, **told)
+    facts = {"name": path.name, "lines": raster.lines, "samples": raster.samples, "shape": shape, "own": raster.crs}
+    refuse(raster.size[:2] != shape, "image.on_map" if raw else "image.size", path, **facts)
     off = _pixels_off(raster, position, crs) if on_map else 0.0
-    refuse(off > _OFF_GRID, "image.on_map" if raw else "image.elsewhere", path, off=off, crs=crs, **told)
+    refuse(off > _OFF_GRID, "image.on_map" if raw else "image.elsewhere", path, off=off, crs=crs, **facts)
     return raster
 
 
@@ -308,11 +308,11 @@ def _drawn(name: str, parts: Iterable[Part], shape: tuple[int, int], path: Path,
     inside = inside_image(points, shape)
     mask = _burned(polygons, shape) | point_mask(points[inside], shape)
     mask.flat[np.concatenate([*(p for p in parts if isinstance(p, np.ndarray)), np.zeros(0, np.int64)])] = True
-    left = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape).all()]
-    if (left or not inside.all()) and not mask.any():
-        raise outside_error(np.vstack([shapely.get_coordinates(left), points]), shape, where)
+    outside = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape).all()]
+    if (outside or not inside.all()) and not mask.any():
+        raise outside_error(np.vstack([shapely.get_coordinates(outside), points]), shape, where)
     notes, pixels = [p for p in parts if isinstance(p, str)], int(mask.sum())
-    part = _share_outside(polygons, shape) if left else 0.0  # to the millionth of a pixel of the border
+    part = _share_outside(polygons, shape) if outside else 0.0  # to the millionth of a pixel of the border
     if part > 0.0:
         percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
         sign = "" if part < _SMALL else WARNING
@@ -415,7 +415,7 @@ def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
     ------
     InputError : the file was made for an image of another size, or its counts do not add up.
     """
-    told: dict[str, list[tuple[str, str]]] = {}  # what the comments say, by key, with its place
+    comments: dict[str, list[tuple[str, str]]] = {}  # what the comments say, by key, with its place
     rows: list[tuple[int, int]] = []
     columns = (1, 2)
     for number, line in enumerate(read_text(path).splitlines(), start=1):
@@ -426,19 +426,19 @@ def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
             rows.append((_whole(titles[columns[1]], where) - 1, _whole(titles[columns[0]], where) - 1))
         elif ":" in text:
             key, _, value = text.partition(":")
-            told.setdefault(key.strip().lower(), []).append((value.strip(), where))
+            comments.setdefault(key.strip().lower(), []).append((value.strip(), where))
         elif {"x", "y"} <= set(titles):
             columns = titles.index("x"), titles.index("y")
         else:
             refuse(re.search(r"(?i)\b(map\s?[xy]|lat|lon)\b", text), "roi.no_pixels", where, text=text[:60])
-    refuse("file dimension" not in told, "roi.no_dimension", path)
-    for value, where in told["file dimension"]:
+    refuse("file dimension" not in comments, "roi.no_dimension", path)
+    for value, where in comments["file dimension"]:
         made_for = needed(re.fullmatch(r"([0-9]+)\s*x\s*([0-9]+)", value), "roi.dimension", where, value=value)
         size = int(made_for[2]), int(made_for[1])
         refuse(size != grid.shape, "roi.size", where, size=size, shape=grid.shape)
-    names = [name for name, _ in told.get("roi name", [])]
-    counts = [_whole(*count) for count in told.get("roi npts", [])]
-    announced = [_whole(*count) for count in told.get("number of rois", [(str(len(names)), "")])][-1]
+    names = [name for name, _ in comments.get("roi name", [])]
+    counts = [_whole(*count) for count in comments.get("roi npts", [])]
+    announced = [_whole(*count) for count in comments.get("number of rois", [(str(len(names)), "")])][-1]
     if len(names) != len(counts) or announced != len(names) or sum(counts) != len(rows):
         raise refusal("roi.counts", path, said=announced, names=len(names), points=sum(counts), rows=len(rows))
     parts = np.split(np.array(rows, np.int64).reshape(-1, 2), np.cumsum(counts[:-1], dtype=int))
@@ -452,19 +452,19 @@ def binary_regions(path: Path, grid: ImageGrid) -> Drawn:
     ------
     InputError : larger than 64 MiB, cut short, made for an image of another size, or with polylines.
     """
-    raw, at, shape = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4, grid.shape
+    raw, start, shape = checked_file(path, what="region file", most=MAX_BINARY_BYTES).read_bytes(), 4, grid.shape
 
     def words(count: int, kind: str = "i") -> tuple[int, ...]:
-        nonlocal at
-        refuse(count < 0 or at + 4 * count > len(raw), "roi.short", path)
-        at += 4 * count
-        return struct.unpack_from(f">{count}{kind}", raw, at - 4 * count)
+        nonlocal start
+        refuse(count < 0 or start + 4 * count > len(raw), "roi.short", path)
+        start += 4 * count
+        return struct.unpack_from(f">{count}{kind}", raw, start - 4 * count)
 
     for _ in range(words(1)[0]):
         length = words(2)[1]
-        refuse(not 0 <= length <= 4096 or at + length > len(raw), "roi.name", path)
-        name = raw[at : at + length].split(b"\0")[0].decode("latin-1").strip()
-        at += -(-length // 4) * 4
+        refuse(not 0 <= length <= 4096 or start + length > len(raw), "roi.name", path)
+        name = raw[start : start + length].split(b"\0")[0].decode("latin-1").strip()
+        start += -(-length // 4) * 4
         table, where = words(45), f"{path}: region {name!r}"
         refuse(table[1::-1] != shape, "roi.size", where, size=table[1::-1], shape=shape)
         refuse(table[43], "roi.polylines", where)
@@ -537,8 +537,8 @@ def raster_regions(path: Path, grid: ImageGrid) -> Drawn:
     refuse(np.any(values != np.round(values)) or values.size > MAX_CLASSES, "region.classes", path, most=MAX_CLASSES)
     listed = [name.strip() for name in about.entries.get("class names", "").rstrip(", \n").split(",")]
     classes = about.header.number("classes") if about.header is not None and listed != [""] else None
-    told = {"count": len(listed), "classes": classes, "names": ", ".join(listed)}
-    refuse(classes not in (None, len(listed)), "region.class_names", path, **told)
+    facts = {"count": len(listed), "classes": classes, "names": ", ".join(listed)}
+    refuse(classes not in (None, len(listed)), "region.class_names", path, **facts)
     numbers, is_named = _classes(values, listed), 0 in values and not _NO_CLASS.match(listed[0])
     taken = "a class as the others" if 0 in numbers else "taken as of no class: the map has higher numbers than names"
     note = [f"is of a map whose class 0, {listed[0]!r}, is {taken}"] if is_named else []
@@ -579,9 +579,9 @@ def geojson_regions(path: Path, grid: ImageGrid) -> Drawn:
     features = []
     for number, feature in enumerate(items, start=1):
         geometry = _within(feature, "geometry") if _within(feature, "type") == "Feature" else feature
-        own, known = _within(feature, "id"), _within(feature, "properties")
-        fallback = str(own) if own is not None else path.stem if len(items) == 1 else str(number)
-        features.append((geometry, known if isinstance(known, dict) else {}, fallback))
+        number_of, properties = _within(feature, "id"), _within(feature, "properties")
+        fallback = str(number_of) if number_of is not None else path.stem if len(items) == 1 else str(number)
+        features.append((geometry, properties if isinstance(properties, dict) else {}, fallback))
     return _named(features, stated, grid, f"{path}: ")
 
 
@@ -609,16 +609,16 @@ def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, whe
     listed = list(features)
     lacking = sum(geometry is None for geometry, *_ in listed)
     note = [f"{WARNING}is of a file of {len(listed)} features, of which {lacking} have no geometry"] * bool(lacking)
-    for number, (geometry, known, fallback) in enumerate(listed, start=1):
-        at = f"{where}feature {number}"
+    for number, (geometry, properties, fallback) in enumerate(listed, start=1):
+        place = f"{where}feature {number}"
         if geometry is None and lacking < len(listed):
             continue
-        lower = {str(key).lower(): value for key, value in known.items()}
+        lower = {str(key).lower(): value for key, value in properties.items()}
         if grid.name_field is not None and columns[0] not in lower:
-            raise refusal("region.property", at, name=grid.name_field, known=", ".join(known) or "none")
+            raise refusal("region.property", place, name=grid.name_field, known=", ".join(properties) or "none")
         named = next((lower[c] for c in columns if lower.get(c) is not None), None)
         name = ("" if named is None or named != named else str(named).strip()) or fallback
-        yield name, _placed(geometry, stated, grid, f"{at} ({name})", note)
+        yield name, _placed(geometry, stated, grid, f"{place} ({name})", note)
         note = []
 
 
@@ -661,10 +661,10 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
             count = pyogrio.read_info(path, layer=layer, force_feature_count=True)["features"]
             refuse(count > MAX_FEATURES, "vector.features", path, count=count, most=MAX_FEATURES)
             meta, _, shapes, columns = pyogrio.raw.read(path, layer=layer, force_2d=True)
-            own = named_crs(meta["crs"], where) if meta["crs"] else None
-            refuse(own is None and grid.coordinates is None, "vector.no_system", where)
-            if own is not None and grid.coordinates == "pixel":
-                raise refusal("region.other_system", where, stated=own, told="not in pixel coordinates")
+            crs = named_crs(meta["crs"], where) if meta["crs"] else None
+            refuse(crs is None and grid.coordinates is None, "vector.no_system", where)
+            if crs is not None and grid.coordinates == "pixel":
+                raise refusal("region.other_system", where, stated=crs, told="not in pixel coordinates")
             fields = [str(f) for f in meta["fields"]]
             texts = any(np.asarray(values).dtype.kind == "O" for values in columns)
             nameless = grid.name_field is None and not {f.lower() for f in fields} & {*REGION_COLUMNS}
@@ -672,7 +672,7 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
             rows = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)] or [{}] * len(shapes)
             names = [layer] if len(shapes) == 1 else [f"{layer}-{i + 1}" for i in range(len(shapes))]
             features = zip(shapes, rows, names, strict=True)
-            yield from _named(features, own, grid, f"{where}, ")
+            yield from _named(features, crs, grid, f"{where}, ")
 
 
 def _check_files(path: Path) -> None:
@@ -803,11 +803,11 @@ def read_regions(
 
 def rectangle_region(name: str, lines: tuple[int, int], samples: tuple[int, int], shape: tuple[int, int]) -> Region:
     """Region of the pixels from the first to the last line and sample, 0-based, both included."""
-    (top, bottom), (left, right) = lines, samples
-    if not (0 <= top <= bottom < shape[0] and 0 <= left <= right < shape[1]):
+    (top, bottom), (first, last) = lines, samples
+    if not (0 <= top <= bottom < shape[0] and 0 <= first <= last < shape[1]):
         raise refusal("region.rectangle", f"region {name!r}", lines=lines, samples=samples, last=np.subtract(shape, 1))
     mask = np.zeros(shape, bool)
-    mask[top : bottom + 1, left : right + 1] = True
+    mask[top : bottom + 1, first : last + 1] = True
     return Region(name, mask, "inline")
 
 
@@ -892,7 +892,7 @@ def groups_by_size(mask: Mask) -> tuple[list[Mask], str]:
     return [labels == 1 + i for i in np.argsort(-sizes, kind="stable")], f"{count} touching groups"
 
 
-def patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator[tuple[str, tuple[slice, slice], Mask]]:
+def connected_patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator[tuple[str, tuple[slice, slice], Mask]]:
     """Name, window and mask within it of each group of touching pixels (8 neighbours), of all where ``whole``.
 
     A number stands after the name where there are several, lines first.

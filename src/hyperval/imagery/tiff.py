@@ -79,12 +79,12 @@ def open_tiff(path: Path, header: Path | str | None) -> Raster:
         transform = None if dataset.transform == Affine.identity() else dataset.transform
         scale = Scale(np.array(dataset.scales), np.array(dataset.offsets), "scale and offset tags of the GeoTIFF")
         units = set(dataset.units)
-        quantity, unit, said = quantity_of(units.pop() if len(units) == 1 else None, "", "")
+        quantity, unit, notes = quantity_of(units.pop() if len(units) == 1 else None, "", "")
         size, factor = (dataset.height, dataset.width, dataset.count), dataset.tags(ns="ENVI").get(_FACTOR)
         entries = {_FACTOR.replace("_", " "): factor} if factor and not scale.changes else {}  # and no more than that
         tagged = EnviHeader(path, dataset.width, dataset.height, dataset.count, 0, "tif", 0, 0, entries=entries)
         bands = _bands_in_tags(dataset, tagged)
-        about = Description("", bands, scale, quantity, unit, dataset.nodata, notes=said, header=tagged)
+        about = Description("", bands, scale, quantity, unit, dataset.nodata, notes=notes, header=tagged)
         raster = TiffRaster(path, *size, dtype, about, transform, dataset.crs)
     sidecar = Path(header) if header is not None else header_beside(path)
     described = described_beside(path, raster.bands, about.ignore_value) if header is None else None

@@ -99,7 +99,7 @@ def all_pixels(targets: Sequence[TargetObject], shape: tuple[int, int]) -> Mask:
     return out
 
 
-def cut_out(mask: Mask) -> Placed:
+def mask_window(mask: Mask) -> Placed:
     """The window of a mask (lines, samples) that holds all that is True in it, of one pixel at least."""
     window = roi.window_of(mask)
     return (window[0].start, window[1].start), mask[window].copy()
@@ -178,16 +178,16 @@ def read_targets(
         if place in _LONLAT:
             xy = np.array([[number[key] for key in place]])
             number |= zip(_ON_MAP, roi.reprojected(xy, CRS.from_epsg(4326), crs, where)[0].tolist(), strict=True)
-        own = _ON_MAP if place in _LONLAT else place
-        centre, corners = _position(number, own, transform, pixel_m, figure * (length, width), where)
+        system = _ON_MAP if place in _LONLAT else place
+        centre, corners = _position(number, system, transform, pixel_m, figure * (length, width), where)
         if not roi.inside_image(corners, shape).all():
             mend = "check what kind its coordinates are; a target that the image cuts is taken out of the list"
             raise roi.outside_error(corners, shape, where, f"the target {name!r}", mend)
-        at = roi.point_mask([centre], shape)
-        mask = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else at
-        placed = cut_out(roi.guard(mask, doubt / pixel_m) if doubt > 0 else mask)
+        centre_mask = roi.point_mask([centre], shape)
+        mask = roi.polygon_mask(corners, shape, where=where, touched=True) if width > 0 else centre_mask
+        placed = mask_window(roi.guard(mask, doubt / pixel_m) if doubt > 0 else mask)
         side = width if width == length and width > 0 and figure is _SQUARE else math.nan
-        out[name] = TargetObject(name, material, side, area, shape, *placed, cut_out(at)[0], dict(row))
+        out[name] = TargetObject(name, material, side, area, shape, *placed, mask_window(centre_mask)[0], dict(row))
     refuse(not out, "target.none", path)
     return list(out.values())
 
@@ -282,7 +282,7 @@ def intersected_objects(
             refuse(not here.any(), "target.class", material=material, value=value)
             attributes = {"material": material, "side_m": f"{side:g}"}
             of = f"{material} {side:g} m", material, float(side), float(side) ** 2, (here.shape[0], here.shape[1])
-            out.append(TargetObject(*of, *cut_out(here), attributes=attributes))
+            out.append(TargetObject(*of, *mask_window(here), attributes=attributes))
     return out
 
 
@@ -315,7 +315,7 @@ def region_objects(
     out = []
     for region in regions:
         shape = (region.mask.shape[0], region.mask.shape[1])
-        for name, window, part in roi.patches(region.mask, region.name, whole=whole):
+        for name, window, part in roi.connected_patches(region.mask, region.name, whole=whole):
             corner = (int(window[0].start), int(window[1].start))
             pixels = int(np.count_nonzero(part))
             side = math.sqrt(pixels * (pixel_area_m2 or 0.0)) if side_m == "marked" else side_m

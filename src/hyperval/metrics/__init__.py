@@ -160,17 +160,17 @@ def metric_of(name: str) -> Metric:
     >>> metric_of("pd_difference@1e-2").agreement
     0.0
     """
-    base, known = base_name(name), table()
-    if name.endswith("_fraction") and name not in known:  # of a pooled gate
-        return known["*_fraction"]
+    base, metrics = base_name(name), table()
+    if name.endswith("_fraction") and name not in metrics:  # of a pooled gate
+        return metrics["*_fraction"]
     if name.endswith("_change") and base != name:  # of a number at a point
-        return known["*_change"]
-    if base in known:
-        return known[base]
-    row = next((m for m in known.values() if fnmatchcase(base, m.name)), None)
+        return metrics["*_change"]
+    if base in metrics:
+        return metrics[base]
+    row = next((m for m in metrics.values() if fnmatchcase(base, m.name)), None)
     if row is None and set(base) & set("*?"):
-        row = next((m for m in known.values() if fnmatchcase(m.name, base)), None)
-    near = "" if row else "".join(difflib.get_close_matches(base, known, n=1))
+        row = next((m for m in metrics.values() if fnmatchcase(m.name, base)), None)
+    near = "" if row else "".join(difflib.get_close_matches(base, metrics, n=1))
     return needed(row, "metric.near" if near else "metric.unknown", name=name, near=near)
 
 
@@ -219,8 +219,8 @@ def foreign(name: str, product: str) -> str:
     if row.products and product not in row.products:
         return f"{base!r} is a metric of {' or '.join(row.products)}, not of {product}"
     parts, part = _names("parts"), base.removeprefix(row.name.removesuffix("*"))
-    known = part in parts or not row.name.endswith("_ratio_*")
-    return "" if known else f"no part of the spectrum is {part!r}; one of {', '.join(parts)}"
+    fits = part in parts or not row.name.endswith("_ratio_*")
+    return "" if fits else f"no part of the spectrum is {part!r}; one of {', '.join(parts)}"
 
 
 def explained(names: Iterable[str]) -> list[tuple[str, str]]:

@@ -137,8 +137,8 @@ def ace_threshold(pfa: npt.ArrayLike, fractions: Sequence[float], classes: Seque
     used = total > 0
     position = np.arctanh(np.sqrt(classes[0].scores[used]))
     log_p = np.minimum.accumulate(np.log(total[used]))
-    at = np.interp(-np.log(np.asarray(pfa, dtype=float)), -log_p, position)
-    return np.asarray(np.tanh(at) ** 2)
+    y = np.interp(-np.log(np.asarray(pfa, dtype=float)), -log_p, position)
+    return np.asarray(np.tanh(y) ** 2)
 
 
 def exceedance_at(threshold: npt.ArrayLike, population: Exceedance) -> Array:

@@ -21,8 +21,8 @@ from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained, principal_components
 from hyperval.model.intervals import Z95, clopper_pearson, drawn_factor
 from hyperval.model.radiance import cut
-from hyperval.model.stated import Origins, Truth, correlation
-from hyperval.model.world import World, read, settled, with_truths
+from hyperval.model.stated import Origins, Truth, band_correlation
+from hyperval.model.world import World, read_world, settled, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, TargetSubject
 from hyperval.spectra.axis import in_window
@@ -158,9 +158,9 @@ def predicted_error(
     """
     pixels = [law.draw(draws, rng) for law in laws]
 
-    def share(known: Sequence[ClassLaw], count: int) -> float:
+    def share(fitted: Sequence[ClassLaw], count: int) -> float:
         """Of pixels that are taken for those of another class."""
-        return float(np.mean([gaussian_classes(known, own[:count]) != i for i, own in enumerate(pixels)]))
+        return float(np.mean([gaussian_classes(fitted, sample[:count]) != i for i, sample in enumerate(pixels)]))
 
     error, n = share(laws, draws), draws * len(laws)
     lower, upper = clopper_pearson(error * n, n)
@@ -169,10 +169,10 @@ def predicted_error(
         return whole
     least = laws[0].mean.size + 2.0  # fewer give no covariance that can be inverted
     each = [[law.trained(max(m, least), rng) for law, m in zip(laws, trained, strict=True)] for _ in range(_TRAININGS)]
-    more = np.array([share(known, _TESTED) for known in each]) - share(laws, _TESTED)
+    more = np.array([share(fitted, _TESTED) for fitted in each]) - share(laws, _TESTED)
     error, half = error + float(more.mean()), Z95 * float(more.std(ddof=1))
     ends = max(lower + more.mean() - half, 0.0), min(upper + more.mean() + half, 1.0)
-    distance = float(np.mean([with_distances(whole, known).distance for known in each]))
+    distance = float(np.mean([with_distances(whole, fitted).distance for fitted in each]))
     return replace(whole, error=error, lower=float(ends[0]), upper=float(ends[1]), distance=distance)
 
 
@@ -316,7 +316,7 @@ class Unmixed:
     pixel_area_m2: float
 
 
-def labelled(method: str, endmembers: str) -> str:
+def unmixing_method(method: str, endmembers: str) -> str:
     """The method with the origin of its endmembers: "fcls field"."""
     return f"{method} {endmembers}".strip()
 
@@ -341,7 +341,7 @@ def predicted_areas(
     """
     if scenario.atmosphere is not None:
         return {}
-    world = settled(with_truths(read(scenario, origins), [truth]))[0][1]
+    world = settled(with_truths(read_world(scenario, origins), [truth]))[0][1]
     index = np.flatnonzero(unmixed.bands)
     populations = {(name, p.name): p for name, p in world.populations_at(0)}
     out = {}
@@ -355,7 +355,7 @@ def predicted_areas(
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
             area = np.where(absent, 0.0, abundance).sum(axis=1) * unmixed.pixel_area_m2
             spread = float(area.std(ddof=1)) / np.sqrt(item.objects)
-            out[item.subject, labelled(method, item.endmembers)] = Abundance(
+            out[item.subject, unmixing_method(method, item.endmembers)] = Abundance(
                 float(area.mean()), float(spread), round((~absent).sum(axis=1).mean()), item.nominal_m2
             )
     return out
@@ -378,11 +378,11 @@ def _objects(
     number = world.surface(target.name)
     moved = world.mean[0, number] - stated.mean[number]  # what the reflectance truly differs from its endmember
     host = prediction.reflectance[target.host]
-    known = prediction.distribution.get(target.host, PixelDistribution())
-    law = ClassLaw(host.mean[index], _full_rank(cut(np.asarray(host.pixel_covariance), index)), known.tail_dof)
+    of_host = prediction.distribution.get(target.host, PixelDistribution())
+    law = ClassLaw(host.mean[index], _full_rank(cut(np.asarray(host.pixel_covariance), index)), of_host.tail_dof)
     laws = [
         (part, ClassLaw((host.mean + offset)[index], _full_rank(cut(covariance, index)), dof))
-        for part, offset, covariance, dof in known.clusters
+        for part, offset, covariance, dof in of_host.clusters
     ]
     spectrum = item.spectrum[index]
     spread = ClassLaw(np.zeros(index.size), _full_rank(cut(stated.surfaces[target.name].covariance, index)))
@@ -394,7 +394,7 @@ def _objects(
     material += spectrum + moved[index]
     if item.relative_uncertainty > 0:
         sd = item.relative_uncertainty * spectrum  # of the endmember as a picture of the target
-        shape = correlation(stated.axis.select(index), item.correlation_nm)
+        shape = band_correlation(stated.axis.select(index), item.correlation_nm)
         error = ClassLaw(np.zeros(index.size), _full_rank(np.outer(sd, sd) * shape))
         material += error.draw(draws, rng)[:, None]
     around = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
@@ -419,8 +419,8 @@ def _of_host(laws: Sequence[tuple[float, ClassLaw]], shape: tuple[int, ...], rng
 
 def _from_pool(law: ClassLaw, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
     """(*shape, F) pixels, each one of a pool that is drawn once; those of the pool that none is are not made."""
-    pool, at = law.standard_draw(_POOL, rng), rng.integers(_POOL, size=shape)
-    some, place = np.unique(at, return_inverse=True)
+    pool, index = law.standard_draw(_POOL, rng), rng.integers(_POOL, size=shape)
+    some, place = np.unique(index, return_inverse=True)
     return law.pixels(pool[some])[place.reshape(shape)]
 
 
@@ -478,6 +478,6 @@ def predicted_classification(
             psi = class_features(laws, choice.pca)
             rng = np.random.default_rng([seed, bands.size])
             counts = [] if trained is None else [trained[name] for name in chosen]
-            seen = [law.project(psi) for law in laws]
-            out[" / ".join(chosen), choice.name] = predicted_error(seen, rng, trained=counts)
+            projected = [law.project(psi) for law in laws]
+            out[" / ".join(chosen), choice.name] = predicted_error(projected, rng, trained=counts)
     return out

@@ -129,8 +129,8 @@ class Responses:
         """(n, 9) at FILL_NODES, of n evaluations of given rows (3.28)."""
         f = FILL_NODES
         square = f**2 + self.fine[rows, None] * (f - f**2)
-        own = square * (target_gain * self.own[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
-        return np.asarray(own + self.rest[rows])  # (3.28)
+        target = square * (target_gain * self.own[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
+        return np.asarray(target + self.rest[rows])  # (3.28)
 
     def at(self, fills: Array, target_gain: Array, rows: Index, shift: Array | float = 0.0) -> tuple[Array, Array]:
         """Means and standard deviations (n, K) at fills (n, K) or (1, K), for n evaluations of given rows.
@@ -165,10 +165,10 @@ def target_scores(seen: Seen, filters: LinearFilter, material: Material, rows: I
     lit_through, error = through * factor, np.zeros(truths)
     if material.error is not None:
         error = np.linalg.norm(lit_through[:, 0] @ material.error.T, axis=1)
-    own = spread(lit_through, material.covariance, material.stretch)[:, 0]
-    behind = spread(through, of.covariances[number], of.stretch[:, number])[:, 0]
+    target_spread = spread(lit_through, material.covariance, material.stretch)[:, 0]
+    host_spread = spread(through, of.covariances[number], of.stretch[:, number])[:, 0]
     fine = np.broadcast_to(material.fine_texture, (truths,))
-    return Responses(means, own, of.gain[:, number] * behind, rest, error, fine)
+    return Responses(means, target_spread, of.gain[:, number] * host_spread, rest, error, fine)
 
 
 class Evaluation(Keeps):
@@ -251,22 +251,22 @@ class Evaluation(Keeps):
             except UsageError as error:
                 self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
                 continue
-            for into, one in zip(made.values(), each, strict=True):
-                into.weights[v], into.offset[v] = one
+            for target, one in zip(made.values(), each, strict=True):
+                target.weights[v], target.offset[v] = one
         return {key: (f, *class_scores(seen, f)) for key, f in made.items()}
 
-    def material(self, target: int, at: World) -> Material:
+    def material(self, target: int, world: World) -> Material:
         """A target with its host, its light and the error of its spectrum, in some truths."""
         t, bands = self.targets[target], self.bands
-        number, stretch = at.surface(t.name), at.stretch[:, at.surface(t.name)]
+        number, stretch = world.surface(t.name), world.stretch[:, world.surface(t.name)]
         error = self.errors[t.name][:, bands] if t.name in self.errors else None
         covariance = self.stated.once(
             ("cut", t.name, bands.tobytes()), lambda: cut(self.stated.surfaces[t.name].covariance, bands)
         )
         return Material(
-            at.mean[:, number, bands], covariance, stretch[:, bands] if stretch.shape[1] > 1 else stretch,
-            at.column("fine_texture")[:, number], self.stated.classes.index(t.host), at.column("beam")[:, target],
-            at.column("sky_view")[:, target], error, bool(self.stated.of_pixels[number]),
+            world.mean[:, number, bands], covariance, stretch[:, bands] if stretch.shape[1] > 1 else stretch,
+            world.column("fine_texture")[:, number], self.stated.classes.index(t.host), world.column("beam")[:, target],
+            world.column("sky_view")[:, target], error, bool(self.stated.of_pixels[number]),
         )  # fmt: skip
 
     def fills(self, number: int, objects: bool = False) -> FillDistribution:
@@ -332,7 +332,7 @@ class Evaluation(Keeps):
             dof, fraction = self.world.law_dof, self.at.law_fraction
             first, which = distinct([self.which, *(dof.T if len(dof) > 1 else ())], len(self))
             light = self.which[first]
-            tails, fractions = (wide(at_rows(x, at), first.size) for x, at in ((dof, first), (fraction, light)))
+            tails, fractions = (wide(at_rows(x, rows), first.size) for x, rows in ((dof, first), (fraction, light)))
             return roc.ClassScores(fractions, means[light], sds[light], tails), which
 
         return self.once(("classes", target, detector), made)
@@ -461,7 +461,7 @@ class AceScores(NamedTuple):
 
     def log10_false_alarm(self, pd: Array) -> Array:
         """log10 P_FA (n,) at which P_D is ``pd`` (n,)."""
-        return np.array([roc.log10_false_alarm_at(c, float(at), c.pd) for c, at in zip(self.curves, pd, strict=True)])
+        return np.array([roc.log10_false_alarm_at(c, float(p), c.pd) for c, p in zip(self.curves, pd, strict=True)])
 
     def auc(self, area: roc.RocArea = roc.WHOLE) -> Array:
         """Area under the ROC (n,), or another."""
@@ -482,10 +482,10 @@ class AceScores(NamedTuple):
 
     def note(self, u: int) -> str:
         """Standard errors of what is drawn in one truth, in words."""
-        behind, drawn = self.pixels[u].background, max(float(x.standard_error.max()) for x in self.pixels[u].at_nodes)
-        lowest = ace_threshold(self.pfa[0], [1.0], [behind])
-        first = int(np.searchsorted(behind.scores, lowest).clip(0, behind.scores.size - 1))
-        error = behind.standard_error[first] / max(behind.probability[first], 1e-300)
+        host, drawn = self.pixels[u].background, max(float(x.standard_error.max()) for x in self.pixels[u].at_nodes)
+        lowest = ace_threshold(self.pfa[0], [1.0], [host])
+        first = int(np.searchsorted(host.scores, lowest).clip(0, host.scores.size - 1))
+        error = host.standard_error[first] / max(host.probability[first], 1e-300)
         return f"standard error of P_D at most {drawn:.2g}, of P_FA at {self.pfa[0]:.1g} {100 * error:.2g} %"
 
 
@@ -499,8 +499,8 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
 
     def spread_of(surface: Array, around: Array, noise: Array) -> Array:
         """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
-        own = surface * np.outer(slope, slope) + surroundings * np.outer(around, around)
-        return np.asarray(own + np.diag(noise))
+        spread = surface * np.outer(slope, slope) + surroundings * np.outer(around, around)
+        return np.asarray(spread + np.diag(noise))
 
     def above(
         mean: Array, covariance: Array, dof: float, stream: Sequence[int], decades: Sequence[float],
@@ -542,24 +542,24 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
             along = material.error @ w
             mean = mean + shift * fill * (along @ material.error / np.linalg.norm(along)) * slope
         factor = material.stretch[0] * np.ravel(lit) * np.ones(e.bands.size)
-        own = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
+        spread = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
         f2 = fill**2 + float(material.fine_texture[0]) * (fill - fill**2)
         around = share * beside[0, 0] + fill * on[0, 0]
-        whole = spread_of(f2 * own + share**2 * host, around, noise[0, 0])
+        whole = spread_of(f2 * spread + share**2 * host, around, noise[0, 0])
         by_law = []
         for k, j in enumerate(numbers):
             # A law of the host differs from its class in mean and spread; what has its tails is what it has alone.
             law_mean, surface, alone = laws[j]
             total, tailed = whole + share**2 * (surface - host) * square, np.isfinite(dof[j])
             part = share**2 * alone if tailed else total
-            at = mean + share * (law_mean - seen.means[0, number])
+            centre = mean + share * (law_mean - seen.means[0, number])
             stream = [1_000_003, *([k] if k else [])]
-            by_law.append(above(at, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
+            by_law.append(above(centre, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
         return _mixed(parts, by_law)
 
     # Those of whole objects too, even where their curve is not asked for.
-    own = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
-    every = [of_truth(e.fills(i, objects).values, u) for i in own for objects in (False, True)]
+    spread = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
+    every = [of_truth(e.fills(i, objects).values, u) for i in spread for objects in (False, True)]
     every = [fills[np.isfinite(fills)] for fills in every]
     ends = sorted({float(end) for fills in every for end in (fills.min(), fills.max())})
     nodes, asked = {fill: at_fill(fill) for fill in ends}, background.probability >= e.pfa[0]
@@ -618,7 +618,7 @@ def detect(
     ------
     UsageError : no filter, as the background can not be inverted.
     """
-    processing, pfa, at = e.scenario.processing, e.pfa, np.array(points)
+    processing, pfa, index = e.scenario.processing, e.pfa, np.array(points)
     counts = [e.stated.surfaces[c].n or 0 for c in e.stated.classes]
     n = sum(counts) if e.stated.of_pixels[: len(counts)].all() else None
     out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
@@ -630,23 +630,23 @@ def detect(
             objects = [e.scores(p.name, name, True) for p in target.populations] if object_curves else pixels
             # What the background scores by one filter, all populations of its target share.
             thresholds = pixels[0].thresholds(pfa[None])
-            behind = pixels[0].background(at, thresholds[at], densities=densities)
-            for population, own, whole in zip([p.name for p in target.populations], pixels, objects, strict=True):
-                pd: dict[Literal["pixel", "object"], Array] = {"pixel": own.detection_above(thresholds)}
+            backgrounds = pixels[0].background(index, thresholds[index], densities=densities)
+            for population, scores, whole in zip([p.name for p in target.populations], pixels, objects, strict=True):
+                pd: dict[Literal["pixel", "object"], Array] = {"pixel": scores.detection_above(thresholds)}
                 if object_curves:
-                    pd["object"] = pd["pixel"] if whole is own else whole.detection_above(thresholds)
+                    pd["object"] = pd["pixel"] if whole is scores else whole.detection_above(thresholds)
                 for unit, curves in pd.items():
                     key, e.probits[population, name, unit] = (population, name, unit), roc.probit(curves)
-                    for products, u, (_, preset) in zip(out, points, behind, strict=True):
+                    for products, u, (_, preset) in zip(out, points, backgrounds, strict=True):
                         products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
-                e.moments[population, name], e.moments[background_of(population), name] = own.moments
-                each = zip(out, own.target(at, densities=densities), behind, strict=True)
+                e.moments[population, name], e.moments[background_of(population), name] = scores.moments
+                each = zip(out, scores.target(index, densities=densities), backgrounds, strict=True)
                 for products, scored, (of_background, _) in each:
                     products["scores"][population, name] = scored
                     products["scores"][background_of(population), name] = replace(of_background, n=n)
             for products, u in zip(out, points, strict=True):
-                if isinstance(own, AceScores):
-                    text = f"{name} of {target.name}: {processing.samples} draws per class; {own.note(u)}"
+                if isinstance(scores, AceScores):
+                    text = f"{name} of {target.name}: {processing.samples} draws per class; {scores.note(u)}"
                     products["notes"].append(text)
                 else:
                     products["exceedance"][target.name, name] = ExceedanceCurve(thresholds[u, ::-1], *(pfa[::-1],) * 3)

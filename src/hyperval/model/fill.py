@@ -209,7 +209,7 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     (K, P, P) fills of the pixels, the middle pixel at [P // 2, P // 2]; axis 1 runs along the columns
     (heading 0), axis 2 across.
     """
-    at = np.asarray(offset, dtype=float)
+    shift = np.asarray(offset, dtype=float)
     length, width = geometry.sides_pixels
     refuse(max(length, width) > MAX_PIXELS_ACROSS, "fill.large", most=MAX_PIXELS_ACROSS)
     s_y, s_x = (SIGMA_PER_FWHM * fwhm for fwhm in _both(geometry.psf_fwhm_pixels))
@@ -220,21 +220,21 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     # Corners of the target along y fix where the chord length has kinks.
     corner = np.stack([0.5 * (i * length * c + j * width * d) for i in (-1, 1) for j in (-1, 1)], axis=1)
     low, high = corner.min(axis=1), corner.max(axis=1)
-    edges = borders[None, :] - at[:, 1:2]
+    edges = borders[None, :] - shift[:, 1:2]
     beyond = (edges <= low[:, None]) | (edges >= high[:, None])  # they cut nothing: behind all that do
     breaks = np.sort(np.concatenate([corner, np.where(beyond, high[:, None], edges)], axis=1), axis=1)
     breaks = breaks[:, : 1 + int(np.max(np.sum(breaks < high[:, None], axis=1), initial=1))]
     parts = max(2, int(np.ceil(1.0 / max(least, 0.1)))) if least > 0 else 8
     steps = np.arange(parts) / parts
     span = np.diff(breaks, axis=1)
-    start = (breaks[:, :-1, None] + span[:, :, None] * steps).reshape(len(at), -1)
+    start = (breaks[:, :-1, None] + span[:, :, None] * steps).reshape(len(shift), -1)
     size = np.repeat(span / parts, parts, axis=1)
-    y = (start[:, :, None] + 0.5 * size[:, :, None] * (1.0 + _NODES)).reshape(len(at), -1)
-    dy = (0.5 * size[:, :, None] * _NODE_WEIGHTS).reshape(len(at), -1)
-    left, right = _chord(y, c[:, None], d[:, None], length, width)
-    x0 = at[:, 0][:, None, None]
-    across = _between(_ramp(right[:, :, None] + x0 - borders, s_x) - _ramp(left[:, :, None] + x0 - borders, s_x))
-    along = _between(_step((y + at[:, 1:2])[:, :, None] - borders, s_y)) * dy[:, :, None]
+    y = (start[:, :, None] + 0.5 * size[:, :, None] * (1.0 + _NODES)).reshape(len(shift), -1)
+    dy = (0.5 * size[:, :, None] * _NODE_WEIGHTS).reshape(len(shift), -1)
+    start_x, end_x = _chord(y, c[:, None], d[:, None], length, width)
+    x0 = shift[:, 0][:, None, None]
+    across = _between(_ramp(end_x[:, :, None] + x0 - borders, s_x) - _ramp(start_x[:, :, None] + x0 - borders, s_x))
+    along = _between(_step((y + shift[:, 1:2])[:, :, None] - borders, s_y)) * dy[:, :, None]
     return np.asarray(np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0))  # rounding alone leaves 0-1
 
 
@@ -248,8 +248,8 @@ def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixe
     psf_fwhm_pixels : FWHM of the Gaussian besides the aperture [pixels]
     """
     borders = first + np.arange(count + 1)
-    at = _ramp(np.asarray(edges, dtype=float)[:, None] - borders, psf_fwhm_pixels * SIGMA_PER_FWHM)
-    return np.diff(_between(at), axis=0).T
+    ramps = _ramp(np.asarray(edges, dtype=float)[:, None] - borders, psf_fwhm_pixels * SIGMA_PER_FWHM)
+    return np.diff(_between(ramps), axis=0).T
 
 
 def _both(blur: Blur) -> tuple[float, float]:
@@ -264,8 +264,8 @@ def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[A
         slope = np.where(np.abs(slope) < 1e-12, 1e-12, slope)
         a, b = (-0.5 * side - shift) / slope, (0.5 * side - shift) / slope
         ends.append((np.minimum(a, b), np.maximum(a, b)))
-    left = np.maximum(ends[0][0], ends[1][0])
-    return left, np.maximum(left, np.minimum(ends[0][1], ends[1][1]))
+    low = np.maximum(ends[0][0], ends[1][0])
+    return low, np.maximum(low, np.minimum(ends[0][1], ends[1][1]))
 
 
 def _between(at_borders: Array) -> Array:
@@ -295,7 +295,7 @@ _STEPS = 8
 
 
 def shared_pixel_fills(
-    own: Geometry, n: int, neighbours: Sequence[tuple[Geometry, Array]], shifts: Array | None = None
+    target: Geometry, n: int, neighbours: Sequence[tuple[Geometry, Array]], shifts: Array | None = None
 ) -> tuple[Array, Array]:
     """Fills of the ``n`` fullest pixels of a target, by itself and by each of its neighbours (f of 3.10).
 
@@ -321,9 +321,9 @@ def shared_pixel_fills(
     ------
     UsageError : a random heading: what lies beside a target that may lie any way is not known.
     """
-    for geometry in (own, *(geometry for geometry, _ in neighbours)):
+    for geometry in (target, *(geometry for geometry, _ in neighbours)):
         refuse(geometry.heading_deg == "random", "fill.heading")
-    fills, chosen = _fullest(own, n)
+    fills, chosen = _fullest(target, n)
     others = np.zeros((*fills.shape, len(neighbours)))
     for j, (geometry, offset) in enumerate(neighbours):
         away = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
@@ -333,17 +333,17 @@ def shared_pixel_fills(
 
 
 @lru_cache(maxsize=64)
-def _fullest(own: Geometry, n: int) -> tuple[Array, ...]:
+def _fullest(geo: Geometry, n: int) -> tuple[Array, ...]:
     """(K, n) fills of the fullest pixels of a target, and where they are (K, n, 2) from its centre."""
-    place = np.zeros((1, 2)) if own.phase == "centred" else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
-    table = _fill_table(_outline(own, phase="random"))
+    place = np.zeros((1, 2)) if geo.phase == "centred" else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
+    table = _fill_table(_outline(geo, phase="random"))
     half = (table.shape[0] // _STEPS - 1) // 2
     grid = np.stack(np.meshgrid(*2 * (np.arange(-half, half + 1.0),), indexing="ij"), axis=-1).reshape(-1, 2)
     at_pixels = grid[None] - place[:, None]  # (K, P, 2) pixel's centre from the target's
     fills = _looked_up(table, at_pixels)
-    if own.pixels == "touched":
-        heading = np.full(len(place), own.heading_deg, dtype=float)
-        fills[~_met(own, place[:, ::-1], heading, 2 * half + 1).reshape(fills.shape)] = np.nan
+    if geo.pixels == "touched":
+        heading = np.full(len(place), geo.heading_deg, dtype=float)
+        fills[~_met(geo, place[:, ::-1], heading, 2 * half + 1).reshape(fills.shape)] = np.nan
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
         at_pixels = np.pad(at_pixels, ((0, 0), (0, n - at_pixels.shape[1]), (0, 0)), constant_values=1e6)
@@ -432,7 +432,7 @@ def widened(geometry: Geometry, wider: float) -> Geometry:
     return geometry.model_copy(update={"psf_fwhm_pixels": (max(along + wider, 0.0), max(across + wider, 0.0))})
 
 
-def moments(fill: Fill, thesis: bool) -> FillDistribution:
+def population_fill(fill: Fill, thesis: bool) -> FillDistribution:
     """The fill of a population; the printed form knows its mean alone."""
     distribution = fill_distribution(fill)
     return fixed_fill(distribution.mean) if thesis else distribution
@@ -440,7 +440,7 @@ def moments(fill: Fill, thesis: bool) -> FillDistribution:
 
 def fills_of_population(fill: Fill, thesis: bool) -> FillDistribution:
     """Fills of the pixels of a population."""
-    distribution = moments(fill, thesis)
+    distribution = population_fill(fill, thesis)
     return FillDistribution(distribution.values[None], distribution.weights[None])
 
 
@@ -471,7 +471,7 @@ def stacked_fills(each: Sequence[FillDistribution], which: Index) -> FillDistrib
     return FillDistribution(values[which], weights[which], each[0].shape)
 
 
-def with_mean(fill: Fill, offset: float) -> Fill:
+def fill_with_mean(fill: Fill, offset: float) -> Fill:
     """The fill with another mean, at most 1 and at least 0.
 
     Where the geometry gives the fill, the sides of the target are scaled: its area changes, its place among the pixels
@@ -482,7 +482,7 @@ def with_mean(fill: Fill, offset: float) -> Fill:
     ...     "listed": [[0.9, 0.7, 0.2], [1.0, 0.3]]}
     >>> for fill in map(Fill.model_validate, ways):
     ...     mean = fill_distribution(fill).mean
-    ...     print([round(fill_distribution(with_mean(fill, x)).mean - mean, 2) for x in (-0.1, 0.05, 0.2)])
+    ...     print([round(fill_distribution(fill_with_mean(fill, x)).mean - mean, 2) for x in (-0.1, 0.05, 0.2)])
     [-0.1, 0.05, 0.2]
     [-0.1, 0.05, 0.2]
     [-0.1, 0.05, 0.2]
@@ -492,7 +492,7 @@ def with_mean(fill: Fill, offset: float) -> Fill:
     >>> ways = {"geometry": {"side_m": 0.05, "gsd_m": 1.0, "pixels": "ranked", "n": 1}}, {"listed": [[0.02, 0.01]]}
     >>> for fill in map(Fill.model_validate, ways):
     ...     mean = fill_distribution(fill).mean
-    ...     print([round(fill_distribution(with_mean(fill, x - mean)).mean, 6) for x in (1e-6, 0.0015, 0.4)])
+    ...     print([round(fill_distribution(fill_with_mean(fill, x - mean)).mean, 6) for x in (1e-6, 0.0015, 0.4)])
     [1e-06, 0.0015, 0.4]
     [1e-06, 0.0015, 0.4]
     """

@@ -357,16 +357,16 @@ def own_mean_sampling(
     energy = 1.0 / (float(weights @ covariance.matrix @ weights) + theta**2)
     y, v = pixels @ weights, pixels @ solved / size
     white = covariance.whiten(pixels.T)
-    own = 1.0 - (np.einsum("fm,fm->m", white, white) - size * v**2 - energy * y**2) / n
+    loss = 1.0 - (np.einsum("fm,fm->m", white, white) - size * v**2 - energy * y**2) / n
     u = 1.0 - v + energy * theta * y
-    z = y * u / own
+    z = y * u / loss
     variance = bias = 0.0
     for one in np.unique(stratum):
-        at = stratum == one
-        part = float(np.mean(at))
-        variance += part * float(np.var(z[at], ddof=1)) if np.sum(at) > 1 else 0.0
-        bias += part * float(np.mean((own[at] - 1.0) * z[at]))
-        xy, xu = (np.mean(pixels[at] * q[at, None], axis=0) for q in (y, u))
+        inside = stratum == one
+        part = float(np.mean(inside))
+        variance += part * float(np.var(z[inside], ddof=1)) if np.sum(inside) > 1 else 0.0
+        bias += part * float(np.mean((loss[inside] - 1.0) * z[inside]))
+        xy, xu = (np.mean(pixels[inside] * q[inside, None], axis=0) for q in (y, u))
         x_p_y = covariance.solve(xy) - solved * float(solved @ xy) / size - energy * weights * float(weights @ xy)
         bias += part * float(xu @ x_p_y) / n
     return float(np.sqrt(variance / n)), bias

@@ -26,7 +26,7 @@ from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
 from hyperval.model.stated import Origins, Stated, Truth, distinct, state_value
-from hyperval.model.world import World, find, read, settled, with_truths
+from hyperval.model.world import World, find, read_world, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
@@ -79,23 +79,23 @@ def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes
     for key, (up, down) in changes.items():
         inner = np.abs(probit(roc[key].pd)) < _INNER
         sd = np.sqrt(((0.5 * (up - down)) ** 2).sum(axis=0))
-        seen = inner & (sd > _SEEN)
-        if seen.any():
-            shifts[key] = float(np.max(np.abs(0.5 * (up + down).sum(axis=0))[seen] / sd[seen]))
+        shown = inner & (sd > _SEEN)
+        if shown.any():
+            shifts[key] = float(np.max(np.abs(0.5 * (up + down).sum(axis=0))[shown] / sd[shown]))
     return shifts
 
 
 def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], samples: int) -> list[str]:
     """Words for intervals that shifts of the mean make rough, and for those that are drawn for it."""
     named = {key: f"{' '.join(key)} ({shift:.2g})" for key, shift in shifts.items() if shift > _SHIFT}
-    by_draws, rough = (", ".join(named[key] for key in named if (key in drawn) is own) for own in (True, False))
-    said = {
+    by_draws, rough = (", ".join(named[key] for key in named if (key in drawn) is wanted) for wanted in (True, False))
+    texts = {
         f"P_D intervals from {samples} draws of the budget, as errors shift the mean by more than its standard "
         f"deviation, or would if each acted alone: {by_draws}": by_draws,
         "the errors shift the mean of P_D (in standard deviations of its probit, at most), which its interval "
         f"holds roughly: {rough}; draw the budget for more: uncertainty: {{method: both}}": rough,
     }
-    return [words for words, curves in said.items() if curves]
+    return [words for words, curves in texts.items() if curves]
 
 
 def drawn_curve(curve: RocCurve, interval: tuple[Array, Array]) -> RocCurve:
@@ -153,7 +153,7 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
     out: dict[tuple[str, str], dict[str, Array]] = {key: {} for key in thresholds}
     for region, without in origins.left_out():
         parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
-        of_parts = [settled(with_truths(read(free, part), [truth]))[0][1] for part in parts]
+        of_parts = [settled(with_truths(read_world(free, part), [truth]))[0][1] for part in parts]
         laws = [(w.law_fraction, w.law_dof, radiance.seen_classes(radiance.light_of(w), w, e.bands)) for w in of_parts]
         for key, x in thresholds.items():
             row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
@@ -179,23 +179,23 @@ def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
     # Limits of P_FA rise with it; far out, where the law says little, they need not.
     less = np.maximum.accumulate(np.log(alarms.lower[::-1]))
     more = np.minimum.accumulate(np.log(alarms.upper))[::-1]
-    at = np.log(curve.pfa)
-    up = z + np.hypot(high - z, np.maximum(_read(at, less, z) - z, 0.0))
-    down = z - np.hypot(z - low, np.maximum(z - _read(at, more, z), 0.0))
+    log_pfa = np.log(curve.pfa)
+    up = z + np.hypot(high - z, np.maximum(_read(log_pfa, less, z) - z, 0.0))
+    down = z - np.hypot(z - low, np.maximum(z - _read(log_pfa, more, z), 0.0))
     return replace(curve, pd_lower=ndtr(np.maximum.accumulate(down)), pd_upper=ndtr(np.maximum.accumulate(up)))
 
 
-def _read(at: Array, x: Array, z: Array) -> Array:
+def _read(y: Array, x: Array, z: Array) -> Array:
     """A curve z over x, both rising, at places ``at``; beyond its ends with the slope over ``at`` there."""
-    below, above = (z[1] - z[0]) / (at[1] - at[0]), (z[-1] - z[-2]) / (at[-1] - at[-2])
-    return np.asarray(np.interp(at, x, z) + below * np.minimum(at - x[0], 0.0) + above * np.maximum(at - x[-1], 0.0))
+    below, above = (z[1] - z[0]) / (y[1] - y[0]), (z[-1] - z[-2]) / (y[-1] - y[-2])
+    return np.asarray(np.interp(y, x, z) + below * np.minimum(y - x[0], 0.0) + above * np.maximum(y - x[-1], 0.0))
 
 
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
 _PROBABILITIES = ("P_D", "AUC")
 
 
-def quantities(p: PredictedProducts) -> dict[Key, Array]:
+def product_values(p: PredictedProducts) -> dict[Key, Array]:
     """(product, subject, ...) -> (n,) numbers: bands of spectra, P_D at each of FALSE_ALARMS, scores and areas."""
     out: dict[Key, Array] = {}
     for product in SPECTRA:
@@ -211,8 +211,8 @@ def quantities(p: PredictedProducts) -> dict[Key, Array]:
 
 
 def tabulated(predictions: Iterable[PredictedProducts]) -> dict[Key, Array]:
-    """(N, n) :func:`quantities` of N predictions, and P_D of whole curves under ("curve", subject, detector, unit)."""
-    rows = [quantities(p) | {("curve", *key): curve.pd for key, curve in p.roc.items()} for p in predictions]
+    """(N, n) :func:`product_values` of N predictions, and P_D of curves under ("curve", subject, detector, unit)."""
+    rows = [product_values(p) | {("curve", *key): curve.pd for key, curve in p.roc.items()} for p in predictions]
     return {key: np.array([row[key] for row in rows]) for key in rows[0]}
 
 
@@ -237,7 +237,7 @@ def linear_spread(key: Key, stated: PredictedProducts, moved: Array) -> Array:
     return np.array([sd, low, high])
 
 
-def tolerance(u: Array, samples: int) -> Array:
+def limit_tolerance(u: Array, samples: int) -> Array:
     """(n,) tolerance of a limit: half a unit of the first significant digit of u (JCGM 101:2008, 7.9.2, one digit).
 
     To it come two standard errors that a 2.5 % quantile of ``samples`` normal draws has: sqrt(p (1 - p) / N) / phi.
@@ -259,7 +259,7 @@ def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int
     if live.any():
         (u, *one), (v, *other) = linear[:, live], drawn[:, live]
         with np.errstate(divide="ignore", invalid="ignore"):
-            gap = np.abs(np.subtract(one, other)).max(axis=0) / tolerance(np.maximum(u, v), samples)
+            gap = np.abs(np.subtract(one, other)).max(axis=0) / limit_tolerance(np.maximum(u, v), samples)
             each = [u, v, v / u, np.subtract(*other) / np.subtract(*one), gap]
         numbers = np.median(each, axis=1).tolist()
     return {"key": key, "at": at, **dict(zip(names, numbers, strict=True)), "agrees": numbers[-1] <= 1.0}
@@ -272,7 +272,7 @@ _NODE = float(np.sqrt(3.0))
 Cost = tuple[int, float, float]  # engine runs, greatest and median relative error of the radiance
 
 
-def emulated(world: World, inputs: Sequence[UncertainInput]) -> tuple[World, Cost | None]:
+def interpolated_world(world: World, inputs: Sequence[UncertainInput]) -> tuple[World, Cost | None]:
     """The world with the engine run at the nodes of every uncertain field of its atmosphere alone, and what it costs.
 
     Terms are then quadratic in each uncertain field, without cross terms.  The error is that of the radiance over a
@@ -284,20 +284,20 @@ def emulated(world: World, inputs: Sequence[UncertainInput]) -> tuple[World, Cos
     for item in inputs:
         room, _, name = item.path.partition(".")
         if room == "atmosphere" and state is not None:
-            at = state_value(state, name)
+            value = state_value(state, name)
             ends = [float(item.direction(0, z)[item.path][0]) for z in (-_NODE, _NODE)]
-            ends = [end for end in ends if abs(end - at) > 1e-12]  # a node at the end of the range may be the stated
+            ends = [end for end in ends if abs(end - value) > 1e-12]  # a node at the end of the range may be the stated
             if ends:
-                nodes[name], off[name] = [at, *ends], float(item.direction(0, 1.0)[item.path][0])
+                nodes[name], off[name] = [value, *ends], float(item.direction(0, 1.0)[item.path][0])
     if not nodes:
         return world, None
     star = replace(engine, nodes=nodes, star=True, kept={})
     guess, truth = star({f"atmosphere.{name}": np.array([x]) for name, x in off.items()}, 1), engine.run(off)
-    seen = [t.path_radiance + 0.3 * (t.direct + t.adjacency) / (1 - 0.3 * t.spherical_albedo) for t in (guess, truth)]
-    relative = np.abs(seen[0] / seen[1] - 1.0)[..., truth.direct > 1e-3 * truth.direct.max()]
-    there = replace(world, stated=replace(stated, atmosphere=star, kept={}))
+    totals = [t.path_radiance + 0.3 * (t.direct + t.adjacency) / (1 - 0.3 * t.spherical_albedo) for t in (guess, truth)]
+    relative = np.abs(totals[0] / totals[1] - 1.0)[..., truth.direct > 1e-3 * truth.direct.max()]
+    moved = replace(world, stated=replace(stated, atmosphere=star, kept={}))
     runs = 2 + sum(len(values) - 1 for values in nodes.values())
-    return there, (runs, float(relative.max()), float(np.median(relative)))
+    return moved, (runs, float(relative.max()), float(np.median(relative)))
 
 
 def with_intervals(
@@ -314,13 +314,13 @@ def with_intervals(
     steps = [item.direction(k, z) for item in inputs for k in range(item.size) for z in (1.0, -1.0)]
     moved, table, u = tabulated(_predictions(world, [{}, *steps])), [], world.stated.scenario.uncertainty
     everywhere = u.method == "monte-carlo"
-    for key, values in quantities(stated).items():
+    for key, values in product_values(stated).items():
         linear = linear_spread(key, stated, moved[key])
         drawn = np.array([draws[key].std(axis=0, ddof=1), *limits(draws[key])])
         parts: Iterable[tuple[Any, float]] = [(slice(None), np.nan)]
         if key[0] == "P_D":  # a curve may begin above
-            parts = [(slice(i, i + 1), at) for i, at in enumerate(FALSE_ALARMS) if np.isfinite(values[i])]
-        table += [agreement(key, values[x], linear[:, x], drawn[:, x], u.samples, at) for x, at in parts]
+            parts = [(slice(i, i + 1), pfa) for i, pfa in enumerate(FALSE_ALARMS) if np.isfinite(values[i])]
+        table += [agreement(key, values[x], linear[:, x], drawn[:, x], u.samples, pfa) for x, pfa in parts]
     differs = {row["key"][1:] for row in table if row["key"][0] == "P_D" and not row["agrees"]}
     roc = {
         key: drawn_curve(curve, limits(draws["curve", *key])) if everywhere or key in differs else curve
@@ -354,11 +354,11 @@ def with_uncertainty(
     shifts, drawn = mean_shifts(products.roc, changes), dict[RocKey, Array]()
     far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
     if draws := bool(inputs) and (bool(far) or u.method != "linear"):
-        there, cost = emulated(world, inputs)
+        near, cost = interpolated_world(world, inputs)
         truths = track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")
         if u.method == "linear":  # nothing but these curves is looked at
             whole = any(unit == "object" for *_, unit in far)
-            each = [p.roc for p in _predictions(there, truths, object_curves=whole, spectra=False)]
+            each = [p.roc for p in _predictions(near, truths, object_curves=whole, spectra=False)]
             drawn = {key: np.array([roc[key].pd for roc in each]) for key in far}
     roc: dict[RocKey, RocCurve] = with_bands(products.roc, changes)
     roc |= {key: drawn_curve(products.roc[key], limits(curves)) for key, curves in drawn.items()}
@@ -370,7 +370,7 @@ def with_uncertainty(
     limited = replace(products, roc=roc, notes=(*products.notes, *shift_notes(shifts, drawn, u.samples)))
     if not draws or u.method == "linear":
         return limited
-    return with_intervals(limited, there, inputs, tabulated(_predictions(there, truths)), cost)
+    return with_intervals(limited, near, inputs, tabulated(_predictions(near, truths)), cost)
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
@@ -430,11 +430,11 @@ def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
     world, scene = e.world, e.scenario.scene
     shares = [shares_at(world, number) for number in range(len(e.stated.populations))]
     light = e.light.rows(e.which)
-    own = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
-    out = {s.name: 2 * (own[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
+    means = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
+    out = {s.name: 2 * (means[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
     full = {t.name: radiance.target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
     for (t, _, population), fills, placed in zip(e.stated.populations, world.pixel_fills, shares, strict=True):
-        host = own[scene.targets[t].host]
+        host = means[scene.targets[t].host]
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
         if placed is not None:
             parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}
@@ -454,7 +454,7 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     >>> from hyperval.model import with_values
     >>> square = {"geometry": {"side_m": 1.0, "gsd_m": 1.0, "psf_fwhm_pixels": 1.0, "pixels": "ranked", "n": 9}}
     >>> two = [{"name": name, "position_m": [0.0, x], "fill": square} for name, x in (("one", 0.0), ("two", 1.5))]
-    >>> world = read(load_scenario("yellow-planks-asphalt").with_values({"scene.targets.0.subjects": two}))
+    >>> world = read_world(load_scenario("yellow-planks-asphalt").with_values({"scene.targets.0.subjects": two}))
     >>> (alone,), _ = shares_at(with_values(world, {"fill.two": np.array([[0.3]])}), 0)
     >>> (_, beside), _ = shares_at(with_values(world, {"fill.two": np.array([[0.5], [0.3]])}), 0)
     >>> bool(np.all(alone.mean == beside.mean))
@@ -507,8 +507,8 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
         scale = *item.scale, day if item.path.startswith("atmosphere.") else ""
         for start in range(0, len(item.rows), _DIRECTIONS):
             some = range(start, min(start + _DIRECTIONS, len(item.rows)))
-            there = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
-            whole = joined(((index, mean_spectra(Evaluation(part))) for index, part in settled(there)), there.size)
+            moved = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
+            whole = joined(((index, mean_spectra(Evaluation(part))) for index, part in settled(moved)), moved.size)
             for key, values in whole.items():
                 rows = 0.5 * (values[: len(some)] - values[len(some) :])
                 if item.kind == "engine" and key[0] == "reflectance":  # the empirical line takes it off
@@ -516,11 +516,11 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 if item.subject and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 each = out.setdefault(key, {})
-                before, own = each[name].rows if name in each else rows[:0], np.nan_to_num(rows)
+                before, changes = each[name].rows if name in each else rows[:0], np.nan_to_num(rows)
                 if item.subject and item.kind == "sensor" and len(before) > start:  # of the image, which all share
-                    before[start : start + len(own)] += own
-                    own = own[:0]
-                each[name] = Errors(np.concatenate([before, own]), np.inf, *scale)
+                    before[start : start + len(changes)] += changes
+                    changes = changes[:0]
+                each[name] = Errors(np.concatenate([before, changes]), np.inf, *scale)
     return out
 
 
@@ -550,10 +550,10 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
     spreads = {} if errors is None else pixel_spreads(e, u, levels)
     for (product, key), mean in means.items():
         pixel, shapes = spreads.get((product, key), (None, {}))
-        own = (errors or {}).get((product, key), {})
-        total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(own, shapes, bands)
-        pixel, own = None if pixel is None else known(pixel), {} if product == "snr" else own
-        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=own)
+        sources = (errors or {}).get((product, key), {})
+        total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(sources, shapes, bands)
+        pixel, sources = None if pixel is None else known(pixel), {} if product == "snr" else sources
+        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=sources)
     return PredictedProducts(e.axis, **out)
 
 
@@ -585,11 +585,11 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
         # The covariance of pixels of the image holds their noise.
         held = [s for s in parts if e.stated.of_pixels[world.surface(s)]]
         noise = light.noise_variance(levels[name]) - sum(parts[s] * light.noise_variance(bare[s]) for s in held)
-        seen = light.pixel_covariance(noise, radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
+        at_sensor = light.pixel_covariance(noise, radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
         through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
         back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
-        out["radiance", name] = seen, through
-        out["reflectance", name] = radiance.retrieved_covariance(line, seen), back
+        out["radiance", name] = at_sensor, through
+        out["reflectance", name] = radiance.retrieved_covariance(line, at_sensor), back
     return out
 
 
@@ -607,16 +607,16 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
     shade = radiance.target_light(world, light, t)[2].ravel()
-    own = _of_surface(world, target.name)[0] * np.outer(shade, shade)
-    host, (behind, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
+    spread = _of_surface(world, target.name)[0] * np.outer(shade, shade)
+    host, (host_spread, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, fine = world.pixel_fills[number], world.column("fine_texture")[0, world.surface(target.name)]
     f2, g2 = fills.mean**2 + fills.variance, (1.0 - fills.mean) ** 2 + fills.variance  # of (3.12)
     covariance = radiance.target_pixel_covariance(
-        fills.mean, fills.variance, full[target.name], own, host, behind,
+        fills.mean, fills.variance, full[target.name], spread, host, host_spread,
         target_gain=float(world.column("target_gain")[0, t]), fine_texture=fine,
     )  # fmt: skip
     shares = shares_at(world, number)
-    errors = {} if shares is None else shares[0][shares[1][0]].errors(full, host, behind)
+    errors = {} if shares is None else shares[0][shares[1][0]].errors(full, host, host_spread)
     return covariance, gain, errors, {target.host: g2, target.name: f2 + fine * (fills.mean - f2)}
 
 
@@ -642,7 +642,7 @@ def provenance_of(stated: Stated, terms: AtmosphericTerms | None) -> dict[str, o
     if scenario.atmosphere is not None and scenario.atmosphere.time_utc is not None:
         record["time_utc"] = scenario.atmosphere.time_utc
     stated_run = {"sensor_operation": scenario.sensor_operation, "sensor_changes": scenario.sensor_changes}
-    return record | {name: said.model_dump(mode="json") for name, said in stated_run.items() if said is not None}
+    return record | {name: part.model_dump(mode="json") for name, part in stated_run.items() if part is not None}
 
 
 _TOGETHER = 16  # truths evaluated at once: their matrices and products are in memory together
@@ -681,7 +681,7 @@ def predict(
     EngineError : the atmosphere engine failed.
     """
     source = origins or Origins()
-    world = settled(with_truths(read(scenario, source), [truth or {}]))[0][1]
+    world = settled(with_truths(read_world(scenario, source), [truth or {}]))[0][1]
     world = replace(world, stated=replace(world.stated, before=None))
     inputs = inputs_of(world)
     linear = [i for i in inputs if scenario.atmosphere is not None or not i.of_light]
@@ -707,7 +707,7 @@ def predictions(
     ----------
     truths : dotted path -> what truly stands there (:data:`hyperval.model.PATHS`), of each
     """
-    return _predictions(read(scenario, origins), truths, objects, object_curves)
+    return _predictions(read_world(scenario, origins), truths, objects, object_curves)
 
 
 def _predictions(
@@ -776,7 +776,7 @@ def _distribution(world: World, number: int) -> PixelDistribution:
     if parts is None:
         return PixelDistribution(tail)
     stretch = world.stretch[0, world.surface(name)]
-    own = parts.stretched(stretch * math.sqrt(float(world.column("class_gain")[0, number])))
+    clusters_of = parts.stretched(stretch * math.sqrt(float(world.column("class_gain")[0, number])))
     dof = [float(world.law_dof[0, j]) for j, law in enumerate(stated.laws) if law.owner == number]
-    clusters = zip(own.weights.tolist(), own.offsets, own.covariances, dof, strict=True)
+    clusters = zip(clusters_of.weights.tolist(), clusters_of.offsets, clusters_of.covariances, dof, strict=True)
     return PixelDistribution(tail, clusters=tuple(clusters))

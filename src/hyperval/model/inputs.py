@@ -15,7 +15,7 @@ import numpy as np
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.model.stated import SurfaceStatistics, Truth, band_error_covariance, correlation
+from hyperval.model.stated import SurfaceStatistics, Truth, band_correlation, band_error_covariance
 from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, SURROUNDINGS, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
@@ -27,14 +27,14 @@ from hyperval.spectra.axis import SpectralAxis
 _LEFT_OUT, _NOTHING = 1e-6, 1e-14
 
 
-def directions(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
+def error_rows(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
     """(K, B) independent directions of an error with standard deviation ``sd`` (B,), the greatest first.
 
     The error is the sum of the rows, each with a factor of mean 0 and variance 1: its covariance is D^T D.
     """
     u = np.nan_to_num(np.asarray(sd, dtype=float))
     if form.correlation_nm is not None:
-        return covariance_directions(np.outer(u, u) * correlation(axis, form.correlation_nm))
+        return covariance_directions(np.outer(u, u) * band_correlation(axis, form.correlation_nm))
     if form.correlation == "random":
         return np.asarray(np.diag(u)[u > 0])
     if form.correlation == "arms":
@@ -86,13 +86,13 @@ def spectrum_error_rows(item: SpectrumUncertainty, surface: SurfaceStatistics, s
     """
     if not item.from_file:
         sd = (item.absolute or 0.0) + (item.relative or 0.0) * np.nan_to_num(surface.mean)
-        return directions(sd, item, surface.axis, sensor)
+        return error_rows(sd, item, surface.axis, sensor)
     deviation = needed(surface.sampled_deviation, "uncertainty.deviation", subject=item.subject)
     n = (surface.n or 0) if item.divisor == "standard_error" else 1
     refuse(not n, "uncertainty.count", subject=item.subject)
     if item.correlation_nm is not None:
         return covariance_directions(band_error_covariance(*deviation, item.correlation_nm, surface.axis) / n)
-    return directions(np.asarray(surface.standard_deviation) / np.sqrt(n), item, surface.axis, sensor)
+    return error_rows(np.asarray(surface.standard_deviation) / np.sqrt(n), item, surface.axis, sensor)
 
 
 Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
@@ -166,7 +166,7 @@ class UncertainInput:
         return self.along(z * np.eye(len(self.rows))[k])
 
 
-def together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
+def moved_together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
     """The truth in which several inputs are moved at once: changes of what stands at one path add up."""
     out: dict[str, Any] = {}
     for item, truth in moves:
@@ -178,7 +178,7 @@ def together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
 def drawn_truths(inputs: Sequence[UncertainInput], count: int, seed: int) -> list[dict[str, Any]]:
     """Truths with every input drawn from its distribution, independently of the others."""
     rng = np.random.default_rng(seed)
-    return [together((i, i.along(rng.standard_normal(i.size))) for i in inputs) for _ in range(count)]
+    return [moved_together((i, i.along(rng.standard_normal(i.size))) for i in inputs) for _ in range(count)]
 
 
 def number_input(
@@ -211,7 +211,7 @@ def spectral_input(
 ) -> UncertainInput:
     """An input over wavelength with standard uncertainty ``sd`` (B,) and the correlation of ``form``."""
     axis = world.stated.axis
-    rows = directions(np.broadcast_to(sd, len(axis)), form, axis, world.stated.sensor)
+    rows = error_rows(np.broadcast_to(sd, len(axis)), form, axis, world.stated.sensor)
     return number_input(world, name, kind, path, 0.0, words=form_in_words(form), rows=rows)
 
 
@@ -366,6 +366,6 @@ def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
         if surface.spectrum.measured is None:
             path, mean = f"surfaces.[{surface.name}].mean", np.nan_to_num(world.stated.surfaces[surface.name].mean)
             for part, sd, form in _of_compensation(world):  # the same directions for every surface: it is one error
-                rows = directions(np.full(mean.size, sd), form, world.stated.axis) * (mean if part == "gain" else 1.0)
+                rows = error_rows(np.full(mean.size, sd), form, world.stated.axis) * (mean if part == "gain" else 1.0)
                 name, words = f"compensation ({part})", form_in_words(form)
                 yield number_input(world, name, "sensor", path, 0.0, words=words, rows=rows)

@@ -118,7 +118,7 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
     counts, totals = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
     _check(counts, totals)
     # A curve has few different counts.
-    (k, n), at = np.unique([counts.ravel(), totals.ravel()], axis=1, return_inverse=True)
+    (k, n), index = np.unique([counts.ravel(), totals.ravel()], axis=1, return_inverse=True)
     # P(X >= k) and P(X > k) are incomplete beta functions, 1 and 0 at the end counts.
     some, not_all = np.maximum(k, 1.0), np.maximum(n - k, 1.0)
 
@@ -132,7 +132,7 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
         low, high = np.where(below, p, low), np.where(below, high, p)
     lower, upper = 0.5 * (low + high)
     lower, upper = np.where(k > 0, lower, 0.0), np.where(k < n, upper, 1.0)
-    return lower[at].reshape(counts.shape), upper[at].reshape(counts.shape)
+    return lower[index].reshape(counts.shape), upper[index].reshape(counts.shape)
 
 
 def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[float, float]:

@@ -23,10 +23,10 @@ from scipy.special import ndtri
 
 from hyperval.data import Array, Index, Mask
 from hyperval.model.detection import Evaluation, Responses
-from hyperval.model.fill import PHASES, fills_of_objects, moments, pixels_of_object, shared_pixel_fills, widened
+from hyperval.model.fill import PHASES, fills_of_objects, pixels_of_object, population_fill, shared_pixel_fills, widened
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_light, target_pixel_reflectance
 from hyperval.model.roc import Host
-from hyperval.model.stated import correlation
+from hyperval.model.stated import band_correlation
 from hyperval.products import ObjectScores
 from hyperval.scenario import Geometry, TargetSubject
 
@@ -69,7 +69,7 @@ def input_draws(e: Evaluation, u: int, steps: int) -> InputDraws:
     rng = np.random.default_rng([e.scenario.processing.seed, 7])
     spectra = {name: _normal(rng, each.T @ each) for name, each in rows.items()}
     if error is not None:
-        shape = correlation(e.axis.select(e.bands), error.correlation_nm)
+        shape = band_correlation(e.axis.select(e.bands), error.correlation_nm)
         scaled, shifted = _normal(rng, shape), _normal(rng, shape)
         means = e.world.rows(np.array([u])).mean[0][:, e.bands]
         for t in e.targets:
@@ -139,14 +139,14 @@ def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dic
         numbers = _few_numbers(*wanted) if certain and draws else drawn_numbers(*wanted, drawn.blur)
         others = [names.index(name) for name, _ in beside]
         for name, more in zip(linear, numbers.more, strict=True):
-            own = response_nodes(e, truths, number, name, number)
+            through = response_nodes(e, truths, number, name, number)
             full = [np.array(response_nodes(e, truths[:1], number, name, o))[:, 0, -1] for o in others]
-            host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), *(nodes[:1, 0] for nodes in own))
+            host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), *(nodes[:1, 0] for nodes in through))
             # What scores alike in two truths has the same draws in both.
-            alike = [*own, *full, *(() if host is None else vars(host.laws).values())]
+            alike = [*through, *full, *(() if host is None else vars(host.laws).values())]
             key = repr(wanted), name, b"".join(a.tobytes() for a in alike)
             change = [_change(e, u, number, name, o, drawn) for o in (number, *others)]
-            make = partial(_greatest_scores, own, full, change, host, drawn, numbers, more)
+            make = partial(_greatest_scores, through, full, change, host, drawn, numbers, more)
             out[population.name, name] = e.once(key, make)
     return out
 
@@ -211,10 +211,10 @@ def drawn_numbers(
     if laws:
         parts, dof = np.array(laws).T
         law = rng.choice(dof.size, shape, p=parts) if dof.size > 1 else None
-        own = np.broadcast_to(dof if law is None else dof[law], shape)
+        nu = np.broadcast_to(dof if law is None else dof[law], shape)
         # Normal departures of the host become those of a t of the same variance.
-        tailed = np.isfinite(own)
-        host[tailed] *= np.sqrt((own[tailed] - 2.0) / rng.chisquare(own[tailed]))
+        tailed = np.isfinite(nu)
+        host[tailed] *= np.sqrt((nu[tailed] - 2.0) / rng.chisquare(nu[tailed]))
     more = [rng.standard_normal(shape) if laws else None for _ in range(detectors)]
     return Numbers(np.nan_to_num(fills), np.nan_to_num(others), np.isnan(fills), places, host, tuple(more), law)
 
@@ -247,10 +247,10 @@ def _drawn_fills(
     """``fills``, ``others`` and ``places`` of :class:`Numbers`."""
     shape, geometry = (blur.size, columns), population.fill.geometry
     if thesis or (geometry is None and population.fill.listed is None):
-        fill = moments(population.fill, thesis)
+        fill = population_fill(population.fill, thesis)
         alone = fill.values[:, None]
         return alone, np.zeros((*alone.shape, 0)), rng.choice(fill.values.size, shape, p=fill.weights)
-    own, others, places, count = [], [], np.empty(shape, int), 0
+    inner, others, places, count = [], [], np.empty(shape, int), 0
     for width in np.unique(blur):
         rows = np.flatnonzero(blur == width)
         if population.position_m is None or geometry is None:
@@ -259,10 +259,10 @@ def _drawn_fills(
         else:
             fills, beside_fills = _pixels_at_place(population, beside, position_m, rng, width)
         places[rows] = count + rng.integers(len(fills), size=(rows.size, columns))
-        own.append(fills)
+        inner.append(fills)
         others.append(beside_fills)
         count += len(fills)
-    return np.concatenate(own), np.concatenate(others), places
+    return np.concatenate(inner), np.concatenate(others), places
 
 
 def _pixels_at_place(
@@ -280,9 +280,9 @@ def _pixels_at_place(
         shifts = rng.normal(0.0, position_m / geometry.gsd_m, (phases, len(beside), 2))
     placed, n = [], pixels_of_object(population.fill)
     for subject in beside:
-        other, here, there = subject.fill.geometry, population.position_m or (), subject.position_m or ()
+        other, here, position = subject.fill.geometry, population.position_m or (), subject.position_m or ()
         assert other is not None  # noqa: S101 - as neighbours_of has chosen them
-        placed.append((widened(other, change), np.subtract(there, here) / geometry.gsd_m))
+        placed.append((widened(other, change), np.subtract(position, here) / geometry.gsd_m))
     return shared_pixel_fills(widened(geometry, change), n, placed, shifts if placed else None)
 
 
@@ -292,7 +292,7 @@ def _half_diagonal(geometry: Geometry) -> float:
 
 
 def _greatest_scores(
-    own: tuple[Array, Array], full: Sequence[Array], change: Sequence[Array], host: Host | None, drawn: InputDraws,
+    moments: tuple[Array, Array], full: Sequence[Array], change: Sequence[Array], host: Host | None, drawn: InputDraws,
     numbers: Numbers, more: Array | None,
 ) -> ObjectScores:  # fmt: skip
     """Draws of an object by the moments of its pixels at FILL_NODES, mean and variance (P, 9) (3.26, 3.28).
@@ -300,7 +300,7 @@ def _greatest_scores(
     ``full`` : mean and variance of pixels full of each neighbour;  ``change`` : (S,) of the mean score of pixels full
     of the target and of each neighbour
     """
-    means, variances = own
+    means, variances = moments
     each = np.moveaxis(numbers.weights @ means.T, -1, 0)  # (P, L, n), of (3.26)
     variance = np.clip(numbers.weights @ variances[0], 0.0, None)  # of (3.28)
     steps = (len(means) - 1) // 2
@@ -363,10 +363,10 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     for number, (t, _, population) in enumerate(e.stated.populations):
         lit, fill = target_light(first, light, t)[0][0, 0, e.bands], first.pixel_fills[number].mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])
-    seen = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))
+    reflectance = retrieved_reflectance(view.line(), view.level(np.array(list(means.values()))))
     out: dict[tuple[str, str, str], float] = {}
     for (looks_for, detector), (filters, _, _) in e.filters.items():
-        scores = seen @ filters.weights[v] - filters.offset[v]
+        scores = reflectance @ filters.weights[v] - filters.offset[v]
         expected = zip(means, scores.tolist(), strict=True)
         out |= {(name, looks_for, detector): score for name, score in expected if np.isfinite(score)}
     return out
@@ -429,8 +429,8 @@ def shares_of(
     """
     beside = neighbours_of(population, populations)
     rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
-    own, others = _pixels_at_place(population, [subject for _, subject in beside], position_m, rng)
-    each = np.concatenate([np.nanmean(own, axis=1)[:, None], np.nanmean(others, axis=1)], axis=1)  # (K, J)
+    target, others = _pixels_at_place(population, [subject for _, subject in beside], position_m, rng)
+    each = np.concatenate([np.nanmean(target, axis=1)[:, None], np.nanmean(others, axis=1)], axis=1)  # (K, J)
     mean = each.mean(axis=0)
     away = each - mean
     return Shares((owner, *(name for name, _ in beside)), mean, away.T @ away / len(each))

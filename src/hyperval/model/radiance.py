@@ -75,8 +75,8 @@ def mean_radiance(
     rho, rho_ave = np.asarray(reflectance, dtype=float), np.asarray(average_reflectance, dtype=float)
     trapping = 1.0 - terms.spherical_albedo * rho_ave
     path = terms.path_radiance + terms.adjacency * rho_ave / trapping  # L_P of (3.7)
-    own = trapping if formulation == "corrected" else 1.0 - terms.spherical_albedo * rho
-    return np.asarray(path + terms.direct * rho / own)  # (3.7)
+    trap = trapping if formulation == "corrected" else 1.0 - terms.spherical_albedo * rho
+    return np.asarray(path + terms.direct * rho / trap)  # (3.7)
 
 
 def toa_reflectance(radiance: npt.ArrayLike, diffuser_radiance: npt.ArrayLike) -> Array:
@@ -451,9 +451,9 @@ class Light:
         (U or 1, 1, F) mean of that surface, (U or 1, 1, F) reflectance times sky view, what the light from the
         surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, (1,) without shade
         """
-        own, beam, sky = mean[:, None, :], beam[:, None, None], sky_view[:, None, None]
+        target, beam, sky = mean[:, None, :], beam[:, None, None], sky_view[:, None, None]
         factor = self.shade(beam, sky)
-        return own * factor, own * sky, factor
+        return target * factor, target * sky, factor
 
     def pixel_covariance(
         self, noise: Array, under_sky: Array, covariance: Array, around: Array, gain: float = 1.0
@@ -530,12 +530,12 @@ def light_of(world: World) -> Light:
     terms, means = world.surroundings
     e, g, offset = factor("irradiance"), factor("gain"), factor("offset")
     if radiant:
-        seen, white = g * e * factor("ground"), terms.diffuser_radiance
+        part, white = g * e * factor("ground"), terms.diffuser_radiance
         terms = replace(
             terms,
             path_radiance=g * (e * factor("path") * terms.path_radiance + factor("path_error")) + offset,
-            direct=seen * terms.direct,
-            adjacency=seen * terms.adjacency,
+            direct=part * terms.direct,
+            adjacency=part * terms.adjacency,
             spherical_albedo=factor("albedo") * terms.spherical_albedo,
             ground_irradiance=e * terms.ground_irradiance,
             diffuser_radiance=None if white is None else e * white,

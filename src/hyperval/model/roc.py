@@ -89,9 +89,9 @@ def _laws(scores: ClassScores, times: int = 1) -> Laws:
     scale, tailed = np.maximum(sd, SMALLEST_SD), np.isfinite(nu)
     peak = np.full(nu.shape, -_LOG_ROOT_2PI)
     if tailed.any():
-        own = nu[tailed]
-        scale[tailed] *= np.sqrt((own - 2.0) / own)
-        peak[tailed] = gammaln(0.5 * (own + 1)) - gammaln(0.5 * own) - 0.5 * np.log(own * np.pi)
+        dof = nu[tailed]
+        scale[tailed] *= np.sqrt((dof - 2.0) / dof)
+        peak[tailed] = gammaln(0.5 * (dof + 1)) - gammaln(0.5 * dof) - 0.5 * np.log(dof * np.pi)
     with np.errstate(divide="ignore"):
         each = np.log(fraction), mean, scale, peak - np.log(scale), nu
     return each if times == 1 else tuple(np.repeat(a, times, axis=1) for a in each)  # type: ignore[return-value]
@@ -103,11 +103,11 @@ def _log_tails(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
     z, tailed = (mean - threshold) / scale, np.isfinite(nu)
     tail, density, slope = log_ndtr(z), peak - 0.5 * z**2, z / scale
     if tailed.any():
-        own, nu = z[tailed], nu[tailed]
+        t, nu = z[tailed], nu[tailed]
         with np.errstate(divide="ignore"):
-            tail[tailed] = np.log(stdtr(nu, own))
-        density[tailed] = peak[tailed] - 0.5 * (nu + 1) * np.log1p(own**2 / nu)
-        slope[tailed] = (nu + 1) * own / (nu + own**2) / scale[tailed]
+            tail[tailed] = np.log(stdtr(nu, t))
+        density[tailed] = peak[tailed] - 0.5 * (nu + 1) * np.log1p(t**2 / nu)
+        slope[tailed] = (nu + 1) * t / (nu + t**2) / scale[tailed]
     return tail, density, slope
 
 
@@ -166,8 +166,8 @@ def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     UsageError : no class has an area.
     """
     refuse(not np.any(scores.fraction > 0, axis=1).all(), "roc.fraction")
-    known = np.isfinite(scores.mean).all(axis=1) & np.isfinite(scores.sd).all(axis=1)
-    rows, roots = np.flatnonzero(known & np.all((pfa > 0) & (pfa <= 1), axis=1)), np.full(pfa.shape, np.nan)
+    finite = np.isfinite(scores.mean).all(axis=1) & np.isfinite(scores.sd).all(axis=1)
+    rows, roots = np.flatnonzero(finite & np.all((pfa > 0) & (pfa <= 1), axis=1)), np.full(pfa.shape, np.nan)
     together = max(1, _TOGETHER // max(1, pfa.shape[1] * scores.fraction.shape[1]))
     for start in range(0, rows.size, together):
         some = rows[start : start + together]
@@ -188,7 +188,7 @@ def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
     low, high = np.where(used, each, np.inf).min(axis=0), np.where(used, each, -np.inf).max(axis=0)
     low = np.minimum(np.maximum(low, np.where(used & (share < 0), alone, -np.inf).max(axis=0)), high).ravel()
     high, goal, laws = high.ravel(), log_pfa.ravel(), _laws(scores, log_pfa.shape[1])
-    x, roots, at = low, low.copy(), np.arange(goal.size)  # those not yet there
+    x, roots, open_rows = low, low.copy(), np.arange(goal.size)  # those not yet there
     for _ in range(_STEPS):
         value, slope, curve = _log_false_alarm(x, laws)
         value -= goal
@@ -197,12 +197,12 @@ def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
             step = x - 2.0 * value * slope / (2.0 * slope**2 - value * curve)
         inside = (step > low) & (step < high)  # False for NaN
         last = inside & (np.abs(value) < _NEAR) & (np.abs(value * curve) < _STRAIGHT * slope**2)
-        roots[at] = np.where(last, step, x)
+        roots[open_rows] = np.where(last, step, x)
         go = ~last & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
         if not go.any():
             break
         x = np.where(inside, step, 0.5 * (low + high))[go]
-        at, low, high, goal = at[go], low[go], high[go], goal[go]
+        open_rows, low, high, goal = open_rows[go], low[go], high[go], goal[go]
         laws = tuple(a[:, go] for a in laws)  # type: ignore[assignment]
     return np.asarray(roots.reshape(log_pfa.shape))
 
@@ -231,10 +231,10 @@ _STEP, _STEP_OF_SD, _BEYOND = 0.4, 0.8, 1e-16
 _NODES, _LAWS_TOGETHER = 24, 100_000
 
 
-def mixing(dof: Array) -> tuple[Array, Array]:
+def chi_square_mixing(dof: Array) -> tuple[Array, Array]:
     """(n, Q) values of (nu - 2) / w and their probabilities (3.31), w chi-square of ``dof`` (n,); 1: a normal law.
 
-    >>> factor, probability = mixing(np.array([5.0]))
+    >>> factor, probability = chi_square_mixing(np.array([5.0]))
     >>> round(float((factor * probability).sum()), 6)
     1.0
     """
@@ -244,10 +244,10 @@ def mixing(dof: Array) -> tuple[Array, Array]:
     half = 0.5 * np.where(tailed, dof, 4.0)[:, None]
     low, high = (np.log(2.0 * end(half, _BEYOND)) for end in (gammaincinv, gammainccinv))
     steps = np.ceil((high - low) / np.minimum(_STEP, _STEP_OF_SD / np.sqrt(half)))
-    at = np.minimum(np.arange(steps[tailed].max() + 1.0) / steps, 1.0)
-    y = low + (high - low) * at
+    part = np.minimum(np.arange(steps[tailed].max() + 1.0) / steps, 1.0)
+    y = low + (high - low) * part
     weight = np.exp(half * (y - np.log(2.0)) - 0.5 * np.exp(y) - gammaln(half))
-    weight[:, 1:][at[:, :-1] == 1.0] = 0.0  # each row has its own number of steps, whatever stands beside it
+    weight[:, 1:][part[:, :-1] == 1.0] = 0.0  # each row has its own number of steps, whatever stands beside it
     weight /= weight.sum(axis=1, keepdims=True)
     return np.where(tailed[:, None], 2.0 * (half - 1.0) * np.exp(-y), 1.0), weight
 
@@ -306,7 +306,7 @@ class Host:
         out = np.zeros((*threshold.shape, means.shape[1]))
         for part, mean, normal, tailed, dof in self.parts(means, sds):
             away = mean[:, None, :] - threshold[:, :, None]
-            for factor, probability in zip(*(a.T[:, :, None] for a in mixing(dof)), strict=True):
+            for factor, probability in zip(*(a.T[:, :, None] for a in chi_square_mixing(dof)), strict=True):
                 sd = np.sqrt(np.maximum(normal + tailed * factor, SMALLEST_SD**2))[:, None, :]
                 weight = (part[:, None] * probability)[:, :, None]
                 z = away / sd
@@ -337,8 +337,8 @@ class Host:
             wanted = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _NODES))
             chosen = order[np.searchsorted(share[order], wanted).clip(0, order.size - 1)]
             chosen = chosen[np.unique(share[chosen], return_index=True)[1]]
-            some, at = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
-            p = some.exceedance(threshold[rows], means[at], sds[at])
+            some, index = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
+            p = some.exceedance(threshold[rows], means[index], sds[index])
             z, nodes = np.nan_to_num(probit(p)), share[chosen]
             one = nodes.size == 1
             curve = PPoly([[z[:, :, 0]]], nodes[0] + [0.0, 1.0]) if one else PchipInterpolator(nodes, z, axis=2)
@@ -390,27 +390,27 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     >>> round(float(detection_at(curve, float(ndtr(-2.0)))), 9)
     0.5
     """
-    grid, at = np.asarray(curve.pfa, dtype=float), np.asarray(pfa, dtype=float)
-    known = np.asarray(curve.pd if values is None else values, dtype=float)
+    grid, x = np.asarray(curve.pfa, dtype=float), np.asarray(pfa, dtype=float)
+    y = np.asarray(curve.pd if values is None else values, dtype=float)
     if not grid.size:
-        return np.full(at.shape, np.nan)
-    upper = np.minimum(np.clip(np.searchsorted(grid, at, side="left"), 1, None), grid.size - 1)
+        return np.full(x.shape, np.nan)
+    upper = np.minimum(np.clip(np.searchsorted(grid, x, side="left"), 1, None), grid.size - 1)
     lower = np.maximum(upper - 1, 0)
 
     def share(scale: Callable[[Array], Array]) -> Array:
         """Where ``at`` lies between two points on a scale, 0 to 1."""
         low = scale(grid[lower])
-        return np.clip((scale(at) - low) / (scale(grid[upper]) - low), 0.0, 1.0)
+        return np.clip((scale(x) - low) / (scale(grid[upper]) - low), 0.0, 1.0)
 
     with np.errstate(divide="ignore", invalid="ignore"):
-        low, high, part = known[lower], known[upper], share(ndtri)
+        low, high, part = y[lower], y[upper], share(ndtri)
         bent = ndtr((1.0 - part) * ndtri(low) + part * ndtri(high))
         straight = low + share(np.log) * (high - low)
     ends = np.stack([low, high, grid[lower], grid[upper]])
     pd = np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
     for index in (lower, upper):  # at points of the curve; of equal ones the last, which declares the most
-        pd = np.where(np.abs(grid[index] - at) <= _SAME * at, known[index], pd)
-    inside = (at >= grid[0] * (1.0 - _SAME)) & (at <= grid[-1] * (1.0 + _SAME))
+        pd = np.where(np.abs(grid[index] - x) <= _SAME * x, y[index], pd)
+    inside = (x >= grid[0] * (1.0 - _SAME)) & (x <= grid[-1] * (1.0 + _SAME))
     return np.asarray(np.where(inside, pd, np.nan))
 
 
@@ -591,8 +591,8 @@ class RocScores:
         """Area under the ROC (n,): the probability that a target pixel outscores a background pixel; or another."""
         pfa = false_alarm_grid(min(1e-9, area.low) if area.logarithmic else 1e-9)
         pd = self.detection(pfa[None])
-        mean, known = np.full(len(pd), np.nan), np.isfinite(pd).all(axis=1)
-        mean[known] = mean_detection(pfa, pd[known], area)
+        mean, finite = np.full(len(pd), np.nan), np.isfinite(pd).all(axis=1)
+        mean[finite] = mean_detection(pfa, pd[finite], area)
         return mean
 
 
@@ -624,8 +624,8 @@ def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> f
     values : (K,) what stands for P_D, such as a limit of its band
     """
     pfa, pd = curve.pfa, curve.pd if values is None else values
-    known = (pfa > 0) & np.isfinite(pd)
-    pfa, pd = pfa[known], pd[known]
+    valid = (pfa > 0) & np.isfinite(pd)
+    pfa, pd = pfa[valid], pd[valid]
     if pfa.size < 2 or pfa[0] > max(area.low, 1e-2 * area.high):
         return float("nan")
     return float(mean_detection(pfa, pd, area))

@@ -113,14 +113,14 @@ def replicate_statistics(
     spectra, where = replicate_spectra(source, resolve), ", ".join(source.references)
     refuse(len(spectra) < 2, "replicates.single", where)
     values = np.array([in_bands(s.wavelength_nm, s.values, axis, nominal) for s in spectra])
-    known = np.all(np.isfinite(values), axis=0)
-    refuse(not known.any(), "replicates.bands", where, low=axis.centre_nm[0], high=axis.centre_nm[-1])
-    sample, mean, deviation = statistics_of(values[:, known]), *np.full((2, len(axis)), np.nan)
-    mean[known], deviation[known] = sample.mean, np.sqrt(np.diag(sample.covariance))
-    covariance, error, at = *np.zeros((2, len(axis), len(axis))), np.ix_(known, known)
-    few = sample.n < FEW_PER_BAND * int(known.sum())
-    covariance[at] = sample.shrunk().covariance if few else sample.covariance
-    error[at] = mean_error_covariance(sample.covariance, sample.n)
+    valid = np.all(np.isfinite(values), axis=0)
+    refuse(not valid.any(), "replicates.bands", where, low=axis.centre_nm[0], high=axis.centre_nm[-1])
+    sample, mean, deviation = statistics_of(values[:, valid]), *np.full((2, len(axis)), np.nan)
+    mean[valid], deviation[valid] = sample.mean, np.sqrt(np.diag(sample.covariance))
+    covariance, error, block = *np.zeros((2, len(axis), len(axis))), np.ix_(valid, valid)
+    few = sample.n < FEW_PER_BAND * int(valid.sum())
+    covariance[block] = sample.shrunk().covariance if few else sample.covariance
+    error[block] = mean_error_covariance(sample.covariance, sample.n)
     words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
     sampled = axis.centre_nm, deviation
     return SurfaceStatistics(
@@ -177,14 +177,14 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     if (some := sampled_bands(wavelength_nm, axis)) is not None:
         out[some] = values
         return out
-    known = np.isfinite(values)
-    if known.sum() < 2:
+    valid = np.isfinite(values)
+    if valid.sum() < 2:
         return out
     if nominal is not None and wavelength_nm.size == len(nominal) and sampled_bands(wavelength_nm, nominal) is not None:
-        at = np.clip(axis.centre_nm, wavelength_nm[known][0], wavelength_nm[known][-1])
-        moved = scipy.interpolate.CubicSpline(wavelength_nm[known], values[known])(at)
-        return np.where(known, moved, np.nan)
-    return band_average(wavelength_nm[known], values[known], axis, outside="nan")
+        nm = np.clip(axis.centre_nm, wavelength_nm[valid][0], wavelength_nm[valid][-1])
+        moved = scipy.interpolate.CubicSpline(wavelength_nm[valid], values[valid])(nm)
+        return np.where(valid, moved, np.nan)
+    return band_average(wavelength_nm[valid], values[valid], axis, outside="nan")
 
 
 def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
@@ -234,7 +234,7 @@ class Sources(Keeps):
         base = self.spectrum(surface.spectrum, name)
         if source is not None and source.relative_sd is not None:
             sd = source.relative_sd * np.nan_to_num(base.mean)
-            stated = np.outer(sd, sd) * correlation(self.axis, source.correlation_nm)
+            stated = np.outer(sd, sd) * band_correlation(self.axis, source.correlation_nm)
             base = replace(base, covariance=stated + source.band_sd**2 * np.eye(sd.size))
         else:
             pixels = base if source is None else self.spectrum(source, name)
@@ -256,18 +256,18 @@ class Sources(Keeps):
             with told_of(f"replicates of {name!r}", ", ".join(source.replicates.references)):
                 return replace(replicate_statistics(source.replicates, axis, self.resolve, self.nominal), name=name)
         if source.builtin is not None:
-            known = builtin_class(source.builtin, axis)
+            stored = builtin_class(source.builtin, axis)
         elif source.library is not None:
             with told_of(f"{kind}.library of {name!r}", source.library):
                 record = None if source.record is None else str(source.record)
-                known = on_bands(self._once(read_statistics_library, source.library, record=record), axis)
+                stored = on_bands(self._once(read_statistics_library, source.library, record=record), axis)
         elif source.measured is not None:
-            known = self._measured(source.measured, name)
+            stored = self._measured(source.measured, name)
         else:
             assert isinstance(source, SpectrumSource)  # noqa: S101 - a stated spread is the surface's to take
             return self._from_file(source, name)
-        named = {"name": name, "source": known.source or source.library or "measured"}
-        return SurfaceStatistics(**vars(known) | named)
+        named = {"name": name, "source": stored.source or source.library or "measured"}
+        return SurfaceStatistics(**vars(stored) | named)
 
     def _once(self, reader: Callable[..., Made], reference: str, **how: Any) -> Made:
         """What a file says, read the first time that it is asked for."""
@@ -291,8 +291,8 @@ class Sources(Keeps):
         return SurfaceStatistics(name, axis, mean, zero, read.n, str(source.file), **more)
 
     def _measured(self, region: str, name: str) -> ClassStatistics:
-        known = one_of(self.measured, "a region of a collection in reflectance, or in radiance with an empirical_line")
-        refuse(region not in self.measured, "surface.measured", name=name, region=region, known=known)
+        names = one_of(self.measured, "a region of a collection in reflectance, or in radiance with an empirical_line")
+        refuse(region not in self.measured, "surface.measured", name=name, region=region, known=names)
         estimate = self.measured[region]
         refuse(not estimate.axis.matches(self.nominal or self.axis), "surface.axis", region=region)
         return estimate
@@ -304,12 +304,12 @@ def _components(surface: Surface, stored: Components | None) -> Components | Non
         return None
     if surface.mixture == "auto":  # one law is an answer too
         return stored
-    there = "none" if stored is None else len(stored)
-    refuse(there != surface.mixture, "surface.mixture", name=surface.name, asked=surface.mixture, there=there)
+    count = "none" if stored is None else len(stored)
+    refuse(count != surface.mixture, "surface.mixture", name=surface.name, asked=surface.mixture, there=count)
     return stored
 
 
-def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
+def band_correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
     """(B, B) correlation exp(-(dl / length)^2 / 2) between bands; 1 everywhere when the length is None."""
     gap = axis.centre_nm[:, None] - axis.centre_nm[None, :]
     return np.asarray(np.exp(-0.5 * (gap / (length_nm or np.inf)) ** 2))
@@ -317,8 +317,8 @@ def correlation(axis: SpectralAxis, length_nm: float | None) -> Array:
 
 def without_gaps(values: Array) -> Array:
     """(B,) with NaN replaced by the nearest known values: for the scene average alone."""
-    known, at = np.isfinite(values), np.arange(values.size)
-    return np.interp(at, at[known], values[known])
+    valid, index = np.isfinite(values), np.arange(values.size)
+    return np.interp(index, index[valid], values[valid])
 
 
 def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> Iterator[str]:
@@ -332,9 +332,9 @@ def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics
     """
     for key in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scenario.scene, key)):
-            known, beyond = np.flatnonzero(np.isfinite(surfaces[surface.name].mean)), axis.good.copy()
+            valid, beyond = np.flatnonzero(np.isfinite(surfaces[surface.name].mean)), axis.good.copy()
             # One band at each end may lack: its centre is covered where its response reaches a little further.
-            beyond[max(known.min(initial=beyond.size) - 1, 0) : known.max(initial=-2) + 2] = False
+            beyond[max(valid.min(initial=beyond.size) - 1, 0) : valid.max(initial=-2) + 2] = False
             if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed" or not beyond.any():
                 continue
             w = axis.centre_nm[beyond]
@@ -695,8 +695,8 @@ def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float:
     A tail that was fitted to a region of the collection counts where the class says ``tail_dof: measured``.  It is of
     the pixels that the covariance is of; where that is a stated one, or of field spectra, of those of the mean.
     """
-    own = c.covariance
-    of = own if own is not None and (own.measured or own.library or own.builtin) else c.spectrum
+    source = c.covariance
+    of = source if source is not None and (source.measured or source.library or source.builtin) else c.spectrum
     if c.tail_dof is None and of.measured is not None:
         return np.inf
     return (c.tail_dof if isinstance(c.tail_dof, float) else surface.tail_dof) or np.inf
@@ -746,8 +746,8 @@ def read_files(
     find, measured, operation = source.find(scenario), source.measured or {}, scenario.sensor_operation
     name, sensor = scenario.sensor or "", source.sensor
     if sensor is None and name:
-        at = find(name) if PurePath(name).suffix or ":" in name else name
-        sensor = library_sensor(name) if name in library_names() else load_sensor(at)
+        path = find(name) if PurePath(name).suffix or ":" in name else name
+        sensor = library_sensor(name) if name in library_names() else load_sensor(path)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = needed(next((a for a in axes if a is not None), None), "scenario.bands")
     true, noise, kept = axis, None, dict[Any, Any]()

@@ -1,6 +1,6 @@
 """U truths of one scenario as arrays, and the one table of what can be moved in them.
 
-:func:`read` makes the world that a scenario states (U = 1); :func:`with_values` is the only way anything in it is
+:func:`read_world` makes the world that a scenario states (U = 1); :func:`with_values` is the only way anything in it is
 moved.  The scenario is what is believed: filters look for the spectra it names, products are labelled by its bands.
 What is moved is what is there to be seen.
 
@@ -27,11 +27,11 @@ from hyperval.errors import UsageError, refuse
 from hyperval.model.fill import (
     FillDistribution,
     fill_distribution,
+    fill_with_mean,
     fills_of_population,
     pixels_of_object,
     stacked_fills,
     whole_object_fills,
-    with_mean,
 )
 from hyperval.model.stated import Origins, Stated, Truth, Values, distinct, plain, read_files, state_value, without_gaps
 from hyperval.scenario import ElmPanels, Fill, Scenario, TargetSubject
@@ -205,7 +205,7 @@ def find(stated: Stated, path: str) -> Path:
     >>> from hyperval.scenario import load_scenario
     >>> from hyperval.settings import with_settings
     >>> unlit = with_settings(load_scenario("yellow-planks-asphalt"), {"atmosphere": None, "processing.elm": "none"})
-    >>> find(read(unlit).stated, "sensor.fixed_noise")
+    >>> find(read_world(unlit).stated, "sensor.fixed_noise")
     Traceback (most recent call last):
     hyperval.errors.UsageError: sensor.fixed_noise: the scenario has no atmosphere
     """
@@ -231,8 +231,8 @@ def _found(stated: Stated, path: str) -> Path:
         if (parts[3] == "subjects") != bool(subjects):
             return again  # and refused there
         within = item_number(subjects, parts[4], path) if subjects else 0
-        at = next(i for i, (t, k, _) in enumerate(stated.populations) if (t, k) == (number, within))
-        return entry._replace(populations={at: slice(None)})
+        number_of = next(i for i, (t, k, _) in enumerate(stated.populations) if (t, k) == (number, within))
+        return entry._replace(populations={number_of: slice(None)})
     if entry.field in ("fill", "blur"):
         moves = _moved_fills(stated, entry.field, parts[1] if len(parts) > 1 else None)
         if not moves:
@@ -274,7 +274,7 @@ def value_at(world: World, path: str) -> Any:
     What was read again with bands elsewhere has them there: an uncertainty of the shift is about that.
 
     >>> from hyperval.scenario import load_scenario
-    >>> ((_, elsewhere),) = settled(with_values(read(load_scenario("panels")), {SHIFT: np.array([[2.0]])}))
+    >>> ((_, elsewhere),) = settled(with_values(read_world(load_scenario("panels")), {SHIFT: np.array([[2.0]])}))
     >>> value_at(elsewhere, SHIFT).ravel().tolist(), value_at(elsewhere, WIDTH).tolist()
     ([2.0], [1.0])
     """
@@ -435,9 +435,9 @@ class World:
     def law_dof(self) -> Array:
         """(U or 1, J) degrees of freedom of the laws; infinity: Gaussian."""
         laws, tail = self.stated.laws, self.stated.columns["tail"]
-        own = [tail[0, law.owner] if law.dof is None else law.dof for law in laws]
+        stated = [tail[0, law.owner] if law.dof is None else law.dof for law in laws]
         moved = self.column("tail", np.full(tail.shape, np.nan))[:, [law.owner for law in laws]]
-        return np.where(np.isnan(moved), own, moved)
+        return np.where(np.isnan(moved), stated, moved)
 
     @cached_property
     def kappa(self) -> Array:
@@ -530,12 +530,12 @@ class World:
                 if value is not None:
                     entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = plain(value)
                 continue
-            own = (each[found.populations[number]] if each.size > 1 else each).tolist()
+            widths = (each[found.populations[number]] if each.size > 1 else each).tolist()
             if found.field == "fill":
-                change += own[0] - fill_distribution(before).mean
+                change += widths[0] - fill_distribution(before).mean
             else:
-                entries["geometry.psf_fwhm_pixels"] = own[0] if len(own) == 1 else own
-        return with_mean(with_settings(fill, entries) if entries else fill, change)
+                entries["geometry.psf_fwhm_pixels"] = widths[0] if len(widths) == 1 else widths
+        return fill_with_mean(with_settings(fill, entries) if entries else fill, change)
 
     def populations_at(self, u: int) -> list[tuple[str, TargetSubject]]:
         """The populations of target pixels with their fills in one truth, each with the name of its target."""
@@ -594,10 +594,10 @@ def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
     UsageError : a path that leads nowhere, or numbers of truths that differ.
     """
     moved = dict(world.moved)
-    for path, given in values.items():
+    for path, entry in values.items():
         find(world.stated, path)
         moved.pop(path, None)  # what is moved last stands last
-        value = np.asarray(given) if not isinstance(given, list) else column_of(given)
+        value = np.asarray(entry) if not isinstance(entry, list) else column_of(entry)
         moved[path] = value.astype(float) if value.dtype.kind in "iu" else value
     sizes = {len(v) for v in moved.values()} - {1}
     refuse(len(sizes) > 1, "path.truths", values=sorted(sizes))
@@ -647,8 +647,8 @@ def settled(world: World) -> list[tuple[Index, World]]:
     rest, out = World(stated, {p: v for p, v in world.moved.items() if p not in again}, world.size), []
     for i, u in enumerate(first):
         index = np.flatnonzero(which == i)
-        there = _read_with(stated, {p: v[u] for p, v in again.items()}) if again else stated
-        out.append((index, replace(rest.rows(index), stated=there, size=index.size).made()))
+        again_read = _read_with(stated, {p: v[u] for p, v in again.items()}) if again else stated
+        out.append((index, replace(rest.rows(index), stated=again_read, size=index.size).made()))
     return out
 
 
@@ -661,14 +661,14 @@ def _read_with(stated: Stated, values: Truth) -> Stated:
         scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
         atmosphere = stated.atmosphere
         bands = values.get(SHIFT, stated.shift_nm), values.get(WIDTH) or stated.width
-        there = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
-        kept[key] = replace(there, before=stated.nominal)
+        stated_there = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
+        kept[key] = replace(stated_there, before=stated.nominal)
         if len(kept) > _AGAIN:
             del kept[next(iter(kept))]
     return kept[key]
 
 
-def read(
+def read_world(
     scenario: Scenario, origins: Origins | None = None, nodes: Mapping[str, Sequence[float]] | None = None
 ) -> World:
     """The world that a scenario states (U = 1), all its files read (3.7-3.20).

@@ -32,7 +32,7 @@ from .write import NO_DATA, SCALE, write_reflectance
 __all__ = [
     "IMAGE", "NO_DATA", "SCALE", "SCENE", "FinerGrid", "Observed", "Place", "RegionLaws", "calibration_covariance",
     "check_line_for_detection", "class_sets", "detector_covariance", "fills_of", "image_targets", "map_name",
-    "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source", "path_estimate",
-    "read_band_table", "registration_shifts", "rounding_variance", "scored_part", "spectral_estimate", "target_areas",
-    "target_groups", "training_pixels", "wavelength_notes", "window_fills", "write_reflectance",
+    "material_regions", "object_of_fills", "observe", "observe_radcalnet", "open_place", "open_source",
+    "path_estimate", "read_band_table", "registration_shifts", "rounding_variance", "scored_part", "spectral_estimate",
+    "target_areas", "target_groups", "training_pixels", "wavelength_notes", "window_fills", "write_reflectance",
 ]  # fmt: skip

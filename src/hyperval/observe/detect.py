@@ -22,9 +22,9 @@ from hyperval.data import Array, Index, Mask, statistics_of
 from hyperval.errors import InputError, UsageError, needed, one_of, refusal, refuse
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects, window_of
-from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, cut_out
+from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, mask_window
 from hyperval.model import FEW_PER_BAND, PositiveDefinite, Sources, fully_constrained, own_mean_sampling
-from hyperval.model.classification import Unmixed, UnmixedSubject, labelled
+from hyperval.model.classification import Unmixed, UnmixedSubject, unmixing_method
 from hyperval.model.filters import whitened
 from hyperval.observe.open import IMAGE, Place, number_rows
 from hyperval.paths import Resolve
@@ -60,8 +60,8 @@ def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form
         if item.material == target.material:
             words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
             out.setdefault(_subject(form, words), []).append(item)
-    known = one_of(sorted({o.material for o in objects}), "a truth with targets")
-    refuse(not out, "detection.material", name=target.name, material=target.material, known=known)
+    materials = one_of(sorted({o.material for o in objects}), "a truth with targets")
+    refuse(not out, "detection.material", name=target.name, material=target.material, known=materials)
     return out
 
 
@@ -215,8 +215,8 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
         }
         if inverted is not None:
             notes.append(f"condition number of the background matrix at unit diagonal: {inverted.condition:.3g}")
-    known = None if inverted is None else (mean[bands], inverted)
-    return FilterBank(detectors, forms, bands, shrinkage, tuple(notes), known)
+    inverse = None if inverted is None else (mean[bands], inverted)
+    return FilterBank(detectors, forms, bands, shrinkage, tuple(notes), inverse)
 
 
 def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) -> tuple[Mask, list[str]]:
@@ -235,20 +235,20 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
     }
     if detection.least_snr is not None:  # by the bands that are left
         clear = np.logical_and.reduce([np.broadcast_to(keep, len(axis)) for keep in rules.values()])
-        if (at := np.flatnonzero(clear)).size >= 3:
-            snr = px.snr_from_moments(sample.mean[at], sample.covariance[np.ix_(at, at)])
-            clear[at] = snr >= detection.least_snr
+        if (index := np.flatnonzero(clear)).size >= 3:
+            snr = px.snr_from_moments(sample.mean[index], sample.covariance[np.ix_(index, index)])
+            clear[index] = snr >= detection.least_snr
         rules[f"with an SNR below {detection.least_snr:g} in the background"] = clear
-    left, parts = np.ones(len(axis), bool), list[str]()
+    used, parts = np.ones(len(axis), bool), list[str]()
     for reason, keep in rules.items():
-        lost, left = np.flatnonzero(left & ~np.asarray(keep)), left & keep
+        lost, used = np.flatnonzero(used & ~np.asarray(keep)), used & keep
         if lost.size:
             runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
             ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
             parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)")
-    refuse(not left.any(), "detection.bands", rules="; ".join(parts))
-    notes = [f"detectors use {int(left.sum())} of {len(axis)} bands"]
-    return left, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes
+    refuse(not used.any(), "detection.bands", rules="; ".join(parts))
+    notes = [f"detectors use {int(used.sum())} of {len(axis)} bands"]
+    return used, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes
 
 
 def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.ImageTruth:
@@ -343,18 +343,18 @@ class _Curves:
         # The ground that was looked at is that of pixels with a score.
         sides = {"pixel": (pixels, noise, noise.scores.size), "object": (found, noise, noise.scores.size)}
         if halo:
-            outside = self.alarms & ~px.with_halo(all_pixels(placed, self.place.cube.shape), halo)
+            outside = self.alarms & ~px.mask_with_halo(all_pixels(placed, self.place.cube.shape), halo)
             every = px.AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
             sides["object"] = found, *self._placements(scores, placed)
             sides[BY_PIXEL] = found, every, every.scores.size
         else:  # the model does not know what a halo may catch
             self.products["object_scores"][subject, detector] = ObjectScores(found, tuple(best))
         for name, (values, background, count) in sides.items():
-            known = values[np.isfinite(values)]
+            finite = values[np.isfinite(values)]
             unit: Literal["pixel", "object"] = "pixel" if name == "pixel" else "object"
             km2 = None if area is None else count * area / 1e6
-            curve = px.empirical_roc(known, background, unit=unit, background_area_km2=km2)
-            curve = px.with_summary(curve, known, background)
+            curve = px.empirical_roc(finite, background, unit=unit, background_area_km2=km2)
+            curve = px.with_summary(curve, finite, background)
             if self.detection.first_detection and name == "object":
                 curve = replace(curve, alarms_before_first=px.alarms_before_first(pixels, noise.scores))
             self.products["roc"][subject, detector, name] = curve
@@ -364,7 +364,7 @@ class _Curves:
         halo, where = self.detection.halo_pixels, "detection.halo_pixels"
         shapes = {}  # the placements of one shape count once, however many objects have it: they are the same pixels
         for item in objects:
-            _, shape = cut_out(px.with_halo(np.pad(item.part, halo), halo))
+            _, shape = mask_window(px.mask_with_halo(np.pad(item.part, halo), halo))
             shapes[shape.shape, shape.tobytes()] = shape
             if any(np.greater(shape.shape, scores.shape)):
                 raise refusal("detection.halo", where, name=item.name, halo=halo, shape=scores.shape)
@@ -473,9 +473,9 @@ def _footprint_sums(
 
     def of(item: TargetObject) -> ObjectSum:
         near = window_of(item.mask, (margin, margin))
-        own = item.mask[near]
-        summed = px.with_halo(own, margin) & (~targets[near] | own)  # not those of others
-        _, shape = cut_out(summed)
+        mask = item.mask[near]
+        summed = px.mask_with_halo(mask, margin) & (~targets[near] | mask)  # not those of others
+        _, shape = mask_window(summed)
         key = shape.shape, shape.tobytes()
         if key not in spread:
             spread[key] = px.footprint_tiles(scores, shape, taken)[0].sum(axis=1)
@@ -537,14 +537,14 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
             for o in members:
                 if o.name not in footprints:
                     footprints[o.name] = _footprints(place, o, region, task, bands, rng)
-            own = [footprints[o.name] for o in members]
+            found = [footprints[o.name] for o in members]
             for method, weights in noise.items():
-                sums = (_abundance_sum(f, whole[bands], weights) for f in own)
-                areas[subject, labelled(method, item.endmembers)] = _mean_area(place, sums, nominal)
+                sums = (_abundance_sum(f, whole[bands], weights) for f in found)
+                areas[subject, unmixing_method(method, item.endmembers)] = _mean_area(place, sums, nominal)
             subjects.append(
                 UnmixedSubject(
                     subject, population, stands.name, whole, item.relative_uncertainty, item.correlation_nm,
-                    item.endmembers, len(members), nominal, int(np.mean([f.ring for f in own])),
+                    item.endmembers, len(members), nominal, int(np.mean([f.ring for f in found])),
                 )
             )  # fmt: skip
     return Unmixed(areas, tuple(subjects), bands, noise, pixel_area)
@@ -554,8 +554,8 @@ def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite 
     """Sum of the abundances of a spectrum on the object, and on each of the other places."""
     between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
     parts = fully_constrained(whitened(found.pixels, noise), whitened(between, noise)[found.place])[:, 0]
-    own, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
-    return own if found.whole else math.nan, int(np.count_nonzero(found.place == 0)), elsewhere
+    area, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
+    return area if found.whole else math.nan, int(np.count_nonzero(found.place == 0)), elsewhere
 
 
 def _footprints(
@@ -564,7 +564,7 @@ def _footprints(
     """Pixels of the object and of places at random at which its footprint lies on the region as a whole."""
     inside, size = np.pad(target.part, task.ring_pixels), target.part.shape
     around = (ndimage.distance_transform_edt(~inside) <= task.ring_pixels) & ~inside
-    own, ring = (np.argwhere(mask) - task.ring_pixels for mask in (inside, around))  # from the corner on
+    inner, ring = (np.argwhere(mask) - task.ring_pixels for mask in (inside, around))  # from the corner on
     fits = ndimage.binary_erosion(region, target.part, origin=(-(size[0] // 2), -(size[1] // 2)))
     free = np.argwhere(fits)
     corners = [np.array(target.corner), *free[rng.choice(len(free), min(PLACES, len(free)), replace=False)]]
@@ -572,16 +572,16 @@ def _footprints(
     for corner in corners:
         near = ring + corner
         near = near[np.all((near >= 0) & (near < region.shape), axis=1)]
-        parts += [own + corner, near[region[tuple(near.T)]]]
+        parts += [inner + corner, near[region[tuple(near.T)]]]
     # All read at once: each line once.
     flat = [np.ravel_multi_index(tuple(part.T), region.shape) for part in parts]
     every, index = np.unique(np.concatenate(flat), return_inverse=True)
     values, usable = place.pixels_at(*np.divmod(every, region.shape[1]), bands)
-    read = [values[at[usable[at]]] for at in np.split(index, np.cumsum([f.size for f in flat])[:-1])]
+    read = [values[k[usable[k]]] for k in np.split(index, np.cumsum([f.size for f in flat])[:-1])]
     if not len(read[1]):
         raise refusal("unmixing.ring", name=target.name, background=task.background, ring_pixels=task.ring_pixels)
     pairs = list(zip(read[::2], read[1::2], strict=True))
-    pairs = pairs[:1] + [(x, r) for x, r in pairs[1:] if len(r) and len(x) == len(own)]
+    pairs = pairs[:1] + [(x, r) for x, r in pairs[1:] if len(r) and len(x) == len(inner)]
     of = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in pairs])
     means = np.array([r.mean(axis=0) for _, r in pairs])
-    return _Footprints(np.concatenate([x for x, _ in pairs]), of, means, len(read[1]), len(read[0]) == len(own))
+    return _Footprints(np.concatenate([x for x, _ in pairs]), of, means, len(read[1]), len(read[0]) == len(inner))

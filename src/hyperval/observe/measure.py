@@ -102,12 +102,12 @@ def observe(
     masks, populations = _labels(place, detection)
     kept = {} if before is None else before.sampling
     tails = {} if before is None else before.observation.distribution
-    known = {n for n in kept if before and n in masks and np.array_equal(before.masks[n], masks[n])}
+    kept_names = {n for n in kept if before and n in masks and np.array_equal(before.masks[n], masks[n])}
     sites.refuse_saturated(collection.empirical_line, masks, place)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines)
     measured = px.region_statistics(cube, masks, watch=watch)
     sampling = {
-        n: kept[n] if n in known else _sampling_error(place, masks[n], measured[n])
+        n: kept[n] if n in kept_names else _sampling_error(place, masks[n], measured[n])
         for n in track([*place.regions, *populations], "sampling")
     }
     place = replace(place, statistics=measured)
@@ -123,12 +123,12 @@ def observe(
     products |= {kind: dict(found) for kind, found in detected.products.items()} if detected else {}
     if unmixed is not None:
         products["abundance"] |= unmixed.areas
-    distribution = {name: d for name, d in tails.items() if name in known}
-    for name in track([n for n in place.regions if n not in known], "tails"):
+    distribution = {name: d for name, d in tails.items() if name in kept_names}
+    for name in track([n for n in place.regions if n not in kept_names], "tails"):
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
     snr = {n: px.snr_decorrelated(_some_pixels(place, n), sampling[n].covariance) for n in collection.snr_regions}
-    seen = (
+    remark = (
         f"classifiers choose among {place.clear_bands.sum()} of {cube.bands} bands: usable, in the atmospheric windows"
     )
     observation = ObservedProducts(
@@ -136,7 +136,7 @@ def observe(
         snr=snr,
         distribution=distribution,
         classification=classification_errors(place, classification) if classification else {},
-        notes=_notes(place, detection, detected, masks) + ((seen,) if classification else ()),
+        notes=_notes(place, detection, detected, masks) + ((remark,) if classification else ()),
         provenance={"quantity": cube.quantity, "description": cube.description},
         **products,
     )
@@ -151,7 +151,7 @@ def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str
     their subjects hold the same pixels, and the first one counts.
     """
     # All pixels of a region count where none would be left.
-    members = {n: place.counted(n) if place.counted(n).any() else own for n, own in place.regions.members.items()}
+    members = {n: place.counted(n) if place.counted(n).any() else pixels for n, pixels in place.regions.members.items()}
     members[px.SCENE] = place.counted(px.SCENE)
     populations: dict[str, Mask] = {}
     if detection is not None:
@@ -159,9 +159,9 @@ def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str
         first = {t.material: t for t in reversed(detection.targets)}
         for target in (t for t in detection.targets if first[t.material] is t):
             for subject, objects in target_groups(place.targets, target, detection.group).items():
-                own = all_pixels([scored_part(item, place) for item in objects], place.cube.shape)
-                if subject not in members and np.count_nonzero(own) > 1:
-                    populations[subject] = own
+                pixels = all_pixels([scored_part(item, place) for item in objects], place.cube.shape)
+                if subject not in members and np.count_nonzero(pixels) > 1:
+                    populations[subject] = pixels
     return Labels(place.labels.number, members).with_masks(populations.items()), list(populations)
 
 
@@ -250,11 +250,11 @@ def _spectra(
         if line is None:
             continue
         if (others := line.without(name) if name in line.names else line) is None:
-            own = {LINE: line.error_covariance(sample.mean, own=name)}
-            reflectance[name] = _estimate(cube, sample, None, own, line, circular=CIRCULAR)
+            errors = {LINE: line.error_covariance(sample.mean, own=name)}
+            reflectance[name] = _estimate(cube, sample, None, errors, line, circular=CIRCULAR)
         else:
-            own, known = {LINE: others.error_covariance(sample.mean)}, others.estimated(sample.mean)
-            reflectance[name] = _estimate(cube, sample, error, own, others, known)
+            errors, estimated = {LINE: others.error_covariance(sample.mean)}, others.estimated(sample.mean)
+            reflectance[name] = _estimate(cube, sample, error, errors, others, estimated)
     return {"radiance": radiance if cube.quantity == "radiance" else {}, "reflectance": reflectance}
 
 
@@ -271,8 +271,8 @@ def _estimate(
     mean, gain = (sample.mean, np.ones(cube.bands)) if line is None else (line.reflectance(sample.mean), line.gain)
     scale, spread = np.outer(gain, gain), sample.n > 1
     if sampling is not None and spread:
-        own = sampling.of_each(lambda c: c / scale)
-        parts, estimated = {"sampling": own.covariance, **parts}, (own, *estimated)
+        scaled = sampling.of_each(lambda c: c / scale)
+        parts, estimated = {"sampling": scaled.covariance, **parts}, (scaled, *estimated)
     return sites.spectral_estimate(
         mean, parts, pixel_covariance=sample.covariance / scale if spread else None, n=sample.n,
         estimated=estimated, circular=circular,
@@ -307,8 +307,8 @@ def _classes(
         sample = place.statistics[name]
         mean, covariance = place.in_reflectance(sample.shrunk(shrinkage) if name in shrunk else sample)
         # A band without a gain has no reflectance; the detectors do not use it either.
-        known = np.isfinite(mean)
-        mean, covariance = np.where(known, mean, 0.0), np.where(np.outer(known, known), covariance, 0.0)
+        finite = np.isfinite(mean)
+        mean, covariance = np.where(finite, mean, 0.0), np.where(np.outer(finite, finite), covariance, 0.0)
         # Of the surface itself: over all bands noise dilutes what makes false alarms.
         tails = distribution.get(name, PixelDistribution(leading_tail_dof=np.inf))
         out[name] = ClassStatistics(
@@ -419,33 +419,33 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     """
     n, covariance = statistics.n, statistics.covariance
     variance = np.diag(covariance)
-    known = np.flatnonzero(np.isfinite(variance) & (variance > 0))
-    if known.size == 0:
+    valid = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    if valid.size == 0:
         return EstimatedPart(covariance / n, float(n - 1))
-    sample = covariance[np.ix_(known, known)]
-    inner, common, known_by = px.factor_covariance(sample, n) if n <= known.size else (sample, sample, float(n - 1))
+    sample = covariance[np.ix_(valid, valid)]
+    inner, common, known_by = px.factor_covariance(sample, n) if n <= valid.size else (sample, sample, float(n - 1))
 
     def full(part: Array) -> Array:
         out = covariance / n
-        out[np.ix_(known, known)] = part
+        out[np.ix_(valid, valid)] = part
         return out
 
     if n < FEWEST_FOR_CORRELATION:
         return EstimatedPart(full(inner / n), known_by, None, covariance / n, float(n - 1), full(common / n))
-    mean, rng = statistics.mean[known], np.random.default_rng(_MEAN_SEED)
-    along = px.components(inner, rng)
-    windows = _projected_windows(place, region, known, rng, lambda pixels: along.scores(pixels - mean))
+    mean, rng = statistics.mean[valid], np.random.default_rng(_MEAN_SEED)
+    along = px.covariance_components(inner, rng)
+    windows = _projected_windows(place, region, valid, rng, lambda pixels: along.scores(pixels - mean))
     reach = min(REACH, max(*region.shape) - 1)
     independent, of_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
     counted = float(np.median(of_variance)) - 1.0
-    widened, model, own, factors = (
+    widened, model, variances, factors = (
         full(px.mean_error_covariance(c, along, by))
         for c, by in (
             (inner, independent / px.small_sample_factor(independent)), (inner, independent), (sample, independent),
             (common, independent),
         )
     )  # fmt: skip
-    return EstimatedPart(widened, counted * known_by / (n - 1), model, own, counted, factors)
+    return EstimatedPart(widened, counted * known_by / (n - 1), model, variances, counted, factors)
 
 
 Key = tuple[str, int | Literal["auto"], bool]
@@ -470,10 +470,10 @@ class RegionLaws:
         most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
         lines, samples = px.drawn_pixels(self._place.pixels_of(region), most, rng)
         pixels, valid = self._place.pixels_at(lines, samples)
-        known = np.isfinite(pixels[valid]).any(axis=0)
-        pixels = np.where(known, pixels, 0.0)
+        finite = np.isfinite(pixels[valid]).any(axis=0)
+        pixels = np.where(finite, pixels, 0.0)
         valid &= np.isfinite(pixels).all(axis=1)
-        lead = np.flatnonzero(self._place.clear_bands & known)
+        lead = np.flatnonzero(self._place.clear_bands & finite)
         return pixels[valid], lines[valid], samples[valid], lead
 
     def _numbered(self, region: str) -> Index:
@@ -515,12 +515,12 @@ class RegionLaws:
         for number, (mean, covariance) in enumerate(px.moments_without_each(pixels, part)):
             dof, scale = whole.tail_dof, whole.tail_scale
             if tails and dof is not None:  # what all pixels can tell of it bounds what the others make of it
-                rest, known = pixels[part != number][:, lead], self._tails[region]
-                within = known.leading_lower, known.leading_upper
+                rest, tail = pixels[part != number][:, lead], self._tails[region]
+                within = tail.leading_lower, tail.leading_upper
                 fit = px.leading_tails(rest, mean[lead], covariance[np.ix_(lead, lead)], within)
                 dof, scale = fit.dof if np.isfinite(fit.dof) else None, fit.scale
-            own = None if mixture is None else mixture[0].components_without(pixels, part, number)
-            out.append(replace(whole, mean=mean, covariance=covariance, tail_dof=dof, tail_scale=scale, components=own))
+            law = None if mixture is None else mixture[0].components_without(pixels, part, number)
+            out.append(replace(whole, mean=mean, covariance=covariance, tail_dof=dof, tail_scale=scale, components=law))
         return out
 
     def _keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
@@ -593,8 +593,8 @@ def training_pixels(task: Classification, laws: Mapping[str, PixelDistribution],
     >>> training_pixels(task, seen, {"a": np.ones(9000), "b": np.ones(150), "c": np.ones(9000)})
     {'a': 150.0, 'b': 75.0, 'c': 500.0}
     """
-    known = {name: laws.get(name, PixelDistribution()).effective_n for name in task.classes}
-    each = {k: np.count_nonzero(masks[k]) if n is None else 1.0 / np.mean(1.0 / n) for k, n in known.items()}
+    counts = {name: laws.get(name, PixelDistribution()).effective_n for name in task.classes}
+    each = {k: np.count_nonzero(masks[k]) if n is None else 1.0 / np.mean(1.0 / n) for k, n in counts.items()}
     return {name: min(0.5 * float(n), float(task.pixels)) for name, n in each.items()}
 
 
@@ -608,8 +608,8 @@ def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, 
     order = np.random.default_rng([task.seed, place.cube.lines]).permutation(-(-place.cube.lines // task.block_lines))
     dealt = order[np.isin(order, blocks)]
     trains, out = np.isin(block, dealt[: dealt.size // 2]), []
-    for own in (np.flatnonzero(trains), np.flatnonzero(~trains)):
-        some = own[:: max(-(-own.size // task.pixels), 1)]  # evenly thinned
+    for half in (np.flatnonzero(trains), np.flatnonzero(~trains)):
+        some = half[:: max(-(-half.size // task.pixels), 1)]  # evenly thinned
         pixels, valid = place.cube.marked_pixels((lines[some], samples[some]))
         refuse(np.count_nonzero(valid) < 2, "features.pixels", name=name)
         out.append((pixels[valid], block[some][valid]))

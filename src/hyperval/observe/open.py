@@ -44,8 +44,8 @@ from hyperval.config import twice
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import InputError, UsageError, needed, one_of, reader, refusal, refuse
 from hyperval.imagery import Cube, LocationTable, Raster, Region, TargetObject
-from hyperval.imagery.regions import outside_error, patches
-from hyperval.imagery.truth import cut_out
+from hyperval.imagery.regions import connected_patches, outside_error
+from hyperval.imagery.truth import mask_window
 from hyperval.model.fill import aperture_weights
 from hyperval.paths import Resolve, checked_file
 from hyperval.pixels import SCENE as SCENE
@@ -101,7 +101,7 @@ class Place:
     @cached_property
     def regions(self) -> Labels:
         """The regions as drawn; a mask is handed out as an array of its own."""
-        return replace(self.labels, members={n: own for n, own in self.labels.members.items() if n != _NEAR})
+        return replace(self.labels, members={n: bits for n, bits in self.labels.members.items() if n != _NEAR})
 
     def mistaken(self, mistake: Mapping[str, Any]) -> Place:
         """The same with a mistake in it; statistics and line are still to be measured.
@@ -173,8 +173,8 @@ class Place:
         every = np.ones_like(drawn[_NEAR])
         for name in names:
             lost = np.any([drawn[n] for n in (_NEAR, *(() if name in self.leave_out else self.leave_out))], axis=0)
-            own = every if name in (SCENE, IMAGE) else self._known(name)
-            parts.append(own if name == IMAGE else own & ~lost)
+            mask = every if name in (SCENE, IMAGE) else self._known(name)
+            parts.append(mask if name == IMAGE else mask & ~lost)
         return np.asarray(np.any(parts, axis=0))
 
     def pixels_of(self, *names: str) -> Mask:
@@ -356,8 +356,8 @@ class _Site:
         """A region that is drawn in the campaign; ``above``: those of the entries before it."""
         name, shape, made_of = str(source.name), self.cube.shape, source.half or source.ring
         if made_of is not None and made_of.of not in above:
-            what, known = "half of" if source.half else "a ring around", one_of(above, "a region above it")
-            raise refusal("place.above", "collection.regions", name=name, what=what, of=made_of.of, known=known)
+            what, names = "half of" if source.half else "a ring around", one_of(above, "a region above it")
+            raise refusal("place.above", "collection.regions", name=name, what=what, of=made_of.of, known=names)
         if source.rectangle is not None:
             line, sample, lines, samples = source.rectangle
             return imagery.rectangle_region(name, (line, line + lines - 1), (sample, sample + samples - 1), shape)
@@ -476,7 +476,7 @@ def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], ne
     shared = int(np.sum(touched > 1))
     if shared:
         kinds = {m: [o for o in targets if o.material == m] for m in dict.fromkeys(o.material for o in targets)}
-        masks = (Region(m, imagery.all_pixels(own, near.shape), "truth") for m, own in kinds.items())
+        masks = (Region(m, imagery.all_pixels(objects, near.shape), "truth") for m, objects in kinds.items())
         words = ", ".join(f"{n} of {a!r} and {b!r}" for a, b, n in imagery.overlaps(list(masks)))
         yield f"{shared} pixels may hold parts of more than one target" + (f": {words}" if words else "")
 
@@ -561,16 +561,16 @@ def image_targets(
         images = _abundances(truth, imagery.raster_of_size(path, cube), path)
     out: list[TargetObject] = []
     for material, cells, covered in images:
-        listed = list(islice(patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
+        listed = list(islice(connected_patches(cells > 0, material, whole=truth.objects != "patches"), MAX_OBJECTS + 1))
         refuse(len(listed) > MAX_OBJECTS, "finer.patches", str(path), most=MAX_OBJECTS, material=material)
         for name, window, inside in listed:
             part, first = np.where(inside, cells[window], 0), np.array([side.start for side in window])
-            there = replace(grid, corner=grid.corner + grid.step * first)
-            corner, fills = _seen(name, part, there, cube.shape, str(path))
+            shifted = replace(grid, corner=grid.corner + grid.step * first)
+            corner, fills = _seen(name, part, shifted, cube.shape, str(path))
             area = float(covered[window][inside].sum() * grid.step[0] * grid.step[1] * pixel_area)
             out.append(object_of_fills(name, material, fills, corner, cube.shape, area, str(path)))
-    known = [(o.fills, o.part) for o in out if o.fills is not None]
-    mean, spread = (np.concatenate([of(fills, axis=0)[part] for fills, part in known]) for of in (np.mean, np.std))
+    filled = [(o.fills, o.part) for o in out if o.fills is not None]
+    mean, spread = (np.concatenate([of(fills, axis=0)[part] for fills, part in filled]) for of in (np.mean, np.std))
     if isinstance(truth, FinerTruth):
         note = f"{len(out)} targets from {path.name}, {1 / grid.step[1]:.3g} times finer: {mean.size} pixels of "
         note += f"fill {mean.min():.3g} to {mean.max():.3g}, mean {mean.mean():.3g}"
@@ -592,10 +592,10 @@ def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGri
     if truth.corner is not None and truth.times_finer is not None:
         grid = FinerGrid(np.array(truth.corner), np.full(2, 1.0 / truth.times_finer))
     else:
-        own, image = (needed(placed.transform, "finer.map", where) for placed in (raster, cube))
+        fine, image = (needed(placed.transform, "finer.map", where) for placed in (raster, cube))
         if raster.crs is not None and cube.crs is not None and raster.crs != cube.crs:
             raise refusal("finer.crs", where, own=raster.crs.to_string()[:60], other=cube.crs.to_string()[:60])
-        to_pixels: Affine = ~image @ own
+        to_pixels: Affine = ~image @ fine
         aslant = max(abs(to_pixels.b) * raster.lines, abs(to_pixels.d) * raster.samples)
         refuse(aslant > _SQUARE_OFF or to_pixels.a <= 0 or to_pixels.e <= 0, "finer.aslant", where)
         grid = FinerGrid(np.array([to_pixels.f, to_pixels.c]), np.array([to_pixels.e, to_pixels.a]))
@@ -618,8 +618,8 @@ def _cells(
             mask[rows] = (values >= low) & (values <= high)
         if not mask.any():
             present = np.unique(np.concatenate([np.unique(values) for _, values in _rows(raster, band)]))
-            known = ", ".join(f"{v:g}" for v in present[np.isfinite(present)][:20])
-            raise InputError(f"no cell of {name!r}, {chosen}", where=str(path), expected=f"one of {known}")
+            listed = ", ".join(f"{v:g}" for v in present[np.isfinite(present)][:20])
+            raise InputError(f"no cell of {name!r}, {chosen}", where=str(path), expected=f"one of {listed}")
         yield name, mask
 
 
@@ -645,9 +645,9 @@ def with_edges(fill: Array) -> Array:
     >>> with_edges(np.array([[0.01, 0.0], [0.0, 0.5]])).tolist()
     [[0.0, 0.0], [0.0, 0.51]]
     """
-    own = fill >= LEAST_FILL
-    away, nearest = ndimage.distance_transform_edt(~own, return_indices=True)
-    edge, out = ~own & (away < 2.0), np.where(own, fill, 0.0)
+    inner = fill >= LEAST_FILL
+    away, nearest = ndimage.distance_transform_edt(~inner, return_indices=True)
+    edge, out = ~inner & (away < 2.0), np.where(inner, fill, 0.0)
     np.add.at(out, tuple(nearest[:, edge]), fill[edge])
     return out
 
@@ -673,7 +673,7 @@ def object_of_fills(
     """A target by the fills (K, h, w) of a window: its pixels are those of which the mean reaches 0.02."""
     mask = fills.mean(axis=0) >= LEAST_FILL
     refuse(not mask.any(), "truth.fill", where, name=name, least=LEAST_FILL)
-    (line, sample), part = cut_out(mask)
+    (line, sample), part = mask_window(mask)
     kept = fills[:, line : line + part.shape[0], sample : sample + part.shape[1]].copy()
     attributes = {"material": material, "region": name}
     return TargetObject(
@@ -689,14 +689,14 @@ def fills_of(targets: Mapping[str, list[TargetObject]]) -> dict[str, list[list[f
     """
     out: dict[str, list[list[float]]] = {}
     for subject, members in targets.items():
-        known = [(o.fills, o.part) for o in members if o.fills is not None]
-        if len(known) < len(members):
+        listed = [(o.fills, o.part) for o in members if o.fills is not None]
+        if len(listed) < len(members):
             continue
         # Each object in as many places as any other.
-        count = min(max(1, 64 // len(known)), *(len(fills) for fills, _ in known))
+        count = min(max(1, 64 // len(listed)), *(len(fills) for fills, _ in listed))
         out[subject] = [
             np.sort(fills[k][part])[::-1].tolist()
-            for fills, part in known
+            for fills, part in listed
             for k in np.linspace(0, len(fills) - 1, count).astype(int)
         ]
     return out
@@ -722,9 +722,9 @@ def _band(raster: Raster, wanted: int | str, path: Path) -> int:
     fits = [i for i, name in enumerate(names) if name == wanted]
     fits = fits or [i for i, name in enumerate(names) if fnmatchcase(name.lower(), wanted.lower())]
     if len(fits) != 1:
-        known = f"a number, 1 to {raster.bands}: its header has no name for each band"
-        known = f"one of {', '.join(names)}" if names else known
-        raise InputError(f"{len(fits)} bands are called {wanted!r}", where=str(path), expected=known)
+        choices = f"a number, 1 to {raster.bands}: its header has no name for each band"
+        choices = f"one of {', '.join(names)}" if names else choices
+        raise InputError(f"{len(fits)} bands are called {wanted!r}", where=str(path), expected=choices)
     return fits[0]
 
 

@@ -21,7 +21,7 @@ from hyperval.collection import (
 )
 from hyperval.data import Array
 from hyperval.errors import InputError, UsageError, needed, one_of, refusal, refuse
-from hyperval.model import Origins, Sources, band_error_covariance, correlation, predict
+from hyperval.model import Origins, Sources, band_correlation, band_error_covariance, predict
 from hyperval.observe.open import Place, band_table_notes, read_band_table
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels, MeasuredPanel, fit_elm
@@ -43,7 +43,7 @@ ROUNDING, NETWORK = "rounding", "as the network states"
 NOISE, CALIBRATION = "detector noise", "calibration"
 
 
-def spectral_estimate(mean: npt.ArrayLike, parts: Mapping[str, Array], **known: Any) -> SpectralEstimate:
+def spectral_estimate(mean: npt.ArrayLike, parts: Mapping[str, Array], **more: Any) -> SpectralEstimate:
     """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget.
 
     ``known``: the other fields of the estimate, such as what of the parts was estimated from samples.
@@ -51,7 +51,7 @@ def spectral_estimate(mean: npt.ArrayLike, parts: Mapping[str, Array], **known: 
     mean = np.asarray(mean, dtype=float)
     total = sum(parts.values(), np.zeros((mean.size, mean.size)))
     budget = {name: np.sqrt(np.clip(np.diag(part), 0.0, None)) for name, part in parts.items()}
-    return SpectralEstimate(mean, total, budget=budget, calibration=parts.get(CALIBRATION), **known)
+    return SpectralEstimate(mean, total, budget=budget, calibration=parts.get(CALIBRATION), **more)
 
 
 def calibration_covariance(
@@ -65,7 +65,7 @@ def calibration_covariance(
         # The table is smooth; a band of the axis outside it takes the value at its end.
         relative = np.interp(axis.centre_nm, table.wavelength_nm, table.values)
     by_band = calibration.file is not None and calibration.correlation_nm is None
-    shape = np.eye(len(axis)) if by_band else correlation(axis, calibration.correlation_nm)
+    shape = np.eye(len(axis)) if by_band else band_correlation(axis, calibration.correlation_nm)
     alone = np.diag(((calibration.uncorrelated or 0.0) * level) ** 2)
     return np.asarray(np.outer(relative * level, relative * level) * shape + alone)
 
@@ -125,7 +125,7 @@ def field_reflectance(panel: PanelReference, axis: SpectralAxis, resolve: Resolv
     """
     field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
     stated = panel.relative_uncertainty * field.mean
-    covariance = np.outer(stated, stated) * correlation(axis, panel.correlation_nm)
+    covariance = np.outer(stated, stated) * band_correlation(axis, panel.correlation_nm)
     n = 1 if panel.divisor == "spread" else field.n or 1
     if field.mean_error is not None:
         covariance = covariance + field.mean_error
@@ -186,8 +186,8 @@ def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, place: P
             bands |= saturated.any(axis=0)
         if count:
             band, centre = int(np.argmax(bands)) + 1, cube.axis.centre_nm[np.argmax(bands)]
-            told = {"region": region, "count": count, "size": lines.size, "band": band, "centre_nm": centre}
-            raise refusal("panel.saturated", WHERE, **told)
+            facts = {"region": region, "count": count, "size": lines.size, "band": band, "centre_nm": centre}
+            raise refusal("panel.saturated", WHERE, **facts)
 
 
 def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
@@ -198,10 +198,10 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
         notes[0] += f"; no gain at {lost} nm"
     if (elm.usable & axis.good).any() and (left_out := _left_out(elm, axis)):
         parts = []
-        for name, known in left_out.items():
-            if known.size:
-                worst = known[np.abs(known).argmax()]
-                parts.append(f"{name} {np.median(known):+.2g} (median over bands, at most {worst:+.2g})")
+        for name, errors in left_out.items():
+            if errors.size:
+                worst = errors[np.abs(errors).argmax()]
+                parts.append(f"{name} {np.median(errors):+.2g} (median over bands, at most {worst:+.2g})")
             else:
                 parts.append(f"{name} unknown, the others do not fix a line")
         notes.append(
@@ -224,8 +224,8 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> Iterator[str]:
             "warning: the panels of the empirical line do not lie on one line within their stated errors: they are "
             f"{np.sqrt(factor):.3g} times as great (median over bands), by which the line's errors are widened"
         )
-    for name, known in _left_out(elm, axis).items():
-        if known.size and (off := np.median(np.abs(known))) > MOST_LEFT_OUT:
+    for name, errors in _left_out(elm, axis).items():
+        if errors.size and (off := np.median(np.abs(errors))) > MOST_LEFT_OUT:
             yield (
                 f"warning: the other panels of the empirical line give {name} a reflectance that is off by {off:.2g} "
                 "(median over bands)"
@@ -292,8 +292,8 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
     reflectance, more = _site_reflectance(collection, radiance, axis, resolve)
-    words, told = (*notes, *more), {"quantity": "radiance"}
-    return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=words, provenance=told)
+    words, origin = (*notes, *more), {"quantity": "radiance"}
+    return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=words, provenance=origin)
 
 
 def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
@@ -302,17 +302,17 @@ def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str
     A spectrum at the bands' own centres is taken as it stands; one of a field spectrometer, which samples at most
     half a band width apart, is averaged over the bands.
     """
-    at, centre = read.wavelength_nm, axis.centre_nm
-    if at.size == len(axis) and np.all(np.abs(at - centre) <= SAME_BAND_NM):
+    nm, centre = read.wavelength_nm, axis.centre_nm
+    if nm.size == len(axis) and np.all(np.abs(nm - centre) <= SAME_BAND_NM):
         return read.values, ()
-    inside = centre[(centre >= at[0]) & (centre <= at[-1])]
-    spacing = np.interp(centre, 0.5 * (at[1:] + at[:-1]), np.diff(at)) if at.size > 1 else np.inf
+    inside = centre[(centre >= nm[0]) & (centre <= nm[-1])]
+    spacing = np.interp(centre, 0.5 * (nm[1:] + nm[:-1]), np.diff(nm)) if nm.size > 1 else np.inf
     if inside.size < len(axis) or np.any(spacing > 0.5 * axis.fwhm_nm):
-        raise refusal("site.bands", read.source, size=at.size, count=len(axis), step=SAME_BAND_NM)
-    mean = band_average(at, read.values, axis, outside="nan")
+        raise refusal("site.bands", read.source, size=nm.size, count=len(axis), step=SAME_BAND_NM)
+    mean = band_average(nm, read.values, axis, outside="nan")
     if (lost := centre[~np.isfinite(mean)]).size:
         raise refusal("site.cover", read.source, size=lost.size, first=lost[0], low=centre[0], high=centre[-1])
-    return mean, (f"{at.size} samples averaged over the {len(axis)} bands",)
+    return mean, (f"{nm.size} samples averaged over the {len(axis)} bands",)
 
 
 def _site_reflectance(
@@ -330,8 +330,8 @@ def _site_reflectance(
     flights = {site.subject: site.line for site in collection.spectra}
     paths = {entry.line: entry for entry in source.path_radiance}
     if lacking := [line for line in paths if line not in flights.values()]:
-        what, known = f"path_radiance: no site of flight line {lacking[0]!r}", sorted(map(repr, set(flights.values())))
-        raise UsageError(what, where=WHERE, expected=one_of(known))
+        what, lines = f"path_radiance: no site of flight line {lacking[0]!r}", sorted(map(repr, set(flights.values())))
+        raise UsageError(what, where=WHERE, expected=one_of(lines))
     panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
@@ -406,7 +406,7 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProd
         stated = np.nan_to_num(day.uncertainty[row, bands])
         errors = {ROUNDING: np.eye(nm.size) * 10.0 ** (-2 * DECIMALS) / 12.0}
         if not source.shared_inputs:
-            errors[NETWORK] = np.outer(stated, stated) * correlation(axis, source.correlation_nm)
+            errors[NETWORK] = np.outer(stated, stated) * band_correlation(axis, source.correlation_nm)
         estimate = spectral_estimate(day.values[row, bands], errors)
         out[source.subject.format(site=day.site, time=time)] = replace(estimate, stated=stated)
     notes = [f"bands are taken as {fwhm:g} nm wide ({how}): the network's file does not state their width"]

@@ -211,8 +211,8 @@ def pixel_detector(
         raise refusal("detector.covariance", name=name)
     if name in ADDED_DETECTORS:
         with _of_added(name):
-            known = np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)
-            return replace(ADDED_DETECTORS[name](t, *known), added=name)
+            statistics = np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)
+            return replace(ADDED_DETECTORS[name](t, *statistics), added=name)
     linear = from_filter(design_filter("smf" if name == "ace" else name, t, mean, covariance))
     return replace(linear, combine=combine, quadratic="distance", by_pixel=True) if name == "ace" else linear
 
@@ -244,10 +244,10 @@ def osp_filter(target: npt.ArrayLike, undesired: npt.ArrayLike | None) -> Linear
     """
     t = np.asarray(target, dtype=float)
     u = np.atleast_2d(np.asarray(undesired, dtype=float))
-    left, singular, _ = np.linalg.svd(u.T, full_matrices=False)
-    left = left[:, singular > _RANK * singular[0]]
-    rest = t - left @ (left.T @ t)
-    rest -= left @ (left.T @ rest)  # twice is exact to rounding
+    basis, singular, _ = np.linalg.svd(u.T, full_matrices=False)
+    basis = basis[:, singular > _RANK * singular[0]]
+    rest = t - basis @ (basis.T @ t)
+    rest -= basis @ (basis.T @ rest)  # twice is exact to rounding
     refuse(np.linalg.norm(rest) <= _RANK * np.linalg.norm(t), "target.mixture")
     return LinearFilter(rest / (rest @ t), 0.0)
 
@@ -328,16 +328,16 @@ def score_cube(
 
 def _of_whole(detector: PixelDetector, values: Array, scene: Any) -> Array:
     """(lines, samples) score of a detector that sees all ``values`` (K, lines, samples) at once."""
-    known, out = np.isfinite(values).all(axis=0), np.full(values.shape[1:], np.nan)
+    valid, out = np.isfinite(values).all(axis=0), np.full(values.shape[1:], np.nan)
     if detector.image is not None:
         score = np.asarray(detector.image(np.moveaxis(values, 0, -1), scene), dtype=float)
-        score = score[known] if score.shape == known.shape else score
+        score = score[valid] if score.shape == valid.shape else score
     else:
-        y = values[:, known]
+        y = values[:, valid]
         score = np.asarray(detector.of(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
-    refuse(score.shape != (int(known.sum()),), "detector.scores", shape=score.shape, number=int(known.sum()))
-    refuse(known.any() and not np.isfinite(score).any(), "detector.scoreless")
-    out[known] = _finite(score)
+    refuse(score.shape != (int(valid.sum()),), "detector.scores", shape=score.shape, number=int(valid.sum()))
+    refuse(valid.any() and not np.isfinite(score).any(), "detector.scoreless")
+    out[valid] = _finite(score)
     return out
 
 
@@ -405,18 +405,18 @@ def score_cube_locally(
     def scored(lines: slice, samples: slice) -> int:
         """Score some pixels; how many of them lack surroundings."""
         down, along = (slice(max(s.start - around, 0), s.stop + around) for s in (lines, samples))
-        own = tuple(slice(s.start - r.start, s.stop - r.start) for s, r in ((lines, down), (samples, along)))
+        inner_part = tuple(slice(s.start - r.start, s.stop - r.start) for s, r in ((lines, down), (samples, along)))
         stored, usable = cube.read_stored(down.start, min(down.stop, cube.lines) - down.start, must)
         with np.errstate(invalid="ignore", over="ignore"):
             y = np.tensordot(rows, stored[used, :, along].astype(float), 1) + constant
-        known = usable[:, along] & np.isfinite(y).all(axis=0)
-        y[:, ~known] = 0.0
-        counts = y * (known & counted[down, along])
-        total = _square_sums(counts, outer)[:, *own] - _square_sums(counts, inner)[:, *own]
-        number, has = np.rint(total[-1].ravel()), known[own]
+        valid = usable[:, along] & np.isfinite(y).all(axis=0)
+        y[:, ~valid] = 0.0
+        counts = y * (valid & counted[down, along])
+        total = _square_sums(counts, outer)[:, *inner_part] - _square_sums(counts, inner)[:, *inner_part]
+        number, has = np.rint(total[-1].ravel()), valid[inner_part]
         mean = total[:-1].reshape(slope.size, -1)
         mean *= np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
-        x = y[:-1, *own].reshape(slope.size, -1)
+        x = y[:-1, *inner_part].reshape(slope.size, -1)
         z = x - mean
         zz = _dot(z, z)
         for key, (name, target) in targets.items():
@@ -526,19 +526,19 @@ def _whole(score: ImageScore, target: Array, mean: Array, *_: Any) -> PixelDetec
 
 
 def _estimated(estimator: Any, image: Array, target: Array, scene: ImageTruth) -> Array:
-    known = np.isfinite(image).all(axis=-1)
-    scores = np.full(known.shape, np.nan)
+    valid = np.isfinite(image).all(axis=-1)
+    scores = np.full(valid.shape, np.nan)
     if hasattr(estimator, "score_samples"):
-        learned = image[known & scene.background]
+        learned = image[valid & scene.background]
         learned = learned[:: max(1, len(learned) // MOST_LEARNED)]
-        scores[known] = -copy.deepcopy(estimator).fit(learned).score_samples(image[known])
+        scores[valid] = -copy.deepcopy(estimator).fit(learned).score_samples(image[valid])
         return scores
-    half, labelled = scene.second_half, known & (scene.background | (scene.objects > 0))
-    for own in (half, ~half):
-        learned, labels = image[labelled & own], scene.objects[labelled & own] > 0
+    half, labelled = scene.second_half, valid & (scene.background | (scene.objects > 0))
+    for part in (half, ~half):
+        learned, labels = image[labelled & part], scene.objects[labelled & part] > 0
         refuse(labels.all() or not labels.any(), "learning.few")
         fitted = copy.deepcopy(estimator).fit(learned, labels)
-        here = known & ~own
+        here = valid & ~part
         by_margin = hasattr(fitted, "decision_function")
         scores[here] = fitted.decision_function(image[here]) if by_margin else fitted.predict_proba(image[here])[:, 1]
     return scores

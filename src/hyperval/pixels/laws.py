@@ -195,11 +195,11 @@ def _penalty(inverse_roots: Array, ball: float, prior: float) -> float:
 
 def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
     """Degrees of freedom of greatest expected likelihood, given shares and weights at ``nu`` (Peel & McLachlan)."""
-    known = float((probability * (np.log(weight) - weight)).sum() / probability.sum())
-    known += float(digamma(0.5 * (nu + p)) - np.log(0.5 * (nu + p)))
+    mean = float((probability * (np.log(weight) - weight)).sum() / probability.sum())
+    mean += float(digamma(0.5 * (nu + p)) - np.log(0.5 * (nu + p)))
 
     def slope(v: float) -> float:
-        return math.log(0.5 * v) - float(digamma(0.5 * v)) + 1.0 + known
+        return math.log(0.5 * v) - float(digamma(0.5 * v)) + 1.0 + mean
 
     if slope(LEAST_DOF) <= 0.0:
         return LEAST_DOF
@@ -212,9 +212,9 @@ def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array
     away = np.sum((x - centres[0]) ** 2, axis=1)
     for _ in range(count - 1):
         total = float(away.sum())
-        at = rng.choice(x.shape[0], p=away / total) if total > 0.0 else rng.integers(x.shape[0])
-        centres = np.vstack([centres, x[at]])
-        away = np.minimum(away, np.sum((x - x[at]) ** 2, axis=1))
+        k = rng.choice(x.shape[0], p=away / total) if total > 0.0 else rng.integers(x.shape[0])
+        centres = np.vstack([centres, x[k]])
+        away = np.minimum(away, np.sum((x - x[k]) ** 2, axis=1))
     nearest = np.zeros((count, x.shape[0]))
     for _ in range(_LLOYD):
         which = np.argmin(np.sum(centres**2, axis=1)[:, None] - 2.0 * centres @ x.T, axis=0)
@@ -253,19 +253,19 @@ def chosen_count(
     UsageError : fewer than two blocks.
     """
     x = np.asarray(values, dtype=float)
-    fold, at = _folds(block, rng)
+    fold, group = _folds(block, rng)
     score, each = np.full(len(counts), -np.inf), []
     for i, count in enumerate(counts):
         # Fewer pixels than that for each component of the smallest part, and it knows no covariance.
         if any(np.count_nonzero(fold != f) < count * (x.shape[1] + 1) for f in np.unique(fold)):
             break
-        each.append(np.bincount(at, _left_out_density(x, fold, count, dof, rng)))
+        each.append(np.bincount(group, _left_out_density(x, fold, count, dof, rng)))
         score[i] = each[-1].sum() / len(x)
         if i >= 2 and score[i] < score[i - 1] < score[i - 2]:
             break  # past its top
     best = int(np.argmax(score))
-    behind = (each[best] - one for one in each[:best])
-    like = (i for i, by in enumerate(behind) if by.sum() <= np.sqrt(by.size) * by.std(ddof=1))
+    losses = (each[best] - one for one in each[:best])
+    like = (i for i, by in enumerate(losses) if by.sum() <= np.sqrt(by.size) * by.std(ddof=1))
     return int(counts[next(like, best)]), score
 
 
@@ -280,10 +280,10 @@ def chosen_dof(values: npt.ArrayLike, block: npt.ArrayLike, count: int, rng: np.
 
 def _folds(block: npt.ArrayLike, rng: np.random.Generator) -> tuple[Index, Index]:
     """(n,) part of the image that a pixel is left out with, and its block counted from 0."""
-    at = np.unique(np.asarray(block), return_inverse=True)[1].reshape(-1)
-    blocks = int(at.max(initial=-1)) + 1
+    group = np.unique(np.asarray(block), return_inverse=True)[1].reshape(-1)
+    blocks = int(group.max(initial=-1)) + 1
     refuse(blocks < 2, "mixture.one_block")
-    return np.asarray((rng.permutation(blocks) % min(FOLDS, blocks))[at]), at
+    return np.asarray((rng.permutation(blocks) % min(FOLDS, blocks))[group]), group
 
 
 def _left_out_density(x: Array, fold: Index, count: int, dof: float | None, rng: np.random.Generator) -> Array:
@@ -424,9 +424,9 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
     share = pixels / pixels.sum()
     pooled = np.tensordot(share, covariances, 1)
     along = EigenDirections.of(pooled)
-    own = np.einsum("bp,kbc,cp->kp", along.vectors, covariances, along.vectors, optimize=True) / along.values
+    ratio = np.einsum("bp,kbc,cp->kp", along.vectors, covariances, along.vectors, optimize=True) / along.values
     chance = 2.0 / pixels
-    excess = max(float(share @ (np.mean((own - 1.0) ** 2, axis=1) - chance)), 0.0)
+    excess = max(float(share @ (np.mean((ratio - 1.0) ** 2, axis=1) - chance)), 0.0)
     part = (chance / (chance + excess))[:, None, None]
     return np.asarray((1.0 - part) * covariances + part * pooled)
 
@@ -490,18 +490,18 @@ def _t_width(d: Array, p: int, nu: float) -> float:
 def _greatest(function: Callable[[float], float], low: float, high: float, tolerance: float) -> tuple[float, float]:
     """Where a function with one maximum between two places is greatest, and its value there, by golden section."""
     golden = 0.5 * (math.sqrt(5.0) - 1.0)
-    left, right = high - golden * (high - low), low + golden * (high - low)
-    at_left, at_right = function(left), function(right)
+    a, b = high - golden * (high - low), low + golden * (high - low)
+    at_left, at_right = function(a), function(b)
     while high - low > tolerance:
         if at_left > at_right:
-            high, right, at_right = right, left, at_left
-            left = high - golden * (high - low)
-            at_left = function(left)
+            high, b, at_right = b, a, at_left
+            a = high - golden * (high - low)
+            at_left = function(a)
         else:
-            low, left, at_left = left, right, at_right
-            right = low + golden * (high - low)
-            at_right = function(right)
-    return max((left, at_left), (right, at_right), key=lambda found: found[1])
+            low, a, at_left = a, b, at_right
+            b = low + golden * (high - low)
+            at_right = function(b)
+    return max((a, at_left), (b, at_right), key=lambda found: found[1])
 
 
 def left_out_distances(squared_distances: npt.ArrayLike, pixels: float) -> Array:
@@ -557,17 +557,17 @@ def fit_tail_dof(
 
     end, normal = min(1.0 / within[0], 1.0 / LEAST_DOF - offset), fit(0.0)
     start = min(1.0 / within[1], end)
-    at, top = _greatest(fit, start, end, 1e-8)
-    if start == 0.0 and (at <= 2.0 * _LEAST or top <= normal):
-        at, top = 0.0, max(normal, top)
-    high = end if drop(end) < 0 else scipy.optimize.brentq(drop, at, end)
-    low = start if at == start or drop(start) <= 0 else scipy.optimize.brentq(drop, start, at)
-    a = at + offset
+    best, top = _greatest(fit, start, end, 1e-8)
+    if start == 0.0 and (best <= 2.0 * _LEAST or top <= normal):
+        best, top = 0.0, max(normal, top)
+    high = end if drop(end) < 0 else scipy.optimize.brentq(drop, best, end)
+    low = start if best == start or drop(start) <= 0 else scipy.optimize.brentq(drop, start, best)
+    a = best + offset
     scale = float(np.mean(d)) / dimension if a < _LEAST else _t_width(d, dimension, 1.0 / a) / (1.0 / a - 2.0)
     # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
     # (Self & Liang 1987).
     p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
-    dof, lower, upper = (1.0 / a if a > 0 else math.inf for a in (at, high, low))
+    dof, lower, upper = (1.0 / a if a > 0 else math.inf for a in (best, high, low))
     return TailFit(dof, scale, lower, upper, p_value, int(d.size))
 
 
@@ -612,9 +612,9 @@ def compact_parts(lines: npt.ArrayLike, samples: npt.ArrayLike) -> Index:
     for _ in range(min(_HALVINGS, int(np.log2(max(n / _FEWEST, 1.0))))):
         half = np.zeros(n, np.intp)
         for number in range(int(part.max()) + 1):
-            own = np.flatnonzero(part == number)
-            longer = int(np.argmax(np.ptp(places[:, own], axis=1)))
-            order = own[np.lexsort((places[1 - longer, own], places[longer, own]))]
+            index = np.flatnonzero(part == number)
+            longer = int(np.argmax(np.ptp(places[:, index], axis=1)))
+            order = index[np.lexsort((places[1 - longer, index], places[longer, index]))]
             half[order[order.size // 2 :]] = 1
         part = 2 * part + half
     return part
@@ -626,9 +626,9 @@ def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Ar
     away = [pixels[part == g] - centre for g in range(int(part.max(initial=0)) + 1)]
     products = [x.T @ x for x in away]
     sums, whole = [x.sum(axis=0) for x in away], np.sum(products, axis=0)
-    for x, product, own in zip(away, products, sums, strict=True) if len(away) > 1 else ():
+    for x, product, total in zip(away, products, sums, strict=True) if len(away) > 1 else ():
         n = pixels.shape[0] - x.shape[0]
-        mean = -own / n  # what is left out and what is left sum to nought
+        mean = -total / n  # what is left out and what is left sum to nought
         yield centre + mean, (whole - product - n * np.outer(mean, mean)) / max(n - 1, 1)
 
 

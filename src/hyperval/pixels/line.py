@@ -174,9 +174,9 @@ class EmpiricalLine:
         An extrapolation for the darkest and the brightest.
         """
         error = np.full((len(self.panels), self.gain.size), np.nan)
-        for own, panel in zip(error, self.panels, strict=True):
+        for row, panel in zip(error, self.panels, strict=True):
             if (others := self.without(panel.name)) is not None:
-                own[self.usable] = (others.reflectance(panel.radiance) - panel.reflectance)[self.usable]
+                row[self.usable] = (others.reflectance(panel.radiance) - panel.reflectance)[self.usable]
         return error
 
     @cached_property
@@ -195,19 +195,19 @@ class EmpiricalLine:
         >>> 3.5 < fit_elm(panels).contradiction < 7.0
         True
         """
-        known, freedom = np.isfinite(self.reduced_chi2), len(self.panels) - 1 - self.intercept
-        if not known.any() or freedom < 1:
+        valid, freedom = np.isfinite(self.reduced_chi2), len(self.panels) - 1 - self.intercept
+        if not valid.any() or freedom < 1:
             return 1.0
         squares, total = np.outer(self.gain, self.gain), np.zeros(2 * (self.gain.size,))
         for p in self.panels:
             x, y = (np.diag(e) if e.ndim == 1 else e for e in (p.reflectance_error, p.radiance_error))
             total += squares * x + y
-        covariance = total[np.ix_(known, known)]
+        covariance = total[np.ix_(valid, valid)]
         sd = np.sqrt(np.diag(covariance))
         rank = (sd.size**2 / np.sum((covariance / np.outer(sd, sd)) ** 2) + 1.0) / 2.0
         chance = special.betaincinv(rank, rank, (np.arange(200) + 0.5) / 200)  # of the middle one of so many bands
         usual = 2.0 * special.gammaincinv(freedom / 2.0, chance) / freedom
-        median = float(np.median(self.reduced_chi2[known]))
+        median = float(np.median(self.reduced_chi2[valid]))
         return median / float(usual.mean()) if median > np.quantile(usual, 0.99) else 1.0
 
     def error_covariance(self, radiance: npt.ArrayLike, own: str = "") -> Array:
@@ -295,15 +295,15 @@ def fit_elm(
     panels = tuple(panels)
     _refuse_bad_panels(panels, least=1 + intercept)
     points = _points(panels)
-    known = np.asarray(np.isfinite(points[0]).all(axis=0))
-    refuse(not known.any(), "line.no_band")
-    contrast = np.ptp(points[0], axis=0) if intercept else np.full(known.size, np.inf)
-    flat = contrast[known] < minimum_contrast
+    valid = np.asarray(np.isfinite(points[0]).all(axis=0))
+    refuse(not valid.any(), "line.no_band")
+    contrast = np.ptp(points[0], axis=0) if intercept else np.full(valid.size, np.inf)
+    flat = contrast[valid] < minimum_contrast
     if np.mean(flat) > 0.5:
-        names, differ = ", ".join(p.name for p in panels), np.median(contrast[known])
+        names, differ = ", ".join(p.name for p in panels), np.median(contrast[valid])
         raise refusal("line.contrast", names=names, differ=differ, least=minimum_contrast)
-    usable = known.copy()
-    usable[known] = ~flat
+    usable = valid.copy()
+    usable[valid] = ~flat
     fit = fit_line(*(part[:, usable] for part in points), intercept=intercept)
     noisy = ~(fit.slope > MINIMUM_GAIN_SNR * np.sqrt(fit.covariance[:, 0, 0]))
     refuse(np.mean(noisy) > 0.5, "line.noisy", least=MINIMUM_GAIN_SNR, count=int(noisy.sum()), bands=noisy.size)
@@ -318,12 +318,12 @@ def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
     refuse(len(panels) < least, "line.few", count=len(panels), least=least)
     for p in panels:
         values = np.stack([p.radiance, variance_of(p.reflectance_error), variance_of(p.radiance_error)])
-        known = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands
-        rho = p.reflectance[known]
+        valid = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands
+        rho = p.reflectance[valid]
         least_rho, most_rho = rho.min(initial=0.0), rho.max(initial=0.0)
         for wrong, words, mend in (
-            (~known.any(), " has no reflectance in any band", None),
-            (~np.isfinite(values[:, known]), " holds NaN or infinity", "leave those bands out"),
+            (~valid.any(), " has no reflectance in any band", None),
+            (~np.isfinite(values[:, valid]), " holds NaN or infinity", "leave those bands out"),
             (most_rho > PERCENT_LIMIT, f" has a reflectance of {most_rho:.4g}, not 0 to 1", "divide percent by 100"),
             (least_rho < -0.05, f" has a reflectance of {least_rho:.3g}", None),
         ):

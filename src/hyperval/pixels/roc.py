@@ -84,8 +84,8 @@ class AlarmBlocks:
         ``classes`` (lines, samples): number of the class of each pixel, from 0 on; None where classes are not known,
         and their differences count as chance.
         """
-        lines, samples = at = np.nonzero(counted & np.isfinite(score_map))
-        return cls.of_places(score_map[at], lines, samples, None, None if classes is None else classes[at])
+        lines, samples = where = np.nonzero(counted & np.isfinite(score_map))
+        return cls.of_places(score_map[where], lines, samples, None, None if classes is None else classes[where])
 
     @classmethod
     def of_places(
@@ -93,9 +93,9 @@ class AlarmBlocks:
     ) -> AlarmBlocks:
         """Scores (n,) at lines and samples (n,) [pixels], of ``classes`` (n,); ``side`` None: about 64 blocks."""
         b = side or block_side(scores.size)
-        own = np.zeros(scores.size, np.int64) if classes is None else np.asarray(classes, np.int64)
-        width, many = int(samples.max(initial=0)) // b + 1, int(own.max(initial=0)) + 1
-        key, block = np.unique((lines // b * width + samples // b) * many + own, return_inverse=True)
+        number = np.zeros(scores.size, np.int64) if classes is None else np.asarray(classes, np.int64)
+        width, many = int(samples.max(initial=0)) // b + 1, int(number.max(initial=0)) + 1
+        key, block = np.unique((lines // b * width + samples // b) * many + number, return_inverse=True)
         near = _bartlett(np.stack(np.divmod(key // many, width), axis=1))
         return cls(scores, block.astype(np.int64), near, _strata(np.bincount(block), key % many, near))
 
@@ -193,9 +193,9 @@ class AlarmBlocks:
         for column in half.T:
             column[np.lexsort((rng.random(m), self.stratum))[::2]] = 1.0
         counts, q = self.counts(threshold), _shares(self.pixels, self.stratum)
-        own = np.argmax(q > 0.0, axis=1)
+        first = np.argmax(q > 0.0, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            rates = [counts @ (part / (q.T @ part)[own]) for part in (half, 1.0 - half)]
+            rates = [counts @ (part / (q.T @ part)[first]) for part in (half, 1.0 - half)]
             factor = np.maximum(*rates) / np.minimum(*rates)
         return np.asarray(np.median(np.where(np.isnan(factor), 1.0, factor), axis=1))
 
@@ -245,8 +245,8 @@ class AlarmBlocks:
             expected = np.sqrt(np.maximum(middle, 1) * n * pfa)
             effect = self.design_effect(np.maximum(middle, expected))
             below, above = intervals.beyond_jeffreys_limits(middle / effect, n / effect, pfa)
-            there = np.stack([~above[0], below[1]])
-            low, high = np.where(there | (low == high), low, middle + 1), np.where(there, middle, high)
+            done = np.stack([~above[0], below[1]])
+            low, high = np.where(done | (low == high), low, middle + 1), np.where(done, middle, high)
         return low[0], low[1]
 
 
@@ -261,8 +261,8 @@ def _strata(pixels: Counts, of_class: Counts, neighbours: sparse.csr_array) -> C
 
 def _shares(pixels: Counts, stratum: Counts) -> Array:
     """(M, C) part of the pixels of each class that lies in each block."""
-    own = pixels[:, None] * (stratum[:, None] == np.unique(stratum))
-    return np.asarray(own / own.sum(axis=0))
+    part = pixels[:, None] * (stratum[:, None] == np.unique(stratum))
+    return np.asarray(part / part.sum(axis=0))
 
 
 def _bartlett(squares: Counts) -> sparse.csr_array:
@@ -325,8 +325,8 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     # The lowest threshold that lets at most n P of the scores through; equal scores pass together or not at all.
     falling = np.unique(background.ascending[n - 1 - np.floor(n * level + 1e-9).astype(int)])[::-1]
     alarms, *limits = background.pfa_limits(falling)
-    known = np.count_nonzero(background.counts(falling), axis=1) >= 2
-    low, high = (np.where(known, limit, np.nan) for limit in limits)
+    valid = np.count_nonzero(background.counts(falling), axis=1) >= 2
+    low, high = (np.where(valid, limit, np.nan) for limit in limits)
     columns = (falling, alarms / n, low, high, background.half_image_factor(falling))
     threshold, probability, lower, upper, half = (column[::-1] for column in columns)
     return ExceedanceCurve(threshold, probability, lower, upper, n, half)
@@ -379,12 +379,12 @@ def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: n
     rate, least = alarms.sum(axis=0) / pixels.sum(), 0.5 / pixels.sum()  # half an alarm where none is left
     without, sums = np.empty(alarms.shape), np.zeros((3, size - 1))
     for each in every:
-        own = slice(first, first := first + len(each))
-        k, n = alarms[own].sum(axis=0), max(int(pixels[own].sum()), 1)
-        rest = (k - alarms[own]) / np.maximum(n - pixels[own], 1)[:, None]
-        without[own] = np.log(np.maximum(rate + n / pixels.sum() * (rest - k / n), least))
+        rows = slice(first, first := first + len(each))
+        k, n = alarms[rows].sum(axis=0), max(int(pixels[rows].sum()), 1)
+        rest = (k - alarms[rows]) / np.maximum(n - pixels[rows], 1)[:, None]
+        without[rows] = np.log(np.maximum(rate + n / pixels.sum() * (rest - k / n), least))
         if len(each) > 1:
-            a, b = intervals.jackknife_directions(each), intervals.jackknife_directions(without[own])
+            a, b = intervals.jackknife_directions(each), intervals.jackknife_directions(without[rows])
             sums += np.sum([a * b, a * a, b * b], axis=1)
     influence = Influence(number, alarms, law.threshold, np.exp(np.concatenate(every) - without))
     correlation = sums[0] / np.sqrt(np.maximum(sums[1] * sums[2], 1e-300))
@@ -407,18 +407,18 @@ def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, lev
     >>> [round(v, 2) for v in (ratio.value, ratio.upper / ratio.value, ratio.law_factor)]
     [1.52, 1.53, 1.3]
     """
-    at = nearest_point(measured, level)
-    threshold, m = float(measured.threshold[at]), float(measured.probability[at])
+    k = nearest_point(measured, level)
+    threshold, m = float(measured.threshold[k]), float(measured.probability[k])
     p, together = exceedance_at(predicted, threshold), 0.0
     if predicted.correlation is not None:
         together = float(np.interp(threshold, predicted.threshold, predicted.correlation))
     sides = predicted.lower, predicted.upper
     law = np.array([abs(math.log(exceedance_at(predicted, threshold, side) / p)) for side in sides])
     with np.errstate(divide="ignore", invalid="ignore"):
-        rate = np.abs(np.log(np.array([measured.upper[at], measured.lower[at]]) / m))
+        rate = np.abs(np.log(np.array([measured.upper[k], measured.lower[k]]) / m))
     down, up = np.sqrt(law**2 + rate**2 - 2.0 * together * law * rate)
     ends = float(p / m * np.exp(-down)), float(p / m * np.exp(up))
-    return FalseAlarmRatio(p / m, *ends, at, p, math.exp(max(law)), together)
+    return FalseAlarmRatio(p / m, *ends, k, p, math.exp(max(law)), together)
 
 
 Scores = npt.ArrayLike | AlarmBlocks  # the latter know their places, and come in clusters
@@ -795,11 +795,11 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
     for curve in curves:
         n = int(curve.n_target or 0)
         pd, low, high = (values[-size:] for values in (curve.pd, curve.pd_lower, curve.pd_upper))
-        own = intervals.mid_p_limits(np.rint(pd * n), n)
+        alone = intervals.mid_p_limits(np.rint(pd * n), n)
         detected += np.rint(pd * n)
         # What was added in quadrature to the binomial limits.
-        below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - own[0]) ** 2, 0.0))
-        above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (own[1] - pd) ** 2, 0.0))
+        below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - alone[0]) ** 2, 0.0))
+        above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (alone[1] - pd) ** 2, 0.0))
     pd = detected / total
     lower, upper = _widened(pd, intervals.mid_p_limits(detected, total), below, above)
     n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
@@ -821,7 +821,7 @@ def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
     return RocCurve(first.pfa, pd, low, high, np.full(first.pfa.shape, np.nan), first.unit)
 
 
-def with_halo(mask: Mask, halo: int) -> Mask:
+def mask_with_halo(mask: Mask, halo: int) -> Mask:
     """The mask grown by ``halo`` pixels in line and sample (a square neighbourhood)."""
     return np.asarray(ndimage.maximum_filter(mask, 2 * halo + 1, mode="constant"))
 

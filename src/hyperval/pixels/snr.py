@@ -97,19 +97,19 @@ def _noise(covariance: Array, mean: Array, dof: float) -> tuple[Array, Array, Ar
         brightness = mean / mean[b] if mean[b] else np.ones(bands)
         h = brightness[near]
         texture, texture_error = _texture(covariance, brightness, b, dof)
-        left = 1.0 - c @ h
-        rest = (left**2 - h @ slopes @ h) * texture
+        rest_part = 1.0 - c @ h
+        rest = (rest_part**2 - h @ slopes @ h) * texture
         if texture > 0:
             most = residual**2 / (2.0 * texture)
             rest = min(max(rest, -most), most)
         noise[b] = max(residual - rest, 0.0) / squares
         residuals[b, near] = -c
-        unexplained[b] = np.sign(left) * np.sqrt(max(rest, 0.0))
+        unexplained[b] = np.sign(rest_part) * np.sqrt(max(rest, 0.0))
         # First order in residual, texture and c; second where the first vanishes, as it does without texture.
-        by_c = 2.0 * (texture * left * h - noise[b] * c)
+        by_c = 2.0 * (texture * rest_part * h - noise[b] * c)
         squared_error = (
             2.0 / dof * (residual + noise[b] * by_chance) ** 2
-            + texture_error * (left**4 + 4.0 * left**2 * (h @ slopes @ h))
+            + texture_error * (rest_part**4 + 4.0 * rest_part**2 * (h @ slopes @ h))
             + by_c @ slopes @ by_c
             + 2.0 * noise[b] ** 2 * np.trace(slopes @ slopes)
         )

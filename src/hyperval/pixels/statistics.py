@@ -189,7 +189,7 @@ class Labels(Mapping[str, Mask]):
             for rows in some:
                 finer[rows] = table[2 * number[rows].astype(np.intp) + mask[rows]]
             number, count = finer, kept.size
-            members = {key: own[kept // 2] for key, own in members.items()} | {name: kept % 2 == 1}
+            members = {key: bits[kept // 2] for key, bits in members.items()} | {name: kept % 2 == 1}
         return Labels(number, members)
 
     def displaced(self, names: Sequence[str], by: tuple[int, int], first: int = 0) -> Labels:
@@ -298,12 +298,12 @@ def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch 
         """Sums by label."""
         found: dict[int, Sums] = {}
         for rows, pixels, usable in blocks:
-            label, known = number[rows].ravel(), usable.ravel()
-            if not known.all():
-                pixels, label = pixels[:, known], label[known]
+            label, valid = number[rows].ravel(), usable.ravel()
+            if not valid.all():
+                pixels, label = pixels[:, valid], label[valid]
             for key in np.flatnonzero(np.bincount(label, minlength=wanted.size) * wanted).tolist():
-                own = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
-                found[key] = Sums.of(own, found.get(key), whole=cube.dtype.kind in "iu")
+                some = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
+                found[key] = Sums.of(some, found.get(key), whole=cube.dtype.kind in "iu")
         return found
 
     # One BLAS thread to the end: a second one, woken for the small products there, would spin into the next pass.
@@ -317,11 +317,11 @@ def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch 
 
 def _statistics(cube: Cube, name: str, labels: Labels, sums: Mapping[int, Sums]) -> SampleStatistics:
     """Of a region by the sums of its labels, in the unit of the cube's values."""
-    own = [sums[key] for key in sorted(sums) if labels.members[name][key]]
-    if not own:
+    parts = [sums[key] for key in sorted(sums) if labels.members[name][key]]
+    if not parts:
         missing = np.count_nonzero(labels[name])
         raise UsageError(f"region {name!r} has no valid pixel ({missing} left out as invalid)", expected="one or more")
-    joined, gain = reduce(Sums.merged, own), cube.gain
+    joined, gain = reduce(Sums.merged, parts), cube.gain
     mean, covariance = joined.mean_and_covariance()
     return SampleStatistics(gain * mean + cube.offset, covariance * np.outer(gain, gain), joined.n, float("nan"))
 
@@ -429,7 +429,7 @@ class PrincipalComponents:
         return np.moveaxis(centred @ np.hstack([self.vectors / np.sqrt(self.values), self.rest]), -1, 0)
 
 
-def components(covariance: Array, rng: np.random.Generator, count: int = COMPONENTS) -> PrincipalComponents:
+def covariance_components(covariance: Array, rng: np.random.Generator, count: int = COMPONENTS) -> PrincipalComponents:
     """Components of a covariance (B, B); directions without variance are left out."""
     every = EigenDirections.of(covariance)
     values, vectors = every.values, every.vectors
@@ -535,9 +535,9 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, Array, 
     count = int(np.append(values[found] <= edges, True).argmax())
     factors = (vectors[:, :count] * values[:count]) @ vectors[:, :count].T
     # Each factor fitted takes its part of the bands' own variance along.
-    own = np.clip(1.0 - np.diag(factors), 0.0, None) * (m / (m - count))
-    out = factors + np.diag(own)
-    scatter = np.sum(factors**2) + np.trace(factors) ** 2 + 2.0 * np.sum(own**2)
+    rest = np.clip(1.0 - np.diag(factors), 0.0, None) * (m / (m - count))
+    out = factors + np.diag(rest)
+    scatter = np.sum(factors**2) + np.trace(factors) ** 2 + 2.0 * np.sum(rest**2)
     dof = m * (np.sum(out**2) + np.trace(out) ** 2) / scatter
     factors, dof = (factors, dof) if m >= FEWEST_DOF else (out, m)
     return out * np.outer(sd, sd), factors * np.outer(sd, sd), float(dof)
@@ -589,20 +589,20 @@ def noise_part(
     texture = sigma - np.diag(n)
     parts = [np.diag(n), texture] if np.trace(texture) > _LEAST_TEXTURE * n.sum() else [np.diag(n)]
     w = np.linalg.pinv(sigma, hermitian=True)
-    seen = [w @ part @ w for part in parts]
-    expectation = np.array([[np.sum(m * part) for part in parts] for m in seen])
+    whitened = [w @ part @ w for part in parts]
+    expectation = np.array([[np.sum(m * part) for part in parts] for m in whitened])
     inverse = np.linalg.pinv(expectation)
-    factors = inverse @ [np.sum(m * s) for m in seen]
+    factors = inverse @ [np.sum(m * s) for m in whitened]
     along, of = EigenDirections.of(sigma).vectors, np.atleast_1d(dof).astype(float)
-    known = (along * of[np.minimum(np.arange(along.shape[1]), of.size - 1)] ** -0.25) @ along.T
-    shown = [known @ (max(float(f), 0.0) * part) @ known for f, part in zip(factors, parts, strict=True)]
+    root = (along * of[np.minimum(np.arange(along.shape[1]), of.size - 1)] ** -0.25) @ along.T
+    shown = [root @ (max(float(f), 0.0) * part) @ root for f, part in zip(factors, parts, strict=True)]
     # Muirhead 1982, 1.6: cov(S_ij, S_kl) of normal pixels, and what an elliptical law of the texture adds.
-    whole, heavy = ([m @ part for m in seen] for part in (sum(shown), sum(shown[1:], np.zeros_like(sigma))))
+    whole, heavy = ([m @ part for m in whitened] for part in (sum(shown), sum(shown[1:], np.zeros_like(sigma))))
     traces = np.array([np.trace(x) for x in heavy])
     normal, tails = (2.0 * np.array([[np.sum(x * y.T) for y in each] for x in each]) for each in (whole, heavy))
     covariance = normal + kurtosis * (tails + np.outer(traces, traces))
     variance = (inverse @ covariance @ inverse.T)[0, 0]
-    by_band = np.einsum("i,ibb->b", inverse[0], np.array(seen))
+    by_band = np.einsum("i,ibb->b", inverse[0], np.array(whitened))
     columns = 2.0 / (samples - 1.0) * np.sum((by_band * calibration) ** 2)
     return float(factors[0]), float(np.sqrt(variance + columns))
 
@@ -763,17 +763,17 @@ def sampling_band(
     """
     values, size = directions.values, directions.values.size
     n = np.broadcast_to(np.asarray(independent, dtype=float), (size,))
-    own = n / (1.0 + kurtosis)
+    dof = n / (1.0 + kurtosis)
     beyond = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)
-    unseen = beyond <= _LEAST_SHIFT * values[count - 1] ** 2 * np.sqrt(2.0 * own.min())
+    unseen = beyond <= _LEAST_SHIFT * values[count - 1] ** 2 * np.sqrt(2.0 * dof.min())
     kept = max(int(unseen.argmax()), count)
     most = round(0.025 * _LARGEST_WORK / kept**3) * 40 - 1
     draws = min(draws, max(most, FEWEST_DRAWS))
     with single_blas_thread():
         factors = np.stack([drawn_factor(kept, n[:kept], rng, kurtosis) for _ in range(draws)])
-        eigenvalues, angles = _leading(values[:kept], factors, count, spaces, float(np.sum(values[kept:] / own[kept:])))
+        eigenvalues, angles = _leading(values[:kept], factors, count, spaces, float(np.sum(values[kept:] / dof[kept:])))
     common = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
-    total = common * ((rng.chisquare(own, (draws, size)) / own) @ values)
+    total = common * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
     return Statistics(eigenvalues, total, angles)
 
 

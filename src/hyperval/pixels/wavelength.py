@@ -85,7 +85,7 @@ def _oxygen_fit(z: Array, powers: Array, w: Array, fwhm: Array, follows: float) 
         out = _log_transmitted(_WIDTH * taken)
         return np.column_stack([powers, taken / np.exp(out)]), z - _log_transmitted(_WIDTH * absorbed(shift)) + out
 
-    at = float(min(np.arange(-MOST_SHIFT, MOST_SHIFT + _STEP, _STEP), key=lambda shift: _rest(*start(shift))))
+    start_shift = float(min(np.arange(-MOST_SHIFT, MOST_SHIFT + _STEP, _STEP), key=lambda shift: _rest(*start(shift))))
     free = w.size - powers.shape[1] - 2  # what the light went through is all but given
 
     def rest(p: Array) -> Array:
@@ -95,8 +95,8 @@ def _oxygen_fit(z: Array, powers: Array, w: Array, fwhm: Array, follows: float) 
     def weighted(p: Array, scatter: float) -> Array:
         return np.append(rest(p) / scatter, (p[1] / _WIDTH - 1.0) / _WIDTH_SPREAD)
 
-    *surface, more = np.linalg.lstsq(*start(at))[0]
-    p = np.array([at, _WIDTH, _WIDTH + more, *surface])
+    *surface, more = np.linalg.lstsq(*start(start_shift))[0]
+    p = np.array([start_shift, _WIDTH, _WIDTH + more, *surface])
     for _ in range(2):
         scatter = max(float(np.sqrt(np.sum(rest(p) ** 2) / free)), _LEAST_FIGURE)
         best = scipy.optimize.least_squares(weighted, p, method="lm", args=(scatter,))
@@ -201,11 +201,11 @@ def absorption_centre(wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, fea
     """
     w, y = np.asarray(wavelength_nm, dtype=float), np.asarray(radiance, dtype=float)
     wide = (w > feature.centre_nm - 2.0 * feature.half_nm) & (w < feature.centre_nm + 2.0 * feature.half_nm)
-    at = np.flatnonzero(wide)
-    if at.size < LEAST_BANDS + 2:
+    index = np.flatnonzero(wide)
+    if index.size < LEAST_BANDS + 2:
         return float("nan"), 0.0
-    line = np.interp(w[at], w[at[[0, -1]]], y[at[[0, -1]]])
-    centre, depth = float(w[at][np.argmin(y[at] / np.where(line > 0.0, line, np.inf))]), 0.0
+    line = np.interp(w[index], w[index[[0, -1]]], y[index[[0, -1]]])
+    centre, depth = float(w[index][np.argmin(y[index] / np.where(line > 0.0, line, np.inf))]), 0.0
     width = np.gradient(w)
     for _ in range(_STEPS):
         before, inside, after = _around(w, centre, feature)
@@ -300,9 +300,9 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
         return
     w, y = axis.centre_nm[use], y[use]
     if reflectance:
-        left = oxygen_residual(w, y, axis.fwhm_nm[use])
-        if left is not None:
-            yield left
+        residual = oxygen_residual(w, y, axis.fwhm_nm[use])
+        if residual is not None:
+            yield residual
         edge = red_edge(w, y)
         if np.isfinite(edge):
             yield _shift(RED_EDGE, edge, w)
@@ -317,8 +317,8 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
 
 
 def _shift(feature: Feature, edge_nm: float, wavelength_nm: Array) -> Shift:
-    at = int(np.argmin(np.abs(wavelength_nm - edge_nm)))
-    spacing = float(np.gradient(wavelength_nm)[at])
+    k = int(np.argmin(np.abs(wavelength_nm - edge_nm)))
+    spacing = float(np.gradient(wavelength_nm)[k])
     u = float(np.hypot(feature.uncertainty_nm, _SAMPLING * spacing))
     return Shift(feature.name, edge_nm - feature.centre_nm, u)
 

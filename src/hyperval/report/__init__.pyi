@@ -15,18 +15,6 @@ from .verdict import (
 )
 
 __all__ = [
-    "accepted_words",
-    "compare_runs",
-    "figures_to_folder",
-    "first_screen",
-    "gate_fails",
-    "index_page",
-    "interval_text",
-    "last_line",
-    "limits_text",
-    "number_text",
-    "report_page",
-    "value_text",
-    "write_index",
-    "write_outputs",
-]
+    "accepted_words", "compare_runs", "figures_to_folder", "first_screen", "gate_fails", "index_page", "interval_text",
+    "last_line", "limits_text", "number_text", "report_page", "value_text", "write_index", "write_outputs",
+]  # fmt: skip

@@ -80,8 +80,8 @@ def matrix_of(
         return not gates, WORST_FIRST.index(v.worst(gates or item[1]))
 
     lines = []
-    for name, own in sorted(grouped(planned, line_of).items(), key=rank):
-        here = ([row for row in own if row.product == product] for product in columns)
+    for name, line in sorted(grouped(planned, line_of).items(), key=rank):
+        here = ([row for row in line if row.product == product] for product in columns)
         lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in here]))
     return {"columns": [_COMPARED.get(p, p) for p in columns], "lines": lines}
 
@@ -91,7 +91,7 @@ def _matrices(run: Run, rows: Sequence[Result], *options: Callable[..., str]) ->
     parts = _NUMBERS if run.sentence else _MATRICES
     compared = [row for row in rows if row.planned and row.product not in _REASONS]
     planned = ((title, [r for r in compared if r.evidence in kinds]) for title, kinds in parts)
-    return [(title, matrix_of(own, *options)) for title, own in planned if own]
+    return [(title, matrix_of(some, *options)) for title, some in planned if some]
 
 
 def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
@@ -148,7 +148,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     def rank(chart: Figure) -> tuple[int, ...]:
         """Products whose gates say worse come before the others; of one rank, by informational comparisons."""
         planned = _made(rows, chart.section)
-        return tuple(WORST_FIRST.index(v.worst(own)) for own in ([row for row in planned if row.gates], planned))
+        return tuple(WORST_FIRST.index(v.worst(some)) for some in ([row for row in planned if row.gates], planned))
 
     spectra = sorted(first_figures(sides, run.table), key=rank)
     many = many_objects_figure(run.score_maps, sides)
@@ -182,7 +182,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
         budget=[chart for chart in folded if chart.name == _BUDGET],
         parts=_sections(drawings, folded, shown),
         of_reasons=_REASONS,
-        undone={key: list(map(row_name, own)) for key, own in undone.items()},
+        undone={key: list(map(row_name, some)) for key, some in undone.items()},
         facts=flat({k: v for k, v in run.provenance.items() if k != "inputs"}),
         metrics=explained(row.metric for row in rows if row.planned),
     )  # fmt: skip
@@ -200,12 +200,12 @@ def _worst_figure(row: Result, figures: Sequence[Figure]) -> Figure | None:
     for figure in figures:
         if figure.section != row.product or any(part.y.names for view in figure.views for part in view.parts):
             continue
-        own = [view for view in figure.views if re.match(rf"{re.escape(row.subject)}($|[,:]| \()", view.subject)]
-        own = own or (list(figure.views) if row.subject in ("all", "all objects", "*") else [])
-        if own:
-            parts = own[0].parts[-1:] if figure.section in SPECTRA else own[0].parts[:1]
-            title = f"{SECTIONS.get(row.product, row.product)}: {own[0].subject or row.subject}"
-            return replace(figure, name="worst", title=title, views=(replace(own[0], parts=parts),), legend="")
+        of_subject = [view for view in figure.views if re.match(rf"{re.escape(row.subject)}($|[,:]| \()", view.subject)]
+        of_subject = of_subject or (list(figure.views) if row.subject in ("all", "all objects", "*") else [])
+        if of_subject:
+            parts = of_subject[0].parts[-1:] if figure.section in SPECTRA else of_subject[0].parts[:1]
+            title = f"{SECTIONS.get(row.product, row.product)}: {of_subject[0].subject or row.subject}"
+            return replace(figure, name="worst", title=title, views=(replace(of_subject[0], parts=parts),), legend="")
     return None
 
 
@@ -230,12 +230,12 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
         return "Simulated collections" if run.simulated else collected
 
     groups = []
-    for kind, own in sorted(grouped((run for run in runs if not run.remedy), heading).items()):
-        together = [row for run in own for row in run.table]
-        matrices = _matrices(own[0], together, lambda r: r.campaign, link)
-        entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in own]
+    for kind, of_kind in sorted(grouped((run for run in runs if not run.remedy), heading).items()):
+        together = [row for run in of_kind for row in run.table]
+        matrices = _matrices(of_kind[0], together, lambda r: r.campaign, link)
+        entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in of_kind]
         sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
-        groups.append((kind, v.first_screen(together), sentence if own[0].sentence else "", matrices, entries))
+        groups.append((kind, v.first_screen(together), sentence if of_kind[0].sentence else "", matrices, entries))
     absent = list(grouped(((r, pages[r.campaign]) for r in runs if r.remedy), lambda one: one[0].remedy).items())
     forest = campaigns_figure({run.campaign: list(run.table) for run in runs if not run.sentence})
     return page("index.html.j2", [forest], forest=forest, title=title, groups=groups, absent=absent, count=len(runs))
@@ -281,7 +281,7 @@ def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (),
     ``drawn`` : the figures, or their statements by name, where these are known already
     """
     statements = drawn if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn if one}
-    written = f"{at:%Y-%m-%d %H:%M UTC}" if (at := stated_time()) else None
+    written = f"{when:%Y-%m-%d %H:%M UTC}" if (when := stated_time()) else None
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
         starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
@@ -348,9 +348,9 @@ def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
 
     of = [name for name in ("study", "sensor") if name in provenance_of(run).get("configuration", {})]
     refuse(of, "results.drawn", run, of=of, folder=run / "figures")
-    stored, known = read_products(run), Run.open(run) if is_run(run) else Run(ResultTable())
-    figures = [criteria_figure(list(known.table)), *first_figures(stored.pair)]
-    figures += further_figures(stored.pair, known.table, equivalence_margin(known.provenance))
+    stored, opened = read_products(run), Run.open(run) if is_run(run) else Run(ResultTable())
+    figures = [criteria_figure(list(opened.table)), *first_figures(stored.pair)]
+    figures += further_figures(stored.pair, opened.table, equivalence_margin(opened.provenance))
     drawn = [one for one in figures if one]
     refuse(not drawn, "results.figures", run)
     return drawings_of(drawn, simulated=stored.simulated, kind=kind, journal=journal)

@@ -86,7 +86,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     both = [(x, y) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not to_xarray(x).equals(to_xarray(y))]
     charts = first_figures(both[0], names=("run A", "run B")) if both and (moved or changed) else []
     alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
-    left, right = flat(a.provenance), flat(b.provenance)
+    first, second = flat(a.provenance), flat(b.provenance)
     labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
     return page(
         "pair.html.j2", charts,
@@ -98,7 +98,7 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
         same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
         conclusion=conclusion(pairs),
-        inputs=[(k, left.get(k, "–"), right.get(k, "–")) for k in left | right if left.get(k) != right.get(k)],
+        inputs=[(k, first.get(k, "–"), second.get(k, "–")) for k in first | second if first.get(k) != second.get(k)],
         charts=charts,
         figures=_figures(a, b, alike),
         alike=alike,

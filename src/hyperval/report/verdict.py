@@ -88,22 +88,22 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     model = [row for row in gates if row.evidence is Evidence.MODEL]
     are_told = (Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED)
     informing = [row for row in rows if not row.gates and row.outcome in are_told]
-    told = ranked(criteria_of(rows))
-    told = [row for row in told if row.outcome is not Outcome.SKIPPED] or told
-    first = next((row for row in told if row.outcome is not Outcome.ERROR), None)  # which has no size
+    shown = ranked(criteria_of(rows))
+    shown = [row for row in shown if row.outcome is not Outcome.SKIPPED] or shown
+    first = next((row for row in shown if row.outcome is not Outcome.ERROR), None)  # which has no size
     outcome, head, opening = status([row for row in rows if row.gates or row.outcome is Outcome.ERROR])
     asides = [power, _never_met(model), _which_to_believe(rows), _unseen(model)]
     products = []
-    for kind in dict.fromkeys(row.product for row in told if row.gates):
-        own = [row for row in model if row.product == kind]
-        counts = Counter(row.outcome for row in own)
-        products.append((product_words(kind), [(o, counts[o]) for o in WORST_FIRST if counts[o]], outcome_words(own)))
+    for kind in dict.fromkeys(row.product for row in shown if row.gates):
+        some = [row for row in model if row.product == kind]
+        counts = Counter(row.outcome for row in some)
+        products.append((product_words(kind), [(o, counts[o]) for o in WORST_FIRST if counts[o]], outcome_words(some)))
     reason, ahead = _reason(rows, first.subject if first else "all"), _AHEAD.get(first.outcome, "") if first else ""
     counted = _counted(gates, Evidence.MODEL), _counted(gates, Evidence.PIPELINE), _counted(informing, None)
     words = opening, *counted[:2], _never_met(gates), counted[2], _which_to_believe(rows)
     return FirstScreen(
         outcome, head, _lead(gates, informing, ahead, first), " ".join(filter(None, words)), list(filter(None, asides)),
-        products, first, ahead, reason, _steps(rows, told, reason),
+        products, first, ahead, reason, _steps(rows, shown, reason),
     )  # fmt: skip
 
 
@@ -120,8 +120,8 @@ def _lead(gates: Sequence[Result], informing: Sequence[Result], ahead: str, firs
 def _reason(rows: Sequence[Result], subject: str) -> str:
     """What explains the differences: what the attribution concludes of all residuals, or else of one subject."""
     concludes = "attribution", "reduced_chi_square", "every input"
-    told = {row.subject: row.reason for row in rows if (row.product, row.metric, row.method) == concludes}
-    words, since = told.get("all") or told.get(subject, ""), told.get(SINCE, "")
+    reasons = {row.subject: row.reason for row in rows if (row.product, row.metric, row.method) == concludes}
+    words, since = reasons.get("all") or reasons.get(subject, ""), reasons.get(SINCE, "")
     if since.startswith(("check", "none")):
         words = f"{since}, since the accepted run"
     elif since and words.startswith(("check", "none")):
@@ -129,7 +129,7 @@ def _reason(rows: Sequence[Result], subject: str) -> str:
     return f"{words[:1].upper()}{words[1:]}." if words else ""
 
 
-def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[str]:
+def _steps(rows: Sequence[Result], shown: Sequence[Result], reason: str) -> list[str]:
     """What to do, at most three lines.
 
     >>> from hyperval.results import Role
@@ -143,7 +143,7 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
     ['Mend what ended in an error: its message stands under Not compared.']
     """
     steps = []
-    criteria = [row for row in told if row.gates]
+    criteria = [row for row in shown if row.gates]
     if any(row.outcome is Outcome.DISAGREES for row in criteria) and reason.startswith("Check"):
         is_new = reason.endswith("since the accepted run.")
         mend = "correct it, or accept the new numbers" if is_new else "measure again, or state a larger uncertainty"
@@ -175,12 +175,12 @@ def _steps(rows: Sequence[Result], told: Sequence[Result], reason: str) -> list[
 
 def _unseen(gates: Sequence[Result]) -> str:
     """ "Budget and settings were fitted on lawn, turf; unseen: none yet." """
-    known = {kind: [row for row in gates if row.subjects_seen == kind] for kind in ("fitted", "unseen")}
-    if not any(known.values()):
+    by_kind = {kind: [row for row in gates if row.subjects_seen == kind] for kind in ("fitted", "unseen")}
+    if not any(by_kind.values()):
         return ""
-    names = list(dict.fromkeys(row.subject for row in known["fitted"] if row.subject not in EVERY))
+    names = list(dict.fromkeys(row.subject for row in by_kind["fitted"] if row.subject not in EVERY))
     names[_MOST_NAMED:] = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
-    unseen = f"{outcome_words(known['unseen'])} ({_named(known['unseen'])})" if known["unseen"] else "none yet"
+    unseen = f"{outcome_words(by_kind['unseen'])} ({_named(by_kind['unseen'])})" if by_kind["unseen"] else "none yet"
     return f"Budget and settings were fitted on {', '.join(names) or 'others'}; unseen: {unseen}."
 
 
@@ -190,8 +190,8 @@ def _never_met(gates: Sequence[Result]) -> str:
         return ""
     words = f"{len(never)} of the inconclusive {'criteria' if len(never) > 1 else 'ones'} can never be met"
     times = sorted(x for row in never if math.isfinite(x := row.shortfall))
-    told = (f"{x:.2g}" if x >= 1.05 else f"{max(x, 1.01):.2f}" for x in times[:1] + times[-1:])
-    ends = " to ".join(dict.fromkeys(told))
+    texts = (f"{x:.2g}" if x >= 1.05 else f"{max(x, 1.01):.2f}" for x in times[:1] + times[-1:])
+    ends = " to ".join(dict.fromkeys(texts))
     return f"{words}: what is known is {ends} times too uncertain." if ends else f"{words}."
 
 
@@ -243,11 +243,11 @@ def _counted(rows: Sequence[Result], kind: Evidence | None, *, named: bool = Tru
     """ "1 acceptance criterion is not met (mean level of the radiance: lawn), 12 are met (12 of radiance)." """
     parts: list[str] = []
     for outcome in WORST_FIRST:
-        own = [row for row in rows if kind in (None, row.evidence) and row.outcome is outcome]
-        if own:
-            noun = f" {_KINDS[kind][len(own) != 1]}" if not parts else ""
-            told = f" ({_named(own)})" if named else ""
-            parts.append(f"{len(own)}{noun} {outcome.of_one if len(own) == 1 else outcome.of_several}{told}")
+        counted = [row for row in rows if kind in (None, row.evidence) and row.outcome is outcome]
+        if counted:
+            noun = f" {_KINDS[kind][len(counted) != 1]}" if not parts else ""
+            who = f" ({_named(counted)})" if named else ""
+            parts.append(f"{len(counted)}{noun} {outcome.of_one if len(counted) == 1 else outcome.of_several}{who}")
     return f"{', '.join(parts)}." if parts else ""
 
 

@@ -84,9 +84,9 @@ class BlockCounts:
 
         Told by the counts of every look: two detectors that agree in all blocks about all objects.
         """
-        seen: dict[bytes, int] = {}
+        number: dict[bytes, int] = {}
         columns = [self.over[:, d].tobytes() + self.tie[:, d].tobytes() for d in range(len(self.detectors))]
-        return [seen.setdefault(column, len(seen)) for column in columns]
+        return [number.setdefault(column, len(number)) for column in columns]
 
     def shares(self, weights: Array) -> tuple[Array, Array]:
         """Share of the background above each look's score and level with it, each (P, D, R).
@@ -316,8 +316,8 @@ def _limits(item: Index, parts: Array, still: Array, n: int) -> Array:
     The logit interval with both variances, no narrower than what is known of a bounded mean.
     """
     limits = []
-    for own, moved in zip(parts.T, still, strict=True):
-        of_object = np.bincount(item, own) / np.bincount(item)
+    for part, moved in zip(parts.T, still, strict=True):
+        of_object = np.bincount(item, part) / np.bincount(item)
         spread = float(of_object.var(ddof=1)) / of_object.size if of_object.size > 1 else 0.25
         limits.append(interval_of_mean(of_object, spread, float(moved.var(ddof=1)), n))
     return np.array(limits).T
@@ -364,7 +364,7 @@ def _subjects(place: Place, detection: Detection) -> Iterator[tuple[str, dict[st
     """Each target with the pixels of its objects that are scored: subject -> objects."""
     for target in detection.targets:
         groups = target_groups(place.targets, target, detection.group)
-        yield target.name, {s: [scored_part(o, place) for o in own] for s, own in groups.items()}
+        yield target.name, {s: [scored_part(o, place) for o in objects] for s, objects in groups.items()}
 
 
 def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) -> BlockCounts:
@@ -391,25 +391,25 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     """
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
-    known = np.array([[np.isfinite(one) for one in own] for own in used.values()])  # (targets, detectors, ...)
+    finite = np.array([[np.isfinite(one) for one in some] for some in used.values()])  # (targets, detectors, ...)
     every = place.pixels_of(*detection.false_alarms)
-    counted = every & known.all(axis=(0, 1))
+    counted = every & finite.all(axis=(0, 1))
     # What others have scores of, objects and pixels of the background: where none has the image holds no data.
     missing = np.zeros((2, len(names)), int)
-    missing[1] = np.count_nonzero(every & known.any(axis=(0, 1)) & ~known.all(axis=0), axis=(1, 2))
+    missing[1] = np.count_nonzero(every & finite.any(axis=(0, 1)) & ~finite.all(axis=0), axis=(1, 2))
     looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
-        objects = {o.name: o for own in subjects.values() for o in own}
+        objects = {o.name: o for some in subjects.values() for o in some}
         greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
         found = np.isfinite(greatest)
         valid = found.all(axis=0)
         missing[0] += (found.any(axis=0) & ~found).sum(axis=1)
-        at = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
+        index = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
-        pairs = [counts_by_block(own[valid], each) for own, each in zip(greatest, blocks, strict=True)]
+        pairs = [counts_by_block(some[valid], each) for some, each in zip(greatest, blocks, strict=True)]
         looks.append(np.array(pairs).transpose(1, 2, 0, 3))
-        item += [number.setdefault(name, len(number)) for name in at]
-        group |= {subject: [at[o.name] for o in own if o.name in at] for subject, own in subjects.items()}
+        item += [number.setdefault(name, len(number)) for name in index]
+        group |= {subject: [index[o.name] for o in some if o.name in index] for subject, some in subjects.items()}
     group |= {pool.name: [i for s in pool.subjects for i in group.get(s, [])] for pool in detection.pools}
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
@@ -445,16 +445,16 @@ def detector_rows(
     return rows, tuple(f"warning: {what}" for what in counts.lost)
 
 
-def side_rows(side: Products, said: Literal["measured", "predicted"]) -> Iterator[Result]:
+def side_rows(side: Products, side_word: Literal["measured", "predicted"]) -> Iterator[Result]:
     """The metrics by subject, pool and detector as one side's own rows have them: ``METRIC``, ``predicted_METRIC``."""
     pixels = {(s, f"{d}/{u}"): c.n_background for (s, d, u), c in side.roc.items()}
-    names = {re.sub("auc|far", rf"\g<0>_{said}", name): measure for name, measure in MEASURES.items()}
-    for own in product_rows(side, "observed" if said == "measured" else said):
-        measure = names.get(own.metric) if own.product == "roc" else None
-        n = pixels.get((own.subject, own.method))
+    names = {re.sub("auc|far", rf"\g<0>_{side_word}", name): measure for name, measure in MEASURES.items()}
+    for one in product_rows(side, "observed" if side_word == "measured" else side_word):
+        measure = names.get(one.metric) if one.product == "roc" else None
+        n = pixels.get((one.subject, one.method))
         if measure is not None and (n is None or n * measure.least_pfa >= LEAST_EXPECTED_ALARMS):
-            metric = measure.name if said == "measured" else f"predicted_{measure.name}"
-            yield replace(own, product=PRODUCT, metric=metric, evidence=None)
+            metric = measure.name if side_word == "measured" else f"predicted_{measure.name}"
+            yield replace(one, product=PRODUCT, metric=metric, evidence=None)
 
 
 def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection) -> list[Result]:
@@ -467,12 +467,12 @@ def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection
     counted, rows = place.pixels_of(*detection.false_alarms), list[Result]()
     for (target, subjects), name in product(_subjects(place, detection), detection.detectors):
         scores = maps[map_name(target, name)]
-        own = {s: [scores[o.window][o.part] for o in objects] for s, objects in subjects.items()}
+        by_subject = {s: [scores[o.window][o.part] for o in objects] for s, objects in subjects.items()}
         noise = AlarmBlocks.of_map(scores, counted)
-        every = np.concatenate([noise.scores, *(values for each in own.values() for values in each)])
+        every = np.concatenate([noise.scores, *(values for each in by_subject.values() for values in each)])
         low, high = np.nanmin(every), np.nanmax(every)
         sums, sizes = (np.bincount(noise.block, weights) for weights in (noise.scores - low, None))
-        for subject, each in own.items():
+        for subject, each in by_subject.items():
             found = [np.array([part.sum(), part.size]) for v in each if (part := v[np.isfinite(v)] - low).size]
             for metric, parts in (("auc_d_tau", np.array(found).T), ("auc_f_tau", np.stack([sums, sizes]))):
                 if parts.size:
@@ -496,10 +496,10 @@ def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDe
         rows += named(unknown, PRODUCT, group, "detectors")
     for d, detector in enumerate(counts.detectors):
         value, *ends = (float(each[d]) * scale for each in (ranks.value, ranks.lower, ranks.upper))
-        own = [row(name, value, ends, unit=unit, n=m, reason=why)] if group == EVERY_OBJECT and value == value else []
+        lines = [row(name, value, ends, unit=unit, n=m, reason=why)] if group == EVERY_OBJECT and value == value else []
         rank = row(f"rank_{name}", ranks.rank[d], (ranks.rank_lower[d], ranks.rank_upper[d]), n=m, reason=words)
-        own += [rank, row(f"first_{name}", ranks.first[d], n=m, reason=first)]
-        rows += named(own, PRODUCT, group, f"{detector}/object")
+        lines += [rank, row(f"first_{name}", ranks.first[d], n=m, reason=first)]
+        rows += named(lines, PRODUCT, group, f"{detector}/object")
     return rows
 
 
@@ -534,7 +534,7 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     background = spectral.calc_stats(image, mask=(place.pixels_of(*detection.background) & valid).astype(np.int8))
     image[~valid] = background.mean
     alarms = place.pixels_of(*detection.false_alarms) & valid
-    spectra = {key.removesuffix(f"-{name}"): own for key, (name, own) in detected.bank.forms.items() if own is not None}
+    spectra = {key.removesuffix(f"-{name}"): our for key, (name, our) in detected.bank.forms.items() if our is not None}
     rows: list[Result] = []
     version = f"a peer: SPy {spectral.__version__}, same bands, spectra and background"
     for (target, subjects), (name, peer) in product(_subjects(place, detection), PEERS.items()):
@@ -549,10 +549,10 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
                 share = stats.mannwhitneyu(pixels, noise).statistic / (pixels.size * noise.size)
                 found = [row("auc", float(share), n=int(pixels.size), reason=version)]
             rows += named(found, PRODUCT, subject, f"{PEER}-{name}/pixel")
-        own = detected.score_maps.get(map_name(target, name))
-        if own is not None:
-            both = np.isfinite(own) & np.isfinite(scores)
-            value = float(stats.spearmanr(own[both], scores[both]).statistic)
+        our = detected.score_maps.get(map_name(target, name))
+        if our is not None:
+            both = np.isfinite(our) & np.isfinite(scores)
+            value = float(stats.spearmanr(our[both], scores[both]).statistic)
             found = [row("score_rank_correlation", value, n=int(both.sum()), reason=version)]
             rows += named(found, PRODUCT, target, f"{PEER}-{name}/pixel")
     return rows
@@ -614,7 +614,7 @@ class Benchmarked(Run):
             if subject == EVERY_OBJECT and metric in MEASURES:
                 values.setdefault(method.removesuffix("/object"), {})[metric] = found.value
         each = list(values.values())
-        return [tuple(n for n in values if values[n] == own) for i, own in enumerate(each) if own not in each[:i]]
+        return [tuple(n for n in values if values[n] == held) for i, held in enumerate(each) if held not in each[:i]]
 
     def standing(self, group: tuple[str, ...], metric: str, subject: str = EVERY_OBJECT) -> list[Result | None]:
         """Value, rank and share of first places of a group by a metric."""
@@ -630,7 +630,7 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
     """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
     if job.waits is not None:
         return _stopped(job, Outcome.SKIPPED, job.waits[0])
-    own, refused = job.campaign.detection, dict[str, str]()
+    detection, refused = job.campaign.detection, dict[str, str]()
     try:
         load_extensions(extensions)
         with _score_maps(job.campaign.name, scores):
@@ -641,8 +641,8 @@ def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], score
                     refused[error.detector] = str(error)
                 except UsageError as error:
                     # A target among the undesired, a singular background: its own detectors are known to run.
-                    others = set(detect.detector_names()) - set(own.detectors if own else ()) - {*refused}
-                    if own is None or isinstance(error, MissingDataError) or not others:
+                    others = set(detect.detector_names()) - set(detection.detectors if detection else ()) - {*refused}
+                    if detection is None or isinstance(error, MissingDataError) or not others:
                         raise
                     refused |= dict.fromkeys(others, f"not run, as one of the detectors was refused: {error}")
     except MissingDataError as error:
@@ -676,7 +676,7 @@ def _score_maps(campaign: str, scores: Mapping[str, str]) -> Iterator[None]:
 
 def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
     """The rows with every detector that was not ``refused``."""
-    left_out, said = dict[str, str](), list[str]()
+    left_out, remarks = dict[str, str](), list[str]()
 
     def ask(scenarios: Sequence[Scenario], inputs: InputLog) -> Campaign:
         regions: list[str] = []
@@ -687,13 +687,13 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
             regions = list(dict.fromkeys(n for n in named if n is not None and n in place.regions))
         asked, reasons, notes = with_every_detector(job.campaign, regions, refused)
         left_out.update(reasons)
-        said.extend(notes)
+        remarks.extend(notes)
         return asked
 
     with step(job.campaign.name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
         observed, detection = collection.observed, collection.campaign.detection
         rows, lost = detector_rows(observed, detection, left_out, seed=seed)
-        rows, notes = [*rows, *peer_rows(observed, detection)], [*said, *lost]
+        rows, notes = [*rows, *peer_rows(observed, detection)], [*remarks, *lost]
         for scenario in collection.scenarios if detection is not None else ():
             rows += side_rows(predict(scenario, collection.origins(scenario)), "predicted")
         about = {"campaign": collection.campaign}
@@ -770,21 +770,21 @@ def detector_figure(one: Benchmarked) -> Figure | None:
 
     def view(metric: str) -> Panels:
         standings = [one.standing(group, metric) for group in one.groups]
-        known = {i: (row, rank) for i, (row, rank, _) in enumerate(standings) if row is not None and rank is not None}
-        notes = {i: _rank_text(rank) for i, (_, rank) in known.items()}
+        ranked = {i: (row, rank) for i, (row, rank, _) in enumerate(standings) if row is not None and rank is not None}
+        notes = {i: _rank_text(rank) for i, (_, rank) in ranked.items()}
         # Densities of false alarms are drawn on a logarithmic axis, where none stands at its left end.
         far = metric.startswith("far")
-        positive = [v for row, _ in known.values() for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
+        positive = [v for row, _ in ranked.values() for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
-        rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in known.items()]
+        rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in ranked.items()]
         dots = measured_mark("dots", columns_of(rows, ("x", "low", "high", "y")), marker="circle", along="x")
         looks: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
-        marks = dots.by_kind([rank.lower <= 1 for _, rank in known.values()], looks)
-        none = far and any(row.value == 0.0 for row, _ in known.values())
+        marks = dots.by_kind([rank.lower <= 1 for _, rank in ranked.values()], looks)
+        none = far and any(row.value == 0.0 for row, _ in ranked.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
-        said = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in known.items()]
+        texts = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in ranked.items()]
         part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
-        return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(said))
+        return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(texts))
 
     title = f"{one.campaign}: detectors on all objects with 95 % intervals; rank [95 % set]"
     return a_view_each(f"{one.campaign}-detectors", one.campaign, title, one.measures, view)
@@ -830,12 +830,12 @@ def _rank_map(
 def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
     """Rank of every detector on all objects of every collection, as a map; one collection needs none."""
     metric = _RANK_METRICS[1]
-    known = {one.campaign: (one, EVERY_OBJECT) for one in done if metric in one.measures}
-    every = dict.fromkeys(name for one, _ in known.values() for group in one.groups for name in group)
-    if len(known) < 2:
+    shown = {one.campaign: (one, EVERY_OBJECT) for one in done if metric in one.measures}
+    every = dict.fromkeys(name for one, _ in shown.values() for group in one.groups for name in group)
+    if len(shown) < 2:
         return None
     title = f"Rank [95 % set] by {MEASURES[metric].title} on all objects of each collection"
-    return _rank_map("overview", "benchmark", title, known, [(name,) for name in every], metric)
+    return _rank_map("overview", "benchmark", title, shown, [(name,) for name in every], metric)
 
 
 def predicted_figure(one: Benchmarked) -> Figure | None:
@@ -846,17 +846,17 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
 
     def view(metric: str) -> Panels:
         numbers = [(p.value, m.value, m.lower, m.upper) for _, m, p in pairs[metric]]
-        said = tuple(
+        labels = tuple(
             f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs[metric]
         )
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
-        dots = measured_mark("dots", columns_of(numbers), marker="circle", words=said)
+        dots = measured_mark("dots", columns_of(numbers), marker="circle", words=labels)
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
         return single(x, y, (diagonal, dots), MEASURES[metric].title)
 
     title = f"{one.campaign}: measured against predicted, a point for each subject and detector, with 95 % intervals"
-    known = [name for name in names if pairs[name]]
-    return a_view_each(f"{one.campaign}-predicted", one.campaign, title, known, view)
+    paired = [name for name in names if pairs[name]]
+    return a_view_each(f"{one.campaign}-predicted", one.campaign, title, paired, view)
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:

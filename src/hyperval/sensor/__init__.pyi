@@ -43,10 +43,9 @@ from .specification import (
 
 __all__ = [
     "ELECTRONS_PER_UNIT", "Arm", "Bands", "Blur", "NoiseBreakdown", "NoiseModel", "PublishedSnr", "Quantity",
-    "ReferenceScene", "Sensor", "SensorChanges", "SensorOperation", "SensorSpecification",
-    "SpectralShift", "Throughput", "aperture_throughput", "averaged_noise", "binned_axis", "binned_noise",
-    "bit_error_variance", "calibration_variance", "changed_noise",
-    "electrons_per_radiance", "f_number_throughput", "library_names", "load_sensor",
-    "measured_noise_variance", "modulation_transfer", "mtf_at_nyquist", "new_sensor_file", "psf_fwhm_from_mtf",
-    "quantisation_variance", "shot_variance", "signal_to_noise", "solid_angle", "with_signal",
+    "ReferenceScene", "Sensor", "SensorChanges", "SensorOperation", "SensorSpecification", "SpectralShift",
+    "Throughput", "aperture_throughput", "averaged_noise", "binned_axis", "binned_noise", "bit_error_variance",
+    "calibration_variance", "changed_noise", "electrons_per_radiance", "f_number_throughput", "library_names",
+    "load_sensor", "measured_noise_variance", "modulation_transfer", "mtf_at_nyquist", "new_sensor_file",
+    "psf_fwhm_from_mtf", "quantisation_variance", "shot_variance", "signal_to_noise", "solid_angle", "with_signal",
 ]  # fmt: skip

@@ -486,12 +486,12 @@ class Sensor:
         'calibration_error_percent 1.5 (stated by the scenario)']
         """
         spec = self.specification
-        told = changes.model_dump(exclude_defaults=True) if changes else {}
+        changed = changes.model_dump(exclude_defaults=True) if changes else {}
         named = [(f"{arm.name}: {key}", value) for arm in spec.arms for key, value in arm]
         named.append(("calibration_error_percent", spec.calibration_error_percent))
-        sources = [(name, getattr(value, "source", "")) for name, value in named if name not in told]
+        sources = [(name, getattr(value, "source", "")) for name, value in named if name not in changed]
         notes = [f"{name} ({source})" for name, source in sources if source.lower().startswith("assumed")]
-        notes += [f"{name} {value:g} (stated by the scenario)" for name, value in told.items()]
+        notes += [f"{name} {value:g} (stated by the scenario)" for name, value in changed.items()]
         if spec.psf is not None:
             along, across = mtf_at_nyquist(np.array(spec.psf.fwhm))
             notes.append(f"MTF at Nyquist {along:.3f} along, {across:.3f} across the track")
@@ -505,12 +505,12 @@ class Sensor:
         values = np.asarray(quantity.value_cm2_sr if isinstance(quantity, Throughput) else quantity.at(w))
         return values * self.factors.get(f"{arm.name}.{name}" if arm else name, 1.0)
 
-    def _measured_noise(self, given: MeasuredNoise, w: Array, calibration: Array) -> NoiseModel:
-        at, a, b, c = np.array(given.table, dtype=float).T
+    def _measured_noise(self, noise: MeasuredNoise, w: Array, calibration: Array) -> NoiseModel:
+        nm, a, b, c = np.array(noise.table, dtype=float).T
         # a^2 and b vary like the inverse of efficiency, by orders of magnitude: interpolate logarithms.
-        a, c = np.exp(np.interp(w, at, np.log(a))), np.interp(w, at, c)
-        b = np.exp(np.interp(w, at, np.log(np.maximum(b, 1e-12))))
-        full = given.saturation_radiance.at(w) if given.saturation_radiance else None
+        a, c = np.exp(np.interp(w, nm, np.log(a))), np.interp(w, nm, c)
+        b = np.exp(np.interp(w, nm, np.log(np.maximum(b, 1e-12))))
+        full = noise.saturation_radiance.at(w) if noise.saturation_radiance else None
         return NoiseModel(
             1.0 / a**2, np.sqrt(b) / a, self.specification.detector_gain, np.zeros(w.size), 1, 0.0, "bit",
             calibration, c, full,
@@ -594,9 +594,9 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     UsageError : no such name, or an invalid file (every mistake with its line).
     InputError : no such file.
     """
-    known = shipped("hyperval.sensor", "library")
-    path = file_of(name_or_path, known, "sensor")
-    return library_sensor(path.stem) if path in known.values() else Sensor(load_model(SensorSpecification, path))
+    library = shipped("hyperval.sensor", "library")
+    path = file_of(name_or_path, library, "sensor")
+    return library_sensor(path.stem) if path in library.values() else Sensor(load_model(SensorSpecification, path))
 
 
 @lru_cache(maxsize=16)

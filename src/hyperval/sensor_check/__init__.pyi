@@ -15,17 +15,7 @@ from .suite import (
 )
 
 __all__ = [
-    "SensorCheck",
-    "SensorNumber",
-    "applied_moments",
-    "bands_beside",
-    "check_sensor",
-    "check_to_folder",
-    "electrons_from_energy",
-    "movable",
-    "neighbour_ratio",
-    "numbers",
-    "scene_radiance",
-    "sunlit_radiance",
+    "SensorCheck", "SensorNumber", "applied_moments", "bands_beside", "check_sensor", "check_to_folder",
+    "electrons_from_energy", "movable", "neighbour_ratio", "numbers", "scene_radiance", "sunlit_radiance",
     "write_check",
-]
+]  # fmt: skip

@@ -85,14 +85,14 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
 def _noise(check: SensorCheck) -> Iterator[Figure]:
     """Share of each source in the noise variance."""
     axis, few = check.axis, len(check.axis) < 30
-    left, right = axis.centre_nm - axis.fwhm_nm / 2, axis.centre_nm + axis.fwhm_nm / 2
+    low, high = axis.centre_nm - axis.fwhm_nm / 2, axis.centre_nm + axis.fwhm_nm / 2
     views: list[Panels] = []
     for level in (LEVELS[0], LEVELS[-1]):
         parts, base, marks = check.noise.breakdown(check.sunlit(level)), np.zeros(len(axis)), []
         shares = np.abs([*vars(parts).values()])
         for words, share, colour in zip(_SOURCES, 100.0 * shares / shares.sum(axis=0), SOURCES, strict=False):
             if np.max(share) > 0.01:
-                bars = {"left": left, "right": right, "bottom": base, "top": base + share}
+                bars = {"left": low, "right": high, "bottom": base, "top": base + share}
                 columns = bars if few else {"x": axis.centre_nm, "low": base, "high": base + share}
                 marks.append(Mark("bars" if few else "area", columns, words, colour, alpha=1.0))
                 base = base + share
@@ -199,12 +199,12 @@ _FOLDED = 12  # rows of a section that are not folded
 def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: dict[str, Any]) -> str:
     """The page of one sensor."""
     rows, axis = list(check.table), None
-    failed, known = ([r for r in rows if fails(r)] for fails in (v.gate_fails, v.disagrees_without_gating))
+    failed, expected = ([r for r in rows if fails(r)] for fails in (v.gate_fails, v.disagrees_without_gating))
     with suppress(UsageError):  # the checks say what is wrong with it
         axis = check.axis
     return page(
         "datasheet.html.j2", figures,
-        sensor=check.sensor.specification, axis=axis, counts=outcome_words(rows), failed=failed, known=known,
+        sensor=check.sensor.specification, axis=axis, counts=outcome_words(rows), failed=failed, known=expected,
         decided=len(failed) + sum(r.gates and r.outcome is Outcome.AGREES for r in rows), rows=rows, figures=figures,
         numbers=numbers(check.sensor.specification), beside=bands_beside(check.sensor), provenance=provenance,
         folded=_FOLDED,
@@ -219,15 +219,15 @@ def bands_beside(sensor: Sensor) -> dict[str, Any] | None:
     name = sensor.specification.bands.beside
     if name is None:
         return None
-    own, other = sensor.axis, load_sensor(name).axis
-    nearest = np.abs(own.centre_nm[:, None] - other.centre_nm[None, :]).argmin(axis=1)
+    axis, other = sensor.axis, load_sensor(name).axis
+    nearest = np.abs(axis.centre_nm[:, None] - other.centre_nm[None, :]).argmin(axis=1)
     centre, width = other.centre_nm[nearest], other.fwhm_nm[nearest]
-    of_own = np.arange(1, len(own) + 1), own.centre_nm, own.fwhm_nm
-    rows = list(zip(*of_own, nearest + 1, centre, width, centre - own.centre_nm, strict=True))
-    numbers = min(len(own), len(other))
-    apart = np.abs(own.centre_nm[:numbers] - other.centre_nm[:numbers])
+    of_own = np.arange(1, len(axis) + 1), axis.centre_nm, axis.fwhm_nm
+    rows = list(zip(*of_own, nearest + 1, centre, width, centre - axis.centre_nm, strict=True))
+    numbers = min(len(axis), len(other))
+    apart = np.abs(axis.centre_nm[:numbers] - other.centre_nm[:numbers])
     words = f"bands of one number lie up to {apart.max():.1f} nm apart"
-    if wider := int(np.count_nonzero(width > 1.5 * own.fwhm_nm)):
+    if wider := int(np.count_nonzero(width > 1.5 * axis.fwhm_nm)):
         words += f"; of {wider} bands the nearest one there is more than 1.5 times as wide: another detector's"
     return {"name": name, "rows": rows, "words": words}
 
@@ -243,10 +243,10 @@ def check_to_folder(name_or_file: str, output: Path | None, *, vary: float = 0.2
 
 def write_check(check: SensorCheck, folder: Path, name_or_file: str) -> None:
     """Write results, figures, products, provenance and report.html; the same file gives the same bytes."""
-    log, known = InputLog(), shipped("hyperval.sensor", "library").get(name_or_file)
-    log.add(known or Path(name_or_file), f"library: {name_or_file}" if known else Path(name_or_file).name)
-    told = {"sensor": check.sensor.specification, "vary": check.vary}
-    record = record_of(log, [*map(load_scenario, check.predictions)], None, told, check.predictions)
+    log, path = InputLog(), shipped("hyperval.sensor", "library").get(name_or_file)
+    log.add(path or Path(name_or_file), f"library: {name_or_file}" if path else Path(name_or_file).name)
+    asked = {"sensor": check.sensor.specification, "vary": check.vary}
+    record = record_of(log, [*map(load_scenario, check.predictions)], None, asked, check.predictions)
     figures = datasheet_figures(check)
     run = Run(check.table, record, dict(check.predictions), title=f"sensor {check.sensor.name}")
     run.write(folder, datasheet_page(check, figures, record), drawings_of(figures, simulated=False))

@@ -84,22 +84,22 @@ def numbers(specification: SensorSpecification) -> list[SensorNumber]:
     return list(_numbers(used, stated, "", ""))
 
 
-def _numbers(data: dict[str, Any], stated: dict[str, Any], at: str, source: str) -> Iterator[SensorNumber]:
+def _numbers(data: dict[str, Any], stated: dict[str, Any], prefix: str, source: str) -> Iterator[SensorNumber]:
     source = data.get("source", source)
     for name, value in data.items():
         if name in _NO_NUMBERS or name.endswith("_source"):
             continue
         if isinstance(value, dict):
-            yield from _numbers(value, stated.get(name, {}), f"{at}{name}.", source)
+            yield from _numbers(value, stated.get(name, {}), f"{prefix}{name}.", source)
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            for number, (item, own) in enumerate(zip(value, stated.get(name, value), strict=True), 1):
-                yield from _numbers(item, own, f"{item.get('name', f'{at}{name}.{number}')}.", source)
+            for number, (item, entry) in enumerate(zip(value, stated.get(name, value), strict=True), 1):
+                yield from _numbers(item, entry, f"{item.get('name', f'{prefix}{name}.{number}')}.", source)
         elif value not in ([], ""):
-            place = f"{at}{name}".removesuffix(".value").removesuffix(".table")
+            place = f"{prefix}{name}".removesuffix(".value").removesuffix(".table")
             unit = next((unit for end, unit in _ENDINGS.items() if place.endswith(end)), "")
-            said = data.get(f"{name}_source", "not stated" if name == "bits" else source)
-            said = said if name in stated else "assumed: the file does not state it"
-            yield SensorNumber(place, _shown(value), unit, said)
+            origin = data.get(f"{name}_source", "not stated" if name == "bits" else source)
+            origin = origin if name in stated else "assumed: the file does not state it"
+            yield SensorNumber(place, _shown(value), unit, origin)
 
 
 def _shown(value: Any) -> str:
@@ -112,9 +112,9 @@ def _shown(value: Any) -> str:
 
 def movable(specification: SensorSpecification) -> dict[str, str]:
     """Names of the numbers that factors move (:class:`hyperval.sensor.Sensor`), and their sources."""
-    own: dict[str, Any] = {f"{arm.name}.{key}": value for arm in specification.arms for key, value in arm}
-    own |= {"bands.fwhm": specification.bands, "calibration_error_percent": specification.calibration_error_percent}
-    return {n: v.source for n, v in own.items() if hasattr(v, "source") and getattr(v, "value", None) != 0.0}
+    numbers: dict[str, Any] = {f"{arm.name}.{key}": value for arm in specification.arms for key, value in arm}
+    numbers |= {"bands.fwhm": specification.bands, "calibration_error_percent": specification.calibration_error_percent}
+    return {n: v.source for n, v in numbers.items() if hasattr(v, "source") and getattr(v, "value", None) != 0.0}
 
 
 def sunlit_radiance(axis: SpectralAxis, reflectance: float) -> Array:
@@ -145,8 +145,8 @@ def published_radiance(axis: SpectralAxis, item: PublishedSnr, engine: Engine | 
 
 def summary_regions(axis: SpectralAxis) -> dict[str, Mask]:
     """Masks (B,) of the good bands in the windows of each spectral region the sensor sees."""
-    seen = {name: mask & axis.good for name, mask in regions(axis).items()}
-    return {name: seen[name.lower()] for name in SPECTRAL_REGIONS_NM if seen[name.lower()].any()}
+    masks = {name: mask & axis.good for name, mask in regions(axis).items()}
+    return {name: masks[name.lower()] for name in SPECTRAL_REGIONS_NM if masks[name.lower()].any()}
 
 
 def neighbour_ratio(axis: SpectralAxis) -> Array:
@@ -301,8 +301,8 @@ class SensorCheck:
             level = published_radiance(axis, item, self.engine)
             snr = self.noise.snr(level, calibration=False)
             for wavelength, published in item.table:
-                at = axis.nearest(wavelength)
-                found = (math.nan, math.nan) if at is None else (float(snr[at]), float(level[at]))
+                k = axis.nearest(wavelength)
+                found = (math.nan, math.nan) if k is None else (float(snr[k]), float(level[k]))
                 points.append(SnrPoint(wavelength, published, *found, item))
         return points
 
@@ -343,7 +343,7 @@ class SensorCheck:
     def swings(self) -> list[Swing]:
         """Each assumed number lowered and raised by the part ``vary``, largest change of the SNR first."""
         named, swings = movable(self.sensor.specification), []
-        assumed = [(name, said) for name, said in named.items() if "assumed" in said.lower()]
+        assumed = [(name, origin) for name, origin in named.items() if "assumed" in origin.lower()]
         for name, source in track(assumed, "assumed numbers"):
             changes = (self._changes({name: factor}) for factor in (1.0 - self.vary, 1.0 + self.vary))
             swings.append(Swing(name, source, *zip(*changes, strict=True)))
@@ -426,10 +426,10 @@ class Check:
             if outcome is Outcome.AGREES and not self.remarks:
                 reason = ""
             names = (f"{self.product}/{self.metric}/{found.subject}", f"{self.product}/{self.metric}")
-            known = next((name for name in names if name in check.known), None)
-            if outcome is Outcome.DISAGREES and known is not None:
-                check.shown.add(known)
-                role, reason = Role.INFORM, f"as known: {check.known[known]} ({reason})"
+            expected = next((name for name in names if name in check.known), None)
+            if outcome is Outcome.DISAGREES and expected is not None:
+                check.shown.add(expected)
+                role, reason = Role.INFORM, f"as known: {check.known[expected]} ({reason})"
             low, high = (math.nan, math.nan) if informs or broken else (self.low, self.high)
             yield Result(
                 f"sensor {check.sensor.name}", self.product, found.subject, METHOD, self.metric, float(found.value),
@@ -445,8 +445,8 @@ def _checks() -> tuple[Check, ...]:
     for name, limits in data["quantities"].items():
         for entries in data["of_quantity"]:
             line = Check(**{"high": limits["high"] if entries["metric"] == "highest_*" else math.nan, **entries})
-            own = {"metric": line.metric.replace("*", name), "reason": line.reason.replace("*", name), "of": name}
-            lines.append(replace(line, **own, open=line.metric == "lowest_*" and not limits.get("zero")))
+            more = {"metric": line.metric.replace("*", name), "reason": line.reason.replace("*", name), "of": name}
+            lines.append(replace(line, **more, open=line.metric == "lowest_*" and not limits.get("zero")))
     return tuple(sorted(lines, key=lambda line: line.stage))
 
 
@@ -470,9 +470,9 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
     UsageError : no such sensor, or a file that is not valid or still has values to be filled in.
     InputError : no such file.
     """
-    own = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
-    known = {item.check: item.reason for item in own.specification.known_discrepancies}
-    check, failed = SensorCheck(own, vary, engine, known=known), 0
+    loaded = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
+    expected = {item.check: item.reason for item in loaded.specification.known_discrepancies}
+    check, failed = SensorCheck(loaded, vary, engine, known=expected), 0
     for line in CHECKS:
         if not check.usable and line.stage > failed:
             break
@@ -485,15 +485,15 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
         if failed == 1:
             why = {"throughput": "the bands are in no order"} | why
         for product, reason in why.items():
-            row = Result(f"sensor {own.name}", product, "", METHOD, "sensor_check", role=Role.GATE)
+            row = Result(f"sensor {loaded.name}", product, "", METHOD, "sensor_check", role=Role.GATE)
             check.table.append(replace(row, outcome=Outcome.SKIPPED, cause=Cause.AFTER_FAILURE, reason=reason))
     return check
 
 
 def _worst(axis: SpectralAxis, values: Array, subject: str = "", *, least: bool = False) -> Found:
     """The greatest or least of values (B,), which names its band."""
-    at = int(np.argmin(values) if least else np.argmax(values))
-    return Found(float(values[at]), subject, f"{axis.centre_nm[at]:g} nm")
+    k = int(np.argmin(values) if least else np.argmax(values))
+    return Found(float(values[k]), subject, f"{axis.centre_nm[k]:g} nm")
 
 
 def order(check: SensorCheck) -> Values:
@@ -549,8 +549,8 @@ def gap(check: SensorCheck) -> Values:
     touch = _contiguous(check)
     if touch.any():
         unseen = np.where(touch, 1.0 / neighbour_ratio(check.axis) - 1.0, -np.inf)
-        at = int(np.argmax(unseen))
-        yield Found(unseen[at], words=f"{check.axis.centre_nm[at]:g} and {check.axis.centre_nm[at + 1]:g} nm")
+        k = int(np.argmax(unseen))
+        yield Found(unseen[k], words=f"{check.axis.centre_nm[k]:g} and {check.axis.centre_nm[k + 1]:g} nm")
 
 
 def response(check: SensorCheck, of: str) -> Values:
@@ -588,8 +588,8 @@ def bands_of_two_arms(check: SensorCheck) -> Values:
 
 def bands_of_arm(check: SensorCheck) -> Values:
     """Number of bands of each arm."""
-    own = {arm.name: len(axis) for arm, axis in check.arms}
-    yield from (Found(own.get(arm.name, 0), arm.name) for arm in check.sensor.specification.arms)
+    counts = {arm.name: len(axis) for arm, axis in check.arms}
+    yield from (Found(counts.get(arm.name, 0), arm.name) for arm in check.sensor.specification.arms)
 
 
 def least(check: SensorCheck, of: str) -> Values:

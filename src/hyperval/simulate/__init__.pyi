@@ -16,24 +16,7 @@ from .ground import (
 from .schema import PaintedArea, SceneFile, load_scene
 
 __all__ = [
-    "Detector",
-    "PaintedArea",
-    "Sampler",
-    "SceneFile",
-    "SimulationInputs",
-    "SurfaceRenderer",
-    "admixture_share",
-    "centred_fill",
-    "correlated_field",
-    "detector",
-    "field_axis",
-    "lay_out",
-    "load_inputs",
-    "load_scene",
-    "pixel_weights",
-    "regions",
-    "side_for_fill",
-    "simulate",
-    "simulate_to_folder",
-    "square_footprint",
-]
+    "Detector", "PaintedArea", "Sampler", "SceneFile", "SimulationInputs", "SurfaceRenderer", "admixture_share",
+    "centred_fill", "correlated_field", "detector", "field_axis", "lay_out", "load_inputs", "load_scene",
+    "pixel_weights", "regions", "side_for_fill", "simulate", "simulate_to_folder", "square_footprint",
+]  # fmt: skip

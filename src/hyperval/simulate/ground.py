@@ -51,8 +51,8 @@ def _fine_response(count: int, psf_fwhm_pixels: float) -> Array:
     """(count, count * cells) response of each pixel of a run to the fine cells of the same run."""
     response = _line_spread(psf_fwhm_pixels)
     start = _CELLS * np.arange(count) + _CELLS // 2 - response.size // 2
-    at = np.arange(count * _CELLS) - start[:, None]
-    return np.where((at >= 0) & (at < response.size), response[at.clip(0, response.size - 1)], 0.0)
+    cell = np.arange(count * _CELLS) - start[:, None]
+    return np.where((cell >= 0) & (cell < response.size), response[cell.clip(0, response.size - 1)], 0.0)
 
 
 def _coverage(u: Array, half: float, cell: float) -> Array:
@@ -170,12 +170,12 @@ def lay_out(scene: SceneFile) -> GroundLayout:
     planks = tuple(plank for number, group in enumerate(scene.targets) for plank in _place(scene, number, group))
     fill = np.zeros(class_map.shape, np.float32)
     for plank in planks:
-        at, host = (plank.lines, plank.samples), surfaces.index(plank.group.host)
-        inside = np.all([(own >= 0) & (own < size) for own, size in zip(at, fill.shape, strict=True)])
-        if not inside or np.any(class_map[at] != host):
+        pixels, host = (plank.lines, plank.samples), surfaces.index(plank.group.host)
+        inside = np.all([(index >= 0) & (index < size) for index, size in zip(pixels, fill.shape, strict=True)])
+        if not inside or np.any(class_map[pixels] != host):
             where = {"centre_line": plank.centre_line, "centre_sample": plank.centre_sample}
             raise refusal("scene.host", name=plank.name, host=plank.group.host, **where)
-        fill[at] += plank.fills.astype(np.float32)
+        fill[pixels] += plank.fills.astype(np.float32)
     refuse(fill.size and float(fill.max()) > 1.0 + 1e-5, "scene.overlap", scene.name)
     return GroundLayout(surfaces, class_map, on_panel, planks, fill)
 
@@ -218,9 +218,9 @@ def regions(scene: SceneFile, ground: GroundLayout) -> dict[str, Mask]:
         inside = (slice(first + b, max(end - b, 0)) for first, end in (panel.lines, panel.samples))
         masks[panel.name][tuple(inside)] = True
     for region in scene.regions:
-        own = (ground.class_map == ground.surfaces.index(region.surface)) & ~ground.on_panel
+        surface = (ground.class_map == ground.surfaces.index(region.surface)) & ~ground.on_panel
         square = np.ones((2 * region.border_pixels + 1,) * 2, bool)
-        masks[region.name] = ndimage.binary_erosion(own, square, border_value=1) & clear
+        masks[region.name] = ndimage.binary_erosion(surface, square, border_value=1) & clear
     for name, mask in masks.items():
         refuse(not mask.any(), "scene.region", scene.name, name=name)
     return masks
@@ -375,14 +375,14 @@ class SurfaceRenderer:
         rng = schema.generator(self.scene.seed, schema.SURFACE, line)
         rho = np.zeros((self.scene.samples, self.bands), np.float32)
         for share, draws in zip(self.shares(line), self._samplers, strict=True):
-            at = np.flatnonzero(share > SMALLEST_FILL)
-            rho[at] += draws.draw(at.size, rng) * share[at, None]
+            index = np.flatnonzero(share > SMALLEST_FILL)
+            rho[index] += draws.draw(index.size, rng) * share[index, None]
         rho *= self._texture[line][:, None]
-        at = np.flatnonzero(self._lines == line)
-        samples, fills, total = self._samples[at], self._fills[at], np.zeros(self.scene.samples, np.float32)
+        index = np.flatnonzero(self._lines == line)
+        samples, fills, total = self._samples[index], self._fills[index], np.zeros(self.scene.samples, np.float32)
         np.add.at(total, samples, fills)
         rho *= (1.0 - total)[:, None]
-        np.add.at(rho, samples, fills[:, None] * self.target_spectra[self._numbers[at]])
+        np.add.at(rho, samples, fills[:, None] * self.target_spectra[self._numbers[index]])
         if self.scene.mode == "broken":
             # Heavy tails reach where no surface can; in closure the model's own law is kept whole.
             np.clip(rho, 0.0, 1.0, out=rho)

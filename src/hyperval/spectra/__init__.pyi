@@ -19,7 +19,6 @@ from .text import number_table
 
 __all__ = [
     "ABSORPTION_BANDS_NM", "CUT_SIGMA", "SIGMA_PER_FWHM", "SPECTRAL_REGIONS_NM", "SURFACE", "TOP", "FieldSpectrum",
-    "RadCalNetDay", "SpectralAxis", "band_average", "band_weights", "fwhm_from_spacing", "in_window",
-    "library_to_spy", "library_to_xarray", "number_table", "read_radcalnet", "read_records",
-    "read_spectrum", "spacing_note",
+    "RadCalNetDay", "SpectralAxis", "band_average", "band_weights", "fwhm_from_spacing", "in_window", "library_to_spy",
+    "library_to_xarray", "number_table", "read_radcalnet", "read_records", "read_spectrum", "spacing_note",
 ]  # fmt: skip

@@ -102,8 +102,8 @@ class SpectralAxis:
         >>> axis.nearest(511.0), axis.nearest(509.0), axis.nearest(509.0, widths=2.0)
         (1, None, 0)
         """
-        at = int(np.argmin(np.abs(self.centre_nm - wavelength_nm)))
-        return at if abs(self.centre_nm[at] - wavelength_nm) <= widths * self.fwhm_nm[at] else None
+        k = int(np.argmin(np.abs(self.centre_nm - wavelength_nm)))
+        return k if abs(self.centre_nm[k] - wavelength_nm) <= widths * self.fwhm_nm[k] else None
 
     def matches(self, other: SpectralAxis, tolerance_nm: float = 0.05) -> bool:
         """True when both axes have the same band centres to ``tolerance_nm``."""
@@ -111,7 +111,7 @@ class SpectralAxis:
 
 
 def wavelengths_in_nm(
-    values: Array, stated: str | None, given: str | None, where: str
+    values: Array, stated: str | None, by_user: str | None, where: str
 ) -> tuple[Array, str, tuple[str, ...]]:
     """Wavelengths [nm], their unit, and a note where nobody states it and only one is possible.
 
@@ -127,14 +127,14 @@ def wavelengths_in_nm(
     text = (stated or "").strip(" \t\"'")
     text = "" if text.lower() in _UNSTATED else text
     refuse(text and in_nm(text) is None, "wavelengths.unit", where, unit=text)
-    unlike = text and given is not None and to_internal(given, "wavelength") != in_nm(text)
-    refuse(unlike, "wavelengths.units", where, stated=text, given=given)
-    unit, ends = text or given or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
+    unlike = text and by_user is not None and to_internal(by_user, "wavelength") != in_nm(text)
+    refuse(unlike, "wavelengths.units", where, stated=text, given=by_user)
+    unit, ends = text or by_user or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
     unit = needed(unit, "wavelengths.unstated", where, **ends)
     nm, (low, high) = values * to_internal(unit, "wavelength"), PLAUSIBLE_NM
     refuse(not plausible(nm), "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
     note = f"the file states no wavelength unit: {ends['least']:g} to {ends['most']:g} can only be {unit}"
-    return nm, unit, () if text or given else (note,)
+    return nm, unit, () if text or by_user else (note,)
 
 
 _GAP = 5.0  # times the median step between bands: what stands beside one does not touch the next
@@ -228,8 +228,8 @@ def band_weights(grid: Array, axis: SpectralAxis) -> tuple[Array, Mask]:
     first = np.searchsorted(grid, centre - CUT_SIGMA * sigma, side="right") - 1
     last = np.searchsorted(grid, centre + CUT_SIGMA * sigma)
     steps = int(np.clip(np.max(last - first), 1, grid.size - 1))  # as many for all bands as the widest reaches over
-    at = np.clip(first, 0, grid.size - 1 - steps)[:, None] + np.arange(steps + 1)
-    x = (grid[at] - centre[:, None]) / sigma[:, None]
+    index = np.clip(first, 0, grid.size - 1 - steps)[:, None] + np.arange(steps + 1)
+    x = (grid[index] - centre[:, None]) / sigma[:, None]
     cut = np.clip(x, -CUT_SIGMA, CUT_SIGMA)
     area = np.diff(ndtr(cut))
     upper = -(np.diff(np.exp(-0.5 * cut**2)) / np.sqrt(2.0 * np.pi) + x[:, :-1] * area) / np.diff(x)
@@ -239,5 +239,5 @@ def band_weights(grid: Array, axis: SpectralAxis) -> tuple[Array, Mask]:
     with np.errstate(invalid="ignore"):
         weights /= weights.sum(axis=1, keepdims=True)
     matrix = np.zeros((len(axis), grid.size))
-    np.put_along_axis(matrix, at, weights, axis=1)
+    np.put_along_axis(matrix, index, weights, axis=1)
     return matrix, short

@@ -66,8 +66,8 @@ def asd_records(file: SpectraFile) -> list[FieldSpectrum]:
     head = np.frombuffer(raw, _HEADER, 1)[0]
     kind, channels, first, step = int(head["kind"]), int(head["channels"]), float(head["first"]), float(head["step"])
     last, (least, most) = first + step * (channels - 1), RANGE_NM
-    known = head["format"] in _FORMATS and 2 <= channels <= MAX_CHANNELS and step > 0
-    wrong = not (known and least <= first < last <= most)
+    readable = head["format"] in _FORMATS and 2 <= channels <= MAX_CHANNELS and step > 0
+    wrong = not (readable and least <= first < last <= most)
     refuse(wrong, "asd.header", where, first=first, last=last, least=least, most=most)
     refuse(kind not in (0, 1, 2, 4), "asd.kind", where, held=_TYPES.get(kind, "unknown data"))
     dtype, alone = np.dtype(_FORMATS[int(head["format"])]), raw[:3] == b"ASD"  # version 1: reflectance, no reference
@@ -94,14 +94,14 @@ def asd_records(file: SpectraFile) -> list[FieldSpectrum]:
     return [replace(record, values=values, unit="fraction", quantity="reflectance", notes=notes)]
 
 
-def _array(raw: bytes, at: int, count: int, dtype: np.dtype, where: str, *, ratio: bool = False) -> Array:
+def _array(raw: bytes, start: int, count: int, dtype: np.dtype, where: str, *, ratio: bool = False) -> Array:
     """Counts or radiances channel by channel; those that no instrument stores are refused.
 
     Such are values that are not finite, emptied, or one alone far from both channels beside it; a ``ratio``, a stored
     reflectance, may be anything where there was no light.
     """
-    refuse(len(raw) < at + count * dtype.itemsize, "asd.short", where)
-    values = np.frombuffer(raw, dtype, count, at).astype(float)
+    refuse(len(raw) < start + count * dtype.itemsize, "asd.short", where)
+    values = np.frombuffer(raw, dtype, count, start).astype(float)
     before, after = np.pad(values, 1, mode="reflect")[:-2], np.pad(values, 1, mode="reflect")[2:]
     with np.errstate(all="ignore"):
         beyond = np.maximum(values - np.maximum(before, after), np.minimum(before, after) - values)
@@ -166,7 +166,7 @@ def calibrated(
     return values, kind, (f"{kind} from counts by the calibration in the file",)
 
 
-def _calibrations(raw: bytes, at: int, channels: int, dtype: np.dtype) -> dict[int, tuple[Array, int, list[int]]]:
+def _calibrations(raw: bytes, start: int, channels: int, dtype: np.dtype) -> dict[int, tuple[Array, int, list[int]]]:
     """The calibration spectra by kind, each with integration time [ms] and gains.
 
     ValueError where the blocks before them are not empty ones.
@@ -175,22 +175,22 @@ def _calibrations(raw: bytes, at: int, channels: int, dtype: np.dtype) -> dict[i
     the calibration: how many spectra, then for each its kind, name, integration time [ms] and gains of the two
     short-wave detectors, then the spectra themselves.
     """
-    at += 2
+    start += 2
     for _ in range(_CLASSIFIER_TEXTS):
-        (length,) = struct.unpack_from("<h", raw, at)
+        (length,) = struct.unpack_from("<h", raw, start)
         if length < 0:
             raise ValueError("a text of negative length")
-        at += 2 + length
-    constituents, _, _, dependents = struct.unpack_from("<4h", raw, at)
+        start += 2 + length
+    constituents, _, _, dependents = struct.unpack_from("<4h", raw, start)
     if constituents or dependents:
         raise ValueError("classifier data come first")
-    entries = np.frombuffer(raw, _ENTRY, raw[at + 12], at + 13)
-    at += 13 + entries.nbytes
-    if at + entries.size * channels * dtype.itemsize > len(raw):
+    entries = np.frombuffer(raw, _ENTRY, raw[start + 12], start + 13)
+    start += 13 + entries.nbytes
+    if start + entries.size * channels * dtype.itemsize > len(raw):
         raise ValueError("cut short")
-    spectra = np.frombuffer(raw, dtype, entries.size * channels, at).astype(float).reshape(-1, channels)
-    told = (entries[name].tolist() for name in ("kind", "integration", "gains"))
-    return {kind: (values, time, gains) for kind, time, gains, values in zip(*told, spectra, strict=True)}
+    spectra = np.frombuffer(raw, dtype, entries.size * channels, start).astype(float).reshape(-1, channels)
+    columns = (entries[name].tolist() for name in ("kind", "integration", "gains"))
+    return {kind: (values, time, gains) for kind, time, gains, values in zip(*columns, spectra, strict=True)}
 
 
 MARK = b"SPECPR_MAGIC"
@@ -237,7 +237,7 @@ def specpr_records(file: SpectraFile) -> list[FieldSpectrum]:
         grid, channels = int(raw["grid"][i]), int(raw["channels"][i])
         none = grid not in heads or raw["channels"][grid] != channels
         refuse(none, "specpr.grid", where, number=i, title=_title(raw[i]), grid=grid, channels=channels)
-        wavelength, values = (_values(raw, at, where) for at in (grid, i))
+        wavelength, values = (_values(raw, k, where) for k in (grid, i))
         spread = _values(raw, errors[i], where) if i in errors else None
         out.append(FieldSpectrum(_title(raw[i]), wavelength, values, spread, wavelength_unit="um", unit="fraction"))
     refuse(not out, "specpr.none", where)
@@ -248,15 +248,15 @@ def _title(record: np.void) -> str:
     return bytes(record["title"]).split(b"\0")[0].decode("latin-1").strip()
 
 
-def _values(raw: npt.NDArray[np.void], at: int, where: str) -> Array:
+def _values(raw: npt.NDArray[np.void], start: int, where: str) -> Array:
     """The channels (n,) of a spectrum from its first record and the continuations behind it."""
-    n = int(raw["channels"][at])
+    n = int(raw["channels"][start])
     more = max(0, -(-(n - _FIRST) // _MORE))
-    behind = raw[at + 1 : at + 1 + more]
-    broken = np.any((behind["flags"] & (_CONTINUATION | _TEXT)) != _CONTINUATION)
-    cut, title = n > MOST_CHANNELS or behind.size != more or broken, _title(raw[at])
-    refuse(cut, "specpr.continued", where, number=at, title=title, channels=n, count=behind.size, more=more)
-    return np.concatenate([raw["first"][at], behind["more"].ravel()])[:n].astype(float)
+    following = raw[start + 1 : start + 1 + more]
+    broken = np.any((following["flags"] & (_CONTINUATION | _TEXT)) != _CONTINUATION)
+    cut, title = n > MOST_CHANNELS or following.size != more or broken, _title(raw[start])
+    refuse(cut, "specpr.continued", where, number=start, title=title, channels=n, count=following.size, more=more)
+    return np.concatenate([raw["first"][start], following["more"].ravel()])[:n].astype(float)
 
 
 HEADERS = (b"ENVI\r", b"ENVI\n", b"ENVI \r", b"ENVI \n")  # how a header begins, and no plot

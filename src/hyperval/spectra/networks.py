@@ -132,9 +132,9 @@ class RadCalNetDay:
 
     def column(self, label: str) -> int:
         """Number of a half hour by its label; raises UsageError where it holds no value."""
-        told = "holds no value" if label in self.labels else "is none of the file"
-        unknown, known = label not in self.valid, ", ".join(self.valid)
-        refuse(unknown, "radcalnet.half_hour", self.source, label=label, told=told, known=known)
+        what = "holds no value" if label in self.labels else "is none of the file"
+        unknown, labels = label not in self.valid, ", ".join(self.valid)
+        refuse(unknown, "radcalnet.half_hour", self.source, label=label, told=what, known=labels)
         return self.labels.index(label)
 
     def at(self, label: str) -> dict[str, float]:
@@ -176,8 +176,8 @@ def day_of(text: str, path: Path) -> RadCalNetDay:
         if key:
             parts[-1][key] = _Row(f"{path}:{number}", key, [word for word in words if word])
     quantity = SURFACE if path.suffix.lower() == ".input" else TOP
-    told = quantity == SURFACE or path.suffix.lower() == ".output" or {"Zen:", "Azi:"} <= parts[0].keys()
-    refuse(not told, "radcalnet.quantity", path)
+    is_known = quantity == SURFACE or path.suffix.lower() == ".output" or {"Zen:", "Azi:"} <= parts[0].keys()
+    refuse(not is_known, "radcalnet.quantity", path)
     refuse(len(parts) != 2, "radcalnet.parts", path, count=len(parts))
     first, second = parts
     for part, keys in ((first, ("Site", *_PLACE, *_TIME, *STATE)), (second, STATE)):

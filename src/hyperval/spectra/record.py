@@ -174,11 +174,11 @@ def finished(
     if quantity != "other":
         factor_of: Callable[[str], float] = partial(to_internal, quantity=quantity) if of_light else reflectance_factor
         stated = record.unit if record.unit and ("W " in record.unit) == of_light else None
-        given, doubt = unit if of_light else reflectance_unit, record.doubt if quantity == "reflectance" else None
-        refuse(doubt and given is None, "spectrum.doubt", where, doubt=doubt)
-        unlike = stated and given and factor_of(stated) != factor_of(given)
-        refuse(unlike, "spectrum.units", where, of=quantity, stated=stated, given=given)
-        final = stated or given or (unit_if_unstated if of_light else "fraction")
+        by_user, doubt = unit if of_light else reflectance_unit, record.doubt if quantity == "reflectance" else None
+        refuse(doubt and by_user is None, "spectrum.doubt", where, doubt=doubt)
+        unlike = stated and by_user and factor_of(stated) != factor_of(by_user)
+        refuse(unlike, "spectrum.units", where, of=quantity, stated=stated, given=by_user)
+        final = stated or by_user or (unit_if_unstated if of_light else "fraction")
         refuse(final is None, "spectrum.unit", where, quantity=quantity)
         factor = factor_of(str(final))
         if not of_light:
@@ -195,17 +195,17 @@ def _check_reflectance(record: FieldSpectrum, factor: float) -> None:
         raise refusal("spectrum.fill", record.source, count=marks.sum(), mark=record.values[marks][0])
     middle = float(np.median(record.values)) * factor
     name = "scaled:10000" if middle > 150.0 else "percent"
-    told = {"of": record.name, "middle": middle, "name": name}
-    refuse(middle > PLAUSIBLE_REFLECTANCE, "spectrum.percent", record.source, **told)
+    facts = {"of": record.name, "middle": middle, "name": name}
+    refuse(middle > PLAUSIBLE_REFLECTANCE, "spectrum.percent", record.source, **facts)
 
 
 def _without_gaps(record: FieldSpectrum) -> FieldSpectrum:
     """The record without channels that hold no value (NaN, or the mark of a deleted channel)."""
     keep = np.isfinite(record.values) & (record.values > DELETED)
     if record.standard_deviation is not None:
-        known = np.isfinite(record.standard_deviation) & (record.standard_deviation > DELETED)
-        if known.any():
-            keep &= known
+        valid = np.isfinite(record.standard_deviation) & (record.standard_deviation > DELETED)
+        if valid.any():
+            keep &= valid
         else:  # a column for it, and no number in it
             record = replace(record, standard_deviation=None)
     if keep.all():

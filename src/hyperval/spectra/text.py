@@ -115,8 +115,8 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
             continue
         has, beside = np.isfinite(nm), table[:, spread[i]] if i in spread else None
         unmeasured, says = beside is not None and not beside.any(), y_units or titles[i]
-        own, value_unit = percent_in(titles[spread.get(i, 0)]), power_unit_in(says) or percent_in(says)
-        unlike = i in spread and own not in (None, value_unit or "fraction")
+        factor, value_unit = percent_in(titles[spread.get(i, 0)]), power_unit_in(says) or percent_in(says)
+        unlike = i in spread and factor not in (None, value_unit or "fraction")
         refuse(unlike, "text.spread", where, title=titles[spread.get(i, 0)])
         alone = columns is None and (words := title_words(titles[i]))[1] and (not words[0] or len(titles) == 2)
         quantity = "a standard deviation" if alone else quantity_in(says)
@@ -153,10 +153,10 @@ def _deviations(titles: list[str]) -> dict[int, int]:
     found, means, is_spread = dict[int, int](), dict[str, int](), True
     for i, title in enumerate(titles[1:], start=1):
         limit = re.sub("[-−–]", "+", title)  # "grass-sd" beside "grass+sd" is no deviation
-        behind, (name, is_spread) = 0 if is_spread else i - 1, title_words(limit if limit in titles else title)
+        before, (name, is_spread) = 0 if is_spread else i - 1, title_words(limit if limit in titles else title)
         if not is_spread:
             means[name] = i
-        elif mean := means.pop(name, behind * (not name)):
+        elif mean := means.pop(name, before * (not name)):
             found.setdefault(mean, i)
     return found
 
@@ -241,7 +241,7 @@ def percent_in(title: str) -> str | None:
     """
     percent = r"(?:^|[^0-9\s])\s*(?:%|percent)"
     units = (r"%\s*\*\s*100", "scaled:10000"), (percent, "percent"), (r"\[1(\.0)?\]|fraction", "fraction"), _PER_SR
-    return next((unit for said, unit in units if re.search(said, title, re.IGNORECASE)), None)
+    return next((unit for pattern, unit in units if re.search(pattern, title, re.IGNORECASE)), None)
 
 
 def quantity_in(title: str) -> str:
@@ -268,7 +268,7 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     states = r"^\W*(X Units?|X ?Axis mode|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
     lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
     for line in lines:
-        units = [unit for unit, said in _WAVELENGTH_UNITS.items() if said.search(line)]
+        units = [unit for unit, pattern in _WAVELENGTH_UNITS.items() if pattern.search(line)]
         if len(units) == 1:
             return units[0]
         refuse(_WAVENUMBER.search(line), "text.wavenumbers", where, text=line[:60])
@@ -368,8 +368,8 @@ def _parts_of(line: str, delimiter: str) -> list[str]:
 
 def _column(wanted: str | int, titles: list[str], where: str) -> int:
     found = range(len(titles)).count(wanted) if isinstance(wanted, int) else titles.count(wanted)
-    known = f"0 to {len(titles) - 1}, or one of {', '.join(t or '?' for t in titles)}"
-    refuse(found != 1, "text.column", where, wanted=wanted, known=known)
+    choices = f"0 to {len(titles) - 1}, or one of {', '.join(t or '?' for t in titles)}"
+    refuse(found != 1, "text.column", where, wanted=wanted, known=choices)
     return wanted if isinstance(wanted, int) else titles.index(wanted)
 
 
@@ -560,7 +560,7 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     """
     path, where = file.path, str(file.path)
     stated, below, table, start = _below(file, "Data:", ":", titles=1)
-    titles, there = [t.strip() for t in below[0].split("\t")], f"{path}:{start - 1}"
+    titles, where_titles = [t.strip() for t in below[0].split("\t")], f"{path}:{start - 1}"
     wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
     pattern = r"reflect|tgt\.?\s*/\s*ref" if wanted == "reflectance" else rf"{wanted[:3]}\w*\.?\s*\(target"
     # Behind a column of wavelengths, which numbers of channels may precede.
@@ -568,10 +568,10 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
         [i for i, title in enumerate(titles) if re.match(words, title, re.IGNORECASE)]
         for words in ("wvl|wavelength", pattern)
     )
-    refuse((len(waves), len(columns)) != (1, 1), "sed.column", there, wanted=wanted, titles=", ".join(titles))
+    refuse((len(waves), len(columns)) != (1, 1), "sed.column", where_titles, wanted=wanted, titles=", ".join(titles))
     title = titles[columns[0]]
     unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
-    refuse(unit is None and wanted == "reflectance", "sed.unit", there, title=title)
+    refuse(unit is None and wanted == "reflectance", "sed.unit", where_titles, title=title)
     named = [int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))] or [len(titles)]
     count, unlike = table.shape[1], len({table.shape[1], len(titles), named[0]}) > 1
     refuse(unlike, "sed.titles", f"{path}:{start}", count=count, titles=len(titles), stated=named[0])

@@ -63,15 +63,15 @@ def knee(
     >>> round(knee(x, 1.0 - np.exp(-x), bend="concave").x, 1)
     2.8
     """
-    at, value = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    place, value = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     finite = np.isfinite(value)
-    at, value = at[finite], value[finite]
-    if at.size < LEAST_POINTS:
-        return KneePoint(reason=f"{at.size} points; a knee needs {LEAST_POINTS}")
+    place, value = place[finite], value[finite]
+    if place.size < LEAST_POINTS:
+        return KneePoint(reason=f"{place.size} points; a knee needs {LEAST_POINTS}")
     span = float(np.ptp(value))
     if span <= _FLAT * max(1.0, float(np.abs(value).max())):
         return KneePoint(reason="the curve is flat")
-    scaled = np.log(at) if logarithmic else at
+    scaled = np.log(place) if logarithmic else place
     u = (scaled - scaled[0]) / (scaled[-1] - scaled[0])
     spline = CubicSpline(u, (value - value.min()) / span)
     fine = np.linspace(0.0, 1.0, _FINE)
@@ -114,8 +114,8 @@ def words_of(values: Mapping[str, Any], digits: int = 4) -> str:
     >>> words_of({"sun": 30.0, "sensor": "emit", "water": None})
     'sun = 30, sensor = emit, water = as stated'
     """
-    told = ("as stated" if v is None else f"{v:.{digits}g}" if isinstance(v, float) else v for v in values.values())
-    return ", ".join(f"{k} = {v}" for k, v in zip(values, told, strict=True))
+    texts = ("as stated" if v is None else f"{v:.{digits}g}" if isinstance(v, float) else v for v in values.values())
+    return ", ".join(f"{k} = {v}" for k, v in zip(values, texts, strict=True))
 
 
 def extremes(values: pd.Series) -> tuple[int, dict[str, float]]:
@@ -149,13 +149,13 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
         output, (n, values) = asked.get(name), extremes(table[name])
         product = "study" if output is None else output.kind if output.is_spectral else "roc"
         names = product, name if output is None else output.subject, name
-        told, more = {"no value": count - n, "SATURATION": saturated}, dict[str, Any]()
-        said = "; ".join(f"{k} of {count} points: {what}, see table.csv" for what, k in told.items() if k)
+        counts, more = {"no value": count - n, "SATURATION": saturated}, dict[str, Any]()
+        why_not = "; ".join(f"{k} of {count} points: {what}, see table.csv" for what, k in counts.items() if k)
         if not n:
             values, more = {"median": np.nan}, _NO_VALUE
-            said = next(filter(None, table["reason"]), "no point has a value")
+            why_not = next(filter(None, table["reason"]), "no point has a value")
         for metric, value in values.items():
-            add(*names, metric, value, unit, n=n, reason=said, **more)
+            add(*names, metric, value, unit, n=n, reason=why_not, **more)
     for wanted, others, point in knees:
         reason = "; ".join(filter(None, (words_of(others), point.reason)))
         add("study", wanted.output, f"knee along {wanted.along}", "knee", point.x, study.columns[wanted.along].unit,
@@ -164,10 +164,10 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
     # A point goes by its inputs, as another study of the same may number it otherwise.
     for point in table.to_dict("records") if count <= MOST_LISTED else ():
-        at = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]}, 12)
+        name_of = words_of({n: point[n] for n in inputs if point[n] is not None and point[n] == point[n]}, 12)
         for name, unit in numbers.items():
             why = point["reason"] if np.isnan(point[name]) or "SATURATION" in point["reason"] else ""
-            add("study", name, at or "as stated", "output", point[name], unit, reason=why)
+            add("study", name, name_of or "as stated", "output", point[name], unit, reason=why)
     return rows
 
 
@@ -204,7 +204,7 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     spread = np.linspace(0, len(members) - 1, min(len(members), _MOST_LINES)).round().astype(int)
     shown = [members[i] for i in dict.fromkeys(spread.tolist())]
     finite = frame[np.isfinite(frame[plot.output])]
-    marks, said, circles = [], [], []
+    marks, texts, circles = [], [], []
     for k, member in enumerate(shown):
         part = finite[finite[family].isin([member])] if family else finite
         line = _summarised(part[item.name], part[plot.output], log)
@@ -221,13 +221,13 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
             and all(here[n] == v for n, v in others.items() if n in here)
         ]  # fmt: skip
         ends = [f"{_text(line['middle'].iloc[i])} at {_text(line.index[i])}" for i in (0, -1) if len(line)]
-        said += [f"{label or plot.output}: {', '.join(ends)}"] if ends else []
+        texts += [f"{label or plot.output}: {', '.join(ends)}"] if ends else []
     notes += f"; {len(shown)} of {len(members)} lines are drawn" if len(shown) < len(members) else ""
     if any(one.random for one in study.inputs):
         notes += "; line: median, band: 10 to 90 % of the points"
     if circles:
-        at, height = np.array(circles).T
-        columns = {"x": at, "y": height, "size": np.full(at.size, 10.0)}
+        place, height = np.array(circles).T
+        columns = {"x": place, "y": height, "size": np.full(place.size, 10.0)}
         marks.append(Mark("dots", columns, "", "#222222", marker="circle", hollow=True))
         notes += "; circle: knee"
     share = getattr(output, "kind", "") in ("pd", "auc", "log-auc") and len(finite)
@@ -236,7 +236,7 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
     y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
     against = f" against {item.words}", f" against {item.label or item.name}"
     legend_title = study.columns[family].words if family else ""
-    view = Panels(across, (Part(y, tuple(marks[::-1])),), words="; ".join(said))
+    view = Panels(across, (Part(y, tuple(marks[::-1])),), words="; ".join(texts))
     return _figure(study, plot, view, against, notes, width_in=8.6, legend_title=legend_title)
 
 
@@ -245,12 +245,12 @@ def _heat(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cur
     frame, _, notes = _shown(study, table, plot)
     edges, cell = list[Array](), list[Index]()
     for item, is_log in ((across, plot.scale == "log"), (up, False)):
-        seen = frame[item.name].to_numpy(float)
-        own = np.linspace(seen.min(), seen.max(), _BINS + 1)
+        column = frame[item.name].to_numpy(float)
+        bins = np.linspace(column.min(), column.max(), _BINS + 1)
         if item.listed is not None:
-            own = cell_edges(np.unique(np.asarray(item.listed, float)), is_log)
-        edges.append(own)
-        cell.append(np.clip(np.searchsorted(own, seen, "right") - 1, 0, own.size - 2))
+            bins = cell_edges(np.unique(np.asarray(item.listed, float)), is_log)
+        edges.append(bins)
+        cell.append(np.clip(np.searchsorted(bins, column, "right") - 1, 0, bins.size - 2))
     median = frame[plot.output].groupby(cell[::-1]).median().dropna()
     r, c = (median.index.get_level_values(level) for level in (0, 1))
     value = median.to_numpy()
@@ -266,24 +266,24 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
     output, bars = table[plot.output], list[tuple[Input, list[tuple[float, Any]]]]()
     stated = [x for x in output[:1].tolist() if np.isfinite(x)]
     for item in study.inputs:
-        own = output[table[item.name].notna() & np.isfinite(output)].sort_values(kind="stable")
-        if len(own):
-            bars.append((item, [(float(own.iloc[i]), table[item.name][own.index[i]]) for i in (0, -1)]))
+        mark = output[table[item.name].notna() & np.isfinite(output)].sort_values(kind="stable")
+        if len(mark):
+            bars.append((item, [(float(mark.iloc[i]), table[item.name][mark.index[i]]) for i in (0, -1)]))
     bars.sort(key=lambda bar: min([bar[1][0][0], *stated]) - max([bar[1][1][0], *stated]))
-    inner, outer, said = list[Mark](), list[Mark](), []
+    inner, outer, texts = list[Mark](), list[Mark](), []
     for k, (item, ends) in enumerate(bars):
         (low, at_low), (high, at_high) = ends
         base = stated[0] if stated else 0.5 * (low + high)
         nearer = low if abs(low - base) < abs(high - base) else high
-        for (end, at), colour in zip(ends, SOURCES, strict=False):
+        for (end, end_value), colour in zip(ends, SOURCES, strict=False):
             # Of two ends on one side the nearer is drawn over the other, its label on the side where nothing stands.
             crowded = end == nearer and low != high and (low - base) * (high - base) > 0
             columns = {"left": min(end, base), "right": max(end, base), "bottom": k - 0.31, "top": k + 0.31}
             side: Any = "left" if (end < base) != crowded else "right"
             if end != base:
-                own = Mark("bars", columns, "", colour, alpha=1.0, words=(_text(at),), beside=side)
-                (inner if crowded else outer).append(own)
-        said.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
+                mark = Mark("bars", columns, "", colour, alpha=1.0, words=(_text(end_value),), beside=side)
+                (inner if crowded else outer).append(mark)
+        texts.append(f"{item.words}: {number_text(low)} at {_text(at_low)} to {number_text(high)} at {_text(at_high)}")
     reach = [*stated, *(value for _, ends in bars for value, _ in ends)] or [0.0]
     margin = 0.12 * (max(reach) - min(reach)) or 1.0
     x = Axis(study.columns[plot.output].words, ends=(min(reach) - margin, max(reach) + margin))
@@ -291,7 +291,7 @@ def _tornado(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[
     notes = f"; line: as the scenario stands, {number_text(*stated)}" if stated else "; no value as the scenario stands"
     notes += "; at the ends the input's values, blue where the output is lowest, orange where it is highest"
     against = ": each input alone over its values", ": each input alone"
-    return _figure(study, plot, Panels(x, (part,), words="; ".join(said)), against, notes, width_in=9.0)
+    return _figure(study, plot, Panels(x, (part,), words="; ".join(texts)), against, notes, width_in=9.0)
 
 
 def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
@@ -307,15 +307,15 @@ def _summarised(x: pd.Series, y: pd.Series, logarithmic: bool) -> pd.DataFrame:
     return line if (groups.size() > 1).any() else line[["middle"]]
 
 
-def cell_edges(at: Array, is_log: bool) -> Array:
+def cell_edges(centre: Array, is_log: bool) -> Array:
     """(n + 1,) edges of the cells about some places (n,) of an axis: midway, the first and last cell as wide beyond.
 
     >>> cell_edges(np.array([1.0, 2.0, 4.0]), False), cell_edges(np.array([3.0]), False)
     (array([0.5, 1.5, 3. , 5. ]), array([2.5, 3.5]))
     """
-    scaled = np.log(at) if is_log else at
-    middle = 0.5 * (scaled[1:] + scaled[:-1]) if at.size > 1 else scaled + 0.5
-    edges = np.concatenate([2.0 * scaled[:1] - middle[:1], middle, 2.0 * scaled[-1:] - middle[-1:]])[: at.size + 1]
+    scaled = np.log(centre) if is_log else centre
+    middle = 0.5 * (scaled[1:] + scaled[:-1]) if centre.size > 1 else scaled + 0.5
+    edges = np.concatenate([2.0 * scaled[:1] - middle[:1], middle, 2.0 * scaled[-1:] - middle[-1:]])[: centre.size + 1]
     return np.asarray(np.exp(edges) if is_log else edges)
 
 
@@ -343,11 +343,11 @@ def study_page(
 ) -> str:  # fmt: skip
     """The page: figures first, then answers, knees, what moved, what was asked, and how it was evaluated."""
     study = plan.study
-    said = list(filter(None, table["reason"]))
+    reasons_of = list(filter(None, table["reason"]))
     # Reasons without their numbers, and how many points each has; those of questions by what these are.
-    reasons = Counter(re.sub(r"; the nearest is [^;]*", "", text) for text in said)
-    parts = {q.name: [text.partition(f"{q.name}: ")[2] for text in said] for q in study.required}
-    why = {name: Counter(part.split("; ")[0] for part in own if part) for name, own in parts.items()}
+    reasons = Counter(re.sub(r"; the nearest is [^;]*", "", text) for text in reasons_of)
+    parts = {q.name: [text.partition(f"{q.name}: ")[2] for text in reasons_of] for q in study.required}
+    why = {name: Counter(part.split("; ")[0] for part in texts if part) for name, texts in parts.items()}
     moved = [move.path for item in study.moving for move in item.targets if move.path != PFA]
     return page(
         "study.html.j2", figures, plan=plan, study=study, figures=figures, record=record, names=names, count=len(table),

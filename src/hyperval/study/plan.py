@@ -14,12 +14,12 @@ from scipy import stats
 from scipy.optimize.elementwise import find_root
 from scipy.stats import qmc
 
-from hyperval.atmosphere.between import spaced
+from hyperval.atmosphere.between import interpolation_nodes
 from hyperval.attribute import check_numbers
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, needed, refuse
-from hyperval.model import Evaluation, Origins, World, evaluations, read, with_truths
+from hyperval.model import Evaluation, Origins, World, evaluations, read_world, with_truths
 from hyperval.model.forward import reflectances
 from hyperval.model.radiance import Light, mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
@@ -61,14 +61,14 @@ def input_values(study: StudyFile, start: int = 0, stop: int | None = None) -> M
     random = {i.name: i.random for i in study.inputs if i.random is not None}
     if study.design.kind == "one-at-a-time":
         for name, values in listed.items():
-            own = (number >= first) & (number < first + len(values))
+            inside = (number >= first) & (number < first + len(values))
             columns[name] = np.full(number.size, None, dtype=object)
-            columns[name][own] = values[number[own] - first]
+            columns[name][inside] = values[number[inside] - first]
             first += len(values)
         return columns
     for name, values in reversed(listed.items()):
-        number, at = np.divmod(number, len(values))
-        columns[name] = values[at]
+        number, index = np.divmod(number, len(values))
+        columns[name] = values[index]
     if random:  # what is left is the number of the draw
         u = _sobol(len(random), study.design.seed, int(number[0]), int(number[-1]) + 1)[number - number[0]]
         columns |= {name: drawn(law, u[:, k]) for k, (name, law) in enumerate(random.items())}
@@ -91,8 +91,8 @@ def moved(inputs: Sequence[Moving], columns: Mapping[str, Column]) -> dict[str, 
     for item in inputs:
         column, moves = columns[item.name], item.targets
         for k, move in enumerate(moves):
-            own = (v[k] if isinstance(v, list) and len(moves) > 1 else v for v in column)
-            out[move.path] = move.of(column) if column.dtype != object else column_of([move.of(v) for v in own])
+            single = (v[k] if isinstance(v, list) and len(moves) > 1 else v for v in column)
+            out[move.path] = move.of(column) if column.dtype != object else column_of([move.of(v) for v in single])
     return out
 
 
@@ -132,8 +132,8 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
     """
     w = axis.centre_nm
     if output.band_nm is not None:
-        at = axis.nearest(output.band_nm, widths=2.0)
-        return np.array([needed(at, "study.band", name=output.name, nm=output.band_nm)])
+        band = axis.nearest(output.band_nm, widths=2.0)
+        return np.array([needed(band, "study.band", name=output.name, nm=output.band_nm)])
     low, high = output.range_nm or (0.0, np.inf)
     bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
     refuse(not bands.size, "study.range", name=output.name, low=low, high=high)
@@ -150,8 +150,8 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     detector = output.detector or e.scenario.processing.detectors[0]
     scores = e.scores(output.subject, detector, output.kind == "pd" and output.by == "object")
     if output.kind == "pd":
-        at = np.array([[output.pfa]]) if pfa is None else np.asarray(pfa, float)[:, None]
-        return np.asarray(scores.detection(at)[:, 0])
+        level = np.array([[output.pfa]]) if pfa is None else np.asarray(pfa, float)[:, None]
+        return np.asarray(scores.detection(level)[:, 0])
     if output.kind == "log10-pfa":
         return scores.log10_false_alarm(np.full(len(e), output.pd))
     return scores.auc(WHOLE if output.kind == "auc" else RocArea(*output.pfa_range, logarithmic=True))
@@ -169,8 +169,8 @@ def saturation(e: Evaluation) -> dict[int, str]:
         return {}
     light, each = e.light.rows(e.which), reflectances(e).items()
     passed = {name: np.broadcast_to(passes(light, rho), (len(e),)) for name, (rho, _) in each}
-    own = {u: [name for name, at in passed.items() if at[u]] for u in range(len(e))}
-    return {u: f"SATURATION: full scale is passed by {', '.join(names)}" for u, names in own.items() if names}
+    by_truth = {u: [name for name, where in passed.items() if where[u]] for u in range(len(e))}
+    return {u: f"SATURATION: full scale is passed by {', '.join(names)}" for u, names in by_truth.items() if names}
 
 
 def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
@@ -181,7 +181,7 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
 
     Examples
     --------
-    >>> world = read(with_settings(load_scenario("panels"), {"atmosphere.engine": "emulator"}))
+    >>> world = read_world(with_settings(load_scenario("panels"), {"atmosphere.engine": "emulator"}))
     >>> snr = Output(name="snr", kind="snr", subject="grass", band_nm=550.0)
     >>> values, _ = output_values(world, {"sensor.noise": column_of([None, 2.0])}, [snr])
     >>> round(float(values[0, 0] / values[1, 0]), 6)
@@ -199,10 +199,10 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
         truths = [{p: c[i] for p, c in moved.items() if c[i] is not None} for i in range(rows.size)]
         try:
             for index, e in evaluations(with_truths(world, truths)):
-                at, of = rows[index], None if pfa is None else pfa[index]
-                values[at] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
-                said = saturation(e) | {u: " ".join(str(error).split()) for u, error in e.problems.items()}
-                problems |= {int(at[u]): words for u, words in said.items()}
+                points, of = rows[index], None if pfa is None else pfa[index]
+                values[points] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
+                remarks = saturation(e) | {u: " ".join(str(error).split()) for u, error in e.problems.items()}
+                problems |= {int(points[u]): words for u, words in remarks.items()}
         except UsageError as error:
             if rows.size > 1:
                 pieces += np.array_split(rows, 2)
@@ -250,7 +250,7 @@ def plan_study(study: StudyFile) -> Plan:
     if alone and scenario.atmosphere is not None:
         entries = state_entries(scenario.atmosphere, alone)
         scenario = with_settings(scenario, {f"atmosphere.{key}": value for key, value in entries.items()})
-    world = read(scenario, Origins(resolve=log.resolve), nodes=nodes)
+    world = read_world(scenario, Origins(resolve=log.resolve), nodes=nodes)
     try_values(study, world)
     world.stated.atmosphere.prepare(states)
     check_outputs(study.outputs, scenario, world.stated.axis)
@@ -273,14 +273,14 @@ def try_values(study: StudyFile, world: World) -> None:
 
 def try_changes(world: World, changes: dict[str, Any]) -> None:
     """Refuse values at dotted paths that the scenario or the model does not take; None: an entry that is left alone."""
-    at = changes.get(PFA, 0.5)
-    refuse(not (isinstance(at, Real) and 0.0 < float(at) < 1.0), "study.pfa", at=at)
+    pfa = changes.get(PFA, 0.5)
+    refuse(not (isinstance(pfa, Real) and 0.0 < float(pfa) < 1.0), "study.pfa", at=pfa)
     changes = {path: value for path, value in changes.items() if value is not None and path != PFA}
     check_numbers(world, changes)
     state = world.stated.scenario.atmosphere
-    own = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and isinstance(v, Real)}
+    sky = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and isinstance(v, Real)}
     # With what gives way to them, such as time and place to the sun.
-    given = {f"atmosphere.{k}": v for k, v in (state_entries(state, own) if state else {}).items()}
+    given = {f"atmosphere.{k}": v for k, v in (state_entries(state, sky) if state else {}).items()}
     with_settings(world.stated.scenario, {path: v for path, v in (changes | given).items() if in_file(path)})
 
 
@@ -320,11 +320,11 @@ def states_of(study: StudyFile, scenario: Scenario) -> tuple[list[Mapping[str, A
         return list({repr(sorted(row.items())): row for row in rows or [{}]}.values()), {}
     nodes = dict[str, tuple[float, ...]]()
     for item, move, key in moving:
-        own = item.listed if isinstance(item, Input) else None
-        if own is None or own.dtype != object:  # words are read again for each
+        column = item.listed if isinstance(item, Input) else None
+        if column is None or column.dtype != object:  # words are read again for each
             ends = np.unique([*nodes.get(key, ()), *(move.of(float(v)) for v in values_to_try(item))])
-            few = own is not None and ends.size <= study.atmosphere.nodes
-            between = ends if few else spaced(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
+            few = column is not None and ends.size <= study.atmosphere.nodes
+            between = ends if few else interpolation_nodes(key, float(ends[0]), float(ends[-1]), study.atmosphere.nodes)
             nodes[key] = tuple(between.tolist())
     return [], nodes
 
@@ -341,8 +341,8 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     exact = replace(between, nodes={}, kept={})
     ours, theirs = between(states, count), exact(states, count)
 
-    seen = theirs.gas_transmittance > LEAST_GAS
-    radiance, expected = (mean_radiance(terms, GROUND, GROUND)[seen] for terms in (ours, theirs))
+    clear = theirs.gas_transmittance > LEAST_GAS
+    radiance, expected = (mean_radiance(terms, GROUND, GROUND)[clear] for terms in (ours, theirs))
     error = radiance / expected - 1.0
     errors = {"radiance, worst": float(np.abs(error).max()), "radiance, rms": float(np.sqrt(np.mean(error**2)))}
     first = moved(study.inputs, input_values(study, 0, min(count, study.count)))
@@ -377,7 +377,7 @@ class Answers(NamedTuple):
     reasons: Mapping[int, str]
 
 
-def answers(
+def required_values(
     values_of: Callable[[Columns, Sequence[Output]], tuple[Array, Any]],
     columns: Columns,
     question: Required,
@@ -395,9 +395,9 @@ def answers(
 
     def at(x: Array, rows: npt.NDArray[Any], *names: str) -> tuple[Array, Mapping[int, str]]:
         """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,), and what is to be said of them."""
-        own = {path: column[rows.astype(int)] for path, column in columns.items()}
-        own |= {m.path: m.of(x) for m in question.targets}
-        return values_of(own, [named[name] for name in names])
+        some = {path: column[rows.astype(int)] for path, column in columns.items()}
+        some |= {m.path: m.of(x) for m in question.targets}
+        return values_of(some, [named[name] for name in names])
 
     def miss(x: Array, row: Array) -> Array:
         return at(x.ravel(), row.ravel(), question.output)[0].reshape(x.shape) - question.equals
@@ -406,8 +406,8 @@ def answers(
     n = len(next(iter(columns.values())))
     x = (np.geomspace if question.spacing == "log" else np.linspace)(*question.between, question.scan)
     gap = miss(np.tile(x, n), np.repeat(np.arange(n), x.size)).reshape(n, x.size)
-    bracket, said = zip(*(_bracket(x, own, question) for own in gap), strict=True)
-    reasons = {i: why for i, why in enumerate(said) if why}
+    bracket, remarks = zip(*(_bracket(x, some, question) for some in gap), strict=True)
+    reasons = {i: why for i, why in enumerate(remarks) if why}
     first, values = np.array(bracket), np.full(n, np.nan)
     solved = np.flatnonzero(first >= 0)
     if solved.size:
@@ -418,8 +418,8 @@ def answers(
     reports = np.full((n, len(question.report)), np.nan)
     good = np.flatnonzero(np.isfinite(values))
     if good.size:
-        told, problems = at(values[good], good, question.output, *question.report)
-        reports[good] = told[:, 1:]
+        reported, problems = at(values[good], good, question.output, *question.report)
+        reports[good] = reported[:, 1:]
         for k, words in problems.items():
             reasons[int(good[k])] = "; ".join(filter(None, (reasons.get(int(good[k])), words)))
     return Answers(values, reports, reasons)

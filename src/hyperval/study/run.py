@@ -26,7 +26,7 @@ from hyperval.progress import track
 from hyperval.run import Run, harmless
 from hyperval.storage import partial_folder, whole_folder, write_text
 from hyperval.study.page import knees_of, result_rows, stated_figures, study_page
-from hyperval.study.plan import Plan, answers, input_values, moved, output_values, plain_value, plan_study
+from hyperval.study.plan import Plan, input_values, moved, output_values, plain_value, plan_study, required_values
 from hyperval.study.schema import StudyFile, load_study
 
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
@@ -63,8 +63,8 @@ def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -
         prediction = predict(plan.scenario)
         names = write_tables(study, table, folder)
         knees = knees_of(study, table)
-        told = {"study": study, "scenario": plan.scenario}
-        record = record_of(plan.log, [plan.scenario], study.design.seed, told, [prediction])
+        stated = {"study": study, "scenario": plan.scenario}
+        record = record_of(plan.log, [plan.scenario], study.design.seed, stated, [prediction])
         figures = stated_figures(study, table, knees)
         page = study_page(plan, table, figures, record, names, knees)
         run = Run(result_rows(plan, table, knees), record, {"predicted": prediction}, study.title or study.name)
@@ -101,15 +101,15 @@ def evaluated(plan: Plan, folder: Path, scheduler: str | None = None) -> list[Ch
     files = [folder / f"{_CHUNK}-{digest}-{number}.json" for number in range(-(-count // size))]
     kept = (json.loads(file.read_text("utf-8")) for file in takewhile(Path.is_file, files))
     chunks = [(np.array(values, float), dict(reasons)) for values, reasons in kept]
-    first, left = size * len(chunks), files[len(chunks) :]
+    first, todo = size * len(chunks), files[len(chunks) :]
     # Starting processes takes longer than a few thousand points of linear detectors.
     linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
-    processes = 1 if linear and count - first <= _HERE else worker_count(len(left) or 1)
+    processes = 1 if linear and count - first <= _HERE else worker_count(len(todo) or 1)
     words = f"{count:,} points" + (f", from {first:,} on" if first else "")
     with workers(processes, scheduler) as where, parcel(where, plan) as packed:
         pieces = [(packed, start, min(start + size, count)) for start in range(first, count, size)]
         found = track(in_order(where, run_chunk, pieces), words, len(pieces))
-        for file, (values, reasons) in zip(left, found, strict=True):
+        for file, (values, reasons) in zip(todo, found, strict=True):
             write_text(file, json.dumps([values.tolist(), sorted(reasons.items())]))
             chunks.append((values, reasons))
     return chunks
@@ -123,13 +123,13 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
     for low in range(start, stop, _BATCH):
         columns = moved(study.inputs, input_values(study, low, min(low + _BATCH, stop)))
         values, problems = values_of(columns, study.outputs)
-        row, said = [values], [problems]
+        row, remarks = [values], [problems]
         for question in study.required:
-            answer = answers(values_of, columns, question, study.outputs)
+            answer = required_values(values_of, columns, question, study.outputs)
             row += [answer.solutions[:, None], answer.reports]
-            said.append({i: f"{question.name}: {text}" for i, text in answer.reasons.items()})
+            remarks.append({i: f"{question.name}: {text}" for i, text in answer.reasons.items()})
         parts.append(np.concatenate(row, axis=1))
-        reasons |= {low + i: "; ".join(own[i] for own in said if i in own) for i in set().union(*said)}
+        reasons |= {low + i: "; ".join(texts[i] for texts in remarks if i in texts) for i in set().union(*remarks)}
     return np.concatenate(parts), reasons
 
 
@@ -138,10 +138,10 @@ def table_of(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:
     columns, numbers = input_values(study), list(study.columns)[len(study.inputs) :]
     table = pd.DataFrame(index=pd.RangeIndex(study.count, name="point"))
     for item in study.inputs:
-        own, is_text = columns[item.name], item.listed is not None and item.listed.dtype == object
-        table[item.name] = pd.Series(list(map(plain_value, own)), dtype=object) if is_text else np.asarray(own, float)
+        some, is_text = columns[item.name], item.listed is not None and item.listed.dtype == object
+        table[item.name] = pd.Series(list(map(plain_value, some)), dtype=object) if is_text else np.asarray(some, float)
     table[numbers] = np.concatenate([values for values, _ in chunks])
-    reasons = {point: text for _, own in chunks for point, text in own.items()}
+    reasons = {point: text for _, some in chunks for point, text in some.items()}
     table["reason"] = pd.Series([reasons.get(point, "") for point in table.index], dtype=object)
     return table
 
@@ -149,20 +149,20 @@ def table_of(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:
 def write_tables(study: StudyFile, table: pd.DataFrame, folder: Path) -> list[str]:
     """Write table.csv, table.nc and, with the extra parquet, table.parquet; the names of what was written."""
     texts = [name for name in table if table[name].dtype == object]
-    said = {name: pd.Series(["" if v is None else str(v) for v in table[name]], dtype=object) for name in texts}
-    table = table.assign(**said)
-    table.assign(**{n: own.map(harmless) for n, own in said.items()}).to_csv(folder / "table.csv", lineterminator="\n")
+    text = {name: pd.Series(["" if v is None else str(v) for v in table[name]], dtype=object) for name in texts}
+    table = table.assign(**text)
+    table.assign(**{n: col.map(harmless) for n, col in text.items()}).to_csv(folder / "table.csv", lineterminator="\n")
     about = {"Conventions": "CF-1.11", "title": study.title or study.name, "source": f"hyperval {hyperval.__version__}"}
     data = xr.Dataset(coords={"reason": ("point", table["reason"].to_numpy())}, attrs=about)
     for name, column in study.columns.items():
         data[name] = ("point", table[name].to_numpy(), {"long_name": column.label or name, "units": column.unit})
-    packed = {name: {"zlib": True, "shuffle": True, "_FillValue": None} for name in data if name not in said}
+    packed = {name: {"zlib": True, "shuffle": True, "_FillValue": None} for name in data if name not in text}
     data.to_netcdf(folder / "table.nc", engine="h5netcdf", encoding=packed)
     if find_spec("pyarrow") is not None:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         # Of arrays, and not of a frame: a number that is not there is NaN, as in the other files.
-        columns = {name: own.to_numpy() for name, own in table.reset_index().items()}
+        columns = {name: col.to_numpy() for name, col in table.reset_index().items()}
         pq.write_table(pa.table(columns), folder / "table.parquet")
     return sorted(path.name for path in folder.glob("table.*"))

@@ -299,15 +299,15 @@ class StudyFile(FileModel):
         inputs, outputs = {i.name for i in self.inputs}, {o.name for o in self.outputs}
         results = outputs | {q.name for q in self.required}
 
-        said = [(f"required {q.name!r}", name, outputs) for q in self.required for name in (q.output, *q.report)]
-        said += [("knees", k.output, results) for k in self.knees]
-        said += [("plots", p.output, results) for p in self.plots]
-        said += [("plots", name, inputs) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
+        used = [(f"required {q.name!r}", name, outputs) for q in self.required for name in (q.output, *q.report)]
+        used += [("knees", k.output, results) for k in self.knees]
+        used += [("plots", p.output, results) for p in self.plots]
+        used += [("plots", name, inputs) for p in self.plots for name in (p.x, p.y, p.family) if name is not None]
         numbers = {scale: {i.name for i in self.inputs if i.is_axis(scale)} for scale in ("linear", "log")}
         along = [("knees", k.along, k.scale) for k in self.knees]
-        along += [("heat maps", *own) for p in self.plots if p.x and p.y for own in ((p.x, p.scale), (p.y, "linear"))]
-        said += [(f"{of} along numbers on a {scale} scale", name, numbers[scale]) for of, name, scale in along]
-        for where, name, among in said:
+        along += [("heat maps", *pair) for p in self.plots if p.x and p.y for pair in ((p.x, p.scale), (p.y, "linear"))]
+        used += [(f"{of} along numbers on a {scale} scale", name, numbers[scale]) for of, name, scale in along]
+        for where, name, among in used:
             if wrong := unknown([name], sorted(among) or ["none"]):
                 raise ValueError("{}: {!r} is not one of {}".format(where, *wrong))
         return self
@@ -317,8 +317,8 @@ class StudyFile(FileModel):
         """The columns of its table by name: inputs, outputs, answers, and outputs told at the answers."""
         columns: list[Input | Output | Required] = [*self.inputs, *self.outputs]
         for q in self.required:
-            told = (next(o for o in self.outputs if o.name == name) for name in q.report)
-            named = ((o, f"{q.name}.{o.name}", f"{o.label or o.name} at {q.label or q.name}") for o in told)
+            reported = (next(o for o in self.outputs if o.name == name) for name in q.report)
+            named = ((o, f"{q.name}.{o.name}", f"{o.label or o.name} at {q.label or q.name}") for o in reported)
             columns += [q, *(o.model_copy(update={"name": name, "label": label}) for o, name, label in named)]
         return {column.name: column for column in columns}
 

@@ -25,7 +25,7 @@ from hyperval.data import LINEAR_DETECTORS, Array, Mask
 from hyperval.datasets import resolve
 from hyperval.errors import UsageError, package_table, refusal, refuse
 from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
-from hyperval.model import Origins, World, evaluations, every_path, predict, read, value_at, with_values
+from hyperval.model import Origins, World, evaluations, every_path, predict, read_world, value_at, with_values
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import detection_at
@@ -151,9 +151,9 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: t
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
     files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
     origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
-    own = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
+    linear = [d for d in scenario.processing.detectors if d in LINEAR_DETECTORS]
     if scenario.scene.targets:
-        settings["processing.detectors"] = [detector or (own[0] if own else "cem")]
+        settings["processing.detectors"] = [detector or (linear[0] if linear else "cem")]
     # Population of a fixed fill -> path of the fill, and the fill.
     paths = [path for path in numbers_of(scenario) if path.endswith(".fill.fixed")]
     fixed = {path_parts(p)[-3]: (p.removesuffix(".fixed"), float(setting(scenario, p))) for p in paths}
@@ -163,12 +163,12 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: t
         settings[path] = {"geometry": geometry}
     emulated = settings | ({} if scenario.atmosphere is None else {"atmosphere.engine": "emulator"})
     try:
-        world = read(with_settings(scenario, emulated), origins)
+        world = read_world(with_settings(scenario, emulated), origins)
         if scenario.atmosphere is not None:
             world.stated.atmosphere.run({})
         settings = emulated
     except UsageError as error:
-        why, world = error.what, read(with_settings(scenario, settings), origins)
+        why, world = error.what, read_world(with_settings(scenario, settings), origins)
     scene = scenario.scene
     return Prepared(
         world.stated.scenario, world, settings,
@@ -181,40 +181,40 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: t
     )  # fmt: skip
 
 
-def prepared(source: str, trade: Trade) -> Prepared:
+def prepare(source: str, trade: Trade) -> Prepared:
     """A scenario by name or file, read once for what is asked of it."""
     kept = tuple((path, path.stat().st_mtime_ns) for path in trade.kept)
     return _prepared(source, trade.detector, trade.side_m, trade.subject[0] if trade.subject else "", kept)
 
 
 def _offers(world: World) -> Iterator[Offer]:
-    known, state = every_path(world), world.stated.scenario.atmosphere
+    every, state = every_path(world), world.stated.scenario.atmosphere
     table = package_table("study/trade.yaml").items()
     for row in (Offer(group=group, **row) for group, rows in table for row in rows):
-        paths = [path for path in known if fits(row.path, path)]
+        paths = [path for path in every if fits(row.path, path)]
         if not paths and "now" in row.model_fields_set and (state is not None or row.path == plan.PFA):
             paths = [row.path]
-        for own in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
+        for some in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
             low, high, now = row.low, row.high, row.now
             with suppress(UsageError, TypeError):  # what holds where it states nothing stands in the row
-                now = float(np.ravel(value_at(world, own[0]))[0])
+                now = float(np.ravel(value_at(world, some[0]))[0])
             if row.path == "atmosphere.sensor_altitude_km" and state is not None:
                 low = max(low, state.ground_altitude_km + 0.5)
             if math.isfinite(now):
                 low, high = min(low, now), max(high, now)
-            item = next((part for part in reversed(path_parts(own[0])) if f"[{part}]" in own[0]), "")
+            item = next((part for part in reversed(path_parts(some[0])) if f"[{part}]" in some[0]), "")
             stated = {"name": row.name.replace("*", item), "column": row.column or row.path.rpartition(".")[2]}
-            yield row.model_copy(update={**stated, "low": low, "high": high, "now": now, "paths": own})
+            yield row.model_copy(update={**stated, "low": low, "high": high, "now": now, "paths": some})
 
 
-def completed(trade: Trade, p: Prepared) -> Trade:
+def complete(trade: Trade, p: Prepared) -> Trade:
     """What is asked, with all that was left open filled in.
 
-    >>> completed(Trade(moved={"atmosphere.meteorological_range_km": 5.0}), prepared("yellow-planks-asphalt", Trade()))
+    >>> complete(Trade(moved={"atmosphere.meteorological_range_km": 5.0}), prepare("yellow-planks-asphalt", Trade()))
     Traceback (most recent call last):
     hyperval.errors.UsageError: at:atmosphere.meteorological_range_km: 5 km is beyond the emulator of the atmosphere
       expected: 7.716 km or more
-    >>> completed(Trade(x="atmosphere.solar_zenith_deg", x_from=-95.0), prepared("panels", Trade()))
+    >>> complete(Trade(x="atmosphere.solar_zenith_deg", x_from=-95.0), prepare("panels", Trade()))
     Traceback (most recent call last):
     hyperval.errors.UsageError: x_from: -95 deg: atmosphere.solar_zenith_deg at -95.0
       expected: a number from -85 to 84.9
@@ -234,14 +234,14 @@ def completed(trade: Trade, p: Prepared) -> Trade:
     subject = [name for name in trade.subject if name in among] or list(among[:1])
     refuse(not subject, "trade.subject", "output")
     x = trade.x or _usual(p, "" if trade.is_spectral else f"[{subject[0]}]")
-    for field, names, known in (
+    for field, names, valid in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
         ("detector", [trade.detector], ("", *LINEAR_DETECTORS)),
         ("moved", trade.moved, [key for key in p.inputs if in_file(key)]),  # which the study can set
     ):  # fmt: skip
-        wrong = [name for name in names if name not in known]
-        refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(filter(None, known)))
+        wrong = [name for name in names if name not in valid]
+        refuse(wrong, "trade.unknown", field, wrong=wrong, known=", ".join(filter(None, valid)))
     refuse(trade.y == x, "trade.same", "y")
     refuse(not trade.from_nm < trade.to_nm, "trade.bands", "to_nm", to_nm=trade.to_nm, from_nm=trade.from_nm)
     filled: dict[str, Any] = {"x": x, "subject": subject}
@@ -292,14 +292,14 @@ def _is_emulated(p: Prepared, state: Mapping[str, float]) -> bool:
 def _usual(p: Prepared, target: str) -> str:
     """The input to begin with: the first slider, of a target its own fill or GSD."""
     sliders = [offer for offer in p.inputs.values() if offer.slider]
-    own = [o for o in sliders if target and any(target in path for path in o.paths)]
-    return next((o.key for o in (*own, *sliders) if o in own or o.group != "Target"), "")
+    mine = [o for o in sliders if target and any(target in path for path in o.paths)]
+    return next((o.key for o in (*mine, *sliders) if o in mine or o.group != "Target"), "")
 
 
 def moves_of(offer: Offer, trade: Trade) -> list[Move]:
     """What an input moves: of several targets together, those that are asked for."""
-    own = tuple(path for path in offer.paths if any(f"[{name}]" in path for name in trade.subject))
-    return [Move(path=path) for path in (own if len(offer.paths) > 1 and own else offer.paths)]
+    asked = tuple(path for path in offer.paths if any(f"[{name}]" in path for name in trade.subject))
+    return [Move(path=path) for path in (asked if len(offer.paths) > 1 and asked else offer.paths)]
 
 
 def outputs_of(trade: Trade) -> list[Output]:
@@ -327,8 +327,8 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
 
     Examples
     --------
-    >>> p = prepared("yellow-planks-asphalt", Trade())
-    >>> every = [study_of(p, completed(Trade(x=key, wanted=0.5), p), "yellow-planks-asphalt") for key in p.inputs]
+    >>> p = prepare("yellow-planks-asphalt", Trade())
+    >>> every = [study_of(p, complete(Trade(x=key, wanted=0.5), p), "yellow-planks-asphalt") for key in p.inputs]
     >>> all(study.required[0].targets == study.inputs[-1].targets for study in every)
     True
     >>> [i.grid.stop for study in every for i in study.inputs if i.name == "tail_dof"]
@@ -413,8 +413,8 @@ def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
 
 def _known(trade: Trade, stride: int) -> Mask:
     """(points of an input or (y, x)) which are known once every ``stride``-th is evaluated."""
-    at = np.arange(MAP_POINTS if trade.y else POINTS) % stride == 0
-    return np.outer(at, at).ravel() if trade.y else at
+    on = np.arange(MAP_POINTS if trade.y else POINTS) % stride == 0
+    return np.outer(on, on).ravel() if trade.y else on
 
 
 class Progress(NamedTuple):
@@ -448,9 +448,9 @@ class Progress(NamedTuple):
         return [*(words for _, words in self.needed), *([most + points] if most else [])]
 
 
-def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress:
+def next_piece(source: str, trade: Trade, before: Progress | None = None) -> Progress:
     """The next piece: points twice as dense as before, what is required with the last of them; limits of a family."""
-    p = prepared(source, trade)
+    p = prepare(source, trade)
     study, (columns, labels) = study_of(p, trade, source), _families(p, trade)
     families, subjects, along = len(labels) // len(trade.subject), len(trade.subject), study.inputs[-1]
     steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
@@ -463,8 +463,8 @@ def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress
         new = _known(trade, step) & ~(_known(trade, 2 * step) if before.figure else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
         some = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
-        values.reshape(-1, subjects)[rows], told = plan.output_values(_world(p, trade), some, study.outputs)
-        remarks |= {int(rows[i]): words for i, words in told.items()}
+        values.reshape(-1, subjects)[rows], notes = plan.output_values(_world(p, trade), some, study.outputs)
+        remarks |= {int(rows[i]): words for i, words in notes.items()}
         needed = _required(p, trade, study) if trade.wanted is not None and step == _STRIDES[-1] else ()
     else:
         limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()})
@@ -476,8 +476,8 @@ def piece(source: str, trade: Trade, before: Progress | None = None) -> Progress
 def _questions(p: Prepared, trade: Trade) -> list[Required]:
     """At which value of x each output comes to what is wanted, where that is asked; y stands where its slider does.
 
-    >>> p, asphalt = prepared("yellow-planks-asphalt", Trade()), "surfaces.[asphalt]."
-    >>> asked = (completed(Trade(y=asphalt + name, wanted=0.5), p) for name in ("spread", "tail_dof"))
+    >>> p, asphalt = prepare("yellow-planks-asphalt", Trade()), "surfaces.[asphalt]."
+    >>> asked = (complete(Trade(y=asphalt + name, wanted=0.5), p) for name in ("spread", "tail_dof"))
     >>> [[move.offset for move in _questions(p, trade)[0].targets[1:]] for trade in asked]  # no tail is no number
     [[1.0], []]
     """
@@ -496,14 +496,14 @@ def _questions(p: Prepared, trade: Trade) -> list[Required]:
 def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float, str], ...]:
     """The value of x at which the output of each curve comes to what is wanted, and in words.
 
-    >>> trade = completed(Trade(wanted=2.0), p := prepared("yellow-planks-asphalt", Trade()))
+    >>> trade = complete(Trade(wanted=2.0), p := prepare("yellow-planks-asphalt", Trade()))
     >>> _required(p, trade, study_of(p, trade, ""))[0][1]
     'not reached in this range: probability of detection P_D stays below 2; the nearest is 1 at 0.2'
     """
     columns, labels = _families(p, trade)
     values_of = partial(plan.output_values, _world(p, trade))
-    found = [(q, plan.answers(values_of, columns, q, study.outputs)) for q in study.required]
-    told, offer = list[tuple[float, str]](), p.inputs[trade.x]
+    found = [(q, plan.required_values(values_of, columns, q, study.outputs)) for q in study.required]
+    needed, offer = list[tuple[float, str]](), p.inputs[trade.x]
     for label, (i, (q, answer)) in zip(labels, product(range(len(labels) // len(found)), found), strict=True):
         value, why = float(answer.solutions[i]), answer.reasons.get(i, "").replace(q.output, KINDS[trade.output])
         why = why.replace("no solution", "not reached in this range")
@@ -511,8 +511,8 @@ def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float,
         words = f"{words} ({why})" if why and math.isfinite(value) else why or words
         if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
             words += f"; along {offer.name} alone, {p.inputs[trade.y].name} at {p.inputs[trade.y].told(now)}"
-        told.append((value, f"{label}: {words}" if len(labels) > 1 else words))
-    return tuple(told)
+        needed.append((value, f"{label}: {words}" if len(labels) > 1 else words))
+    return tuple(needed)
 
 
 def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) -> Array:
@@ -542,16 +542,16 @@ def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any]) 
     if trade.x == plan.PFA:
         return np.moveaxis(_limits_in(p, trade, family, x), 0, 1)
     nodes = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int)
-    at = np.full((nodes.size, len(trade.subject), 2), np.nan)
+    ends = np.full((nodes.size, len(trade.subject), 2), np.nan)
     for i, k in enumerate(nodes):
         truth = {**family, **{move.path: float(x[k]) for move in along.targets}}
         try:
-            at[i] = _limits_in(p, trade, truth, np.array([trade.pfa]))[:, 0]
+            ends[i] = _limits_in(p, trade, truth, np.array([trade.pfa]))[:, 0]
         except UsageError:  # that the value is not taken is seen in the curve
             continue
-        if np.isnan(at[i]).all():
+        if np.isnan(ends[i]).all():
             break
-    flat = at.reshape(nodes.size, -1)
+    flat = ends.reshape(nodes.size, -1)
     return np.stack([np.interp(np.arange(x.size), nodes, column) for column in flat.T], axis=1).reshape(x.size, -1, 2)
 
 
@@ -582,10 +582,10 @@ def _lines(labels: Sequence[str], lines: Sequence[tuple[Array, Array]], bands: A
     """Curves (x, y) with their limits (K, 2) where there are some; beyond six colours another dash."""
     marks = []
     for k, (label, (x, y)) in enumerate(zip(labels, lines, strict=True)):
-        known = np.isfinite(y)
-        columns = {"x": x[known], "y": y[known]}
+        valid = np.isfinite(y)
+        columns = {"x": x[valid], "y": y[valid]}
         if np.isfinite(bands[k]).any():
-            columns |= {"low": bands[k][known, 0], "high": bands[k][known, 1]}
+            columns |= {"low": bands[k][valid, 0], "high": bands[k][valid, 1]}
         colour = PREDICTED if len(labels) == 1 else CURVES[k % 6]
         marks.append(Mark("line", columns, label, colour, "dashed" if k // 6 else "solid"))
     return tuple(marks)
@@ -604,13 +604,13 @@ def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int
     """The map of the first curve, which stands above it.
 
     >>> asked = {"y": "atmosphere.solar_zenith_deg", "sensor": ["prospectir-vs", "emit"]}
-    >>> trade = completed(Trade(**asked), prepared("yellow-planks-asphalt", Trade()))
-    >>> json.loads(piece("yellow-planks-asphalt", trade).figure)["views"][0]["note"]
+    >>> trade = complete(Trade(**asked), prepare("yellow-planks-asphalt", Trade()))
+    >>> json.loads(next_piece("yellow-planks-asphalt", trade).figure)["views"][0]["note"]
     'yellow plank 0.02, prospectir-vs'
     """
     (x_axis, x), (y_axis, y) = map(_axis, study.inputs[:-3:-1])
     grid = values[0, :, 0].reshape(MAP_POINTS, MAP_POINTS)[::stride, ::stride]
-    edges = [cell_edges(at[::stride], axis.scale == "log") for axis, at in ((x_axis, x), (y_axis, y))]
+    edges = [cell_edges(v[::stride], axis.scale == "log") for axis, v in ((x_axis, x), (y_axis, y))]
     rows, columns = np.nonzero(np.isfinite(grid))
     mark = heat_mark(edges, (columns, rows), grid[rows, columns], KINDS[trade.output])
     part = Part(y_axis, (mark,), _present(p, trade) + _present(p, trade, "y"))
@@ -619,7 +619,7 @@ def _map(p: Prepared, trade: Trade, study: StudyFile, values: Array, stride: int
     return Figure("trade", "study", title, (Panels(x_axis, (part,), note=note),), legend_title=title)
 
 
-def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]:
+def live_figure(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]:
     """Where the sliders stand, the ROC of every curve, or the spectrum of a spectral output.
 
     Returns
@@ -629,10 +629,10 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
     Examples
     --------
     >>> bright = Trade(output="snr", moved={"sensor_changes.signal_factor": 2.0})
-    >>> live("panels", completed(bright, prepared("panels", Trade())))["error"].partition("SATURATION: ")[2]
+    >>> live_figure("panels", complete(bright, prepare("panels", Trade())))["error"].partition("SATURATION: ")[2]
     'full scale is passed by grass, white panel, grey panel 48.'
     """
-    p = prepared(source, trade)
+    p = prepare(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
     (columns, labels), outputs, remarks = _families(p, trade), outputs_of(trade), {_error(p, trade): None}
     numbers = np.full((len(labels) // len(outputs), len(outputs)), np.nan)
@@ -642,23 +642,23 @@ def live(source: str, trade: Trade, with_limits: bool = False) -> dict[str, Any]
         for k, o in enumerate(outputs):
             numbers[index, k] = plan.of_truths(e, o, None)
             if trade.is_spectral:
-                at, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
+                nm, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
             else:
-                at, rows = _ROC, e.scores(o.subject, p.scenario.processing.detectors[0]).detection(_ROC[None, :])
+                nm, rows = _ROC, e.scores(o.subject, p.scenario.processing.detectors[0]).detection(_ROC[None, :])
             for i, row in zip(index, rows, strict=True):
-                spectra[i, k] = at, row
+                spectra[i, k] = nm, row
     bands = np.full((len(labels), _ROC.size, 2), np.nan)
     if with_limits and not trade.is_spectral:
         truths = [{path: column[i] for path, column in columns.items()} for i in range(len(numbers))]
         bands = np.concatenate([_limits_in(p, trade, truth, _ROC) for truth in truths])
     marks = _lines(labels, spectra.ravel().tolist(), bands)
-    known = tuple((label, v if math.isfinite(v) else None) for label, v in zip(labels, numbers.flat, strict=True))
+    named = tuple((label, v if math.isfinite(v) else None) for label, v in zip(labels, numbers.flat, strict=True))
     x, y, rules = Axis(WAVELENGTH), _y_axis(trade), Rules()
     if not trade.is_spectral:
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
     figure = Figure("live", "roc", "", (Panels(x, (Part(y, marks, rules),)),))
-    return {"figure": statement(figure), "values": known, "error": " ".join(remarks)}
+    return {"figure": statement(figure), "values": named, "error": " ".join(remarks)}
 
 
 def _error(p: Prepared, trade: Trade) -> str:

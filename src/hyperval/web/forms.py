@@ -107,8 +107,8 @@ class Node:
     @property
     def gist(self) -> str:
         """What is given in a part that is folded, in a few words."""
-        given = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._given()]
-        return "; ".join(given[:_MOST_MARKED]) + (" ..." if len(given) > _MOST_MARKED else "")
+        stated = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._given()]
+        return "; ".join(stated[:_MOST_MARKED]) + (" ..." if len(stated) > _MOST_MARKED else "")
 
     def _given(self) -> Iterator[Node]:
         for child in self.taken:
@@ -150,9 +150,9 @@ def _members(schema: Schema) -> list[Schema]:
 def _entries(schema: Schema, path: str) -> Iterator[tuple[str, str, Schema]]:
     """Name, path and schema of every entry of a group."""
     for name, part in schema.get("properties", {}).items():
-        own = f"{path}.{name}" if path else name
-        if not _LEFT_OUT.fullmatch(own):
-            yield name, own, part
+        field = f"{path}.{name}" if path else name
+        if not _LEFT_OUT.fullmatch(field):
+            yield name, field, part
 
 
 # From schema and data to a form.
@@ -162,9 +162,9 @@ def _group(schema: Schema, path: str, data: Any, begun: Any) -> tuple[Node, ...]
     data, begun = (one if isinstance(one, Mapping) else {} for one in (data, begun))
     needed = schema.get("required", ())
     nodes: list[Node] = []
-    for name, own, part in _entries(schema, path):
-        node = _node(part, own, data.get(name), begun.get(name), name in needed)
-        if node.kind == "group" and own.endswith((".spectrum", ".fill")):  # what is shown joins its neighbours
+    for name, field, part in _entries(schema, path):
+        node = _node(part, field, data.get(name), begun.get(name), name in needed)
+        if node.kind == "group" and field.endswith((".spectrum", ".fill")):  # what is shown joins its neighbours
             nodes += [child for child in node.children if child.is_shown]
             node = replace(node, children=tuple(c for c in node.children if not c.is_shown), is_shown=False)
         nodes.append(node)
@@ -192,9 +192,9 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
         chosen, earlier = (_chosen(members, kinds, one) for one in (value, begun))
         variants = list[Node]()
         for number, (member, kind) in enumerate(zip(members, kinds, strict=True), start=1):
-            own, was = value if number == chosen else None, begun if number == earlier else None
+            held, was = value if number == chosen else None, begun if number == earlier else None
             called = _CAPITAL.sub(" ", str(member["title"])).lower() if kind == "group" else node.title
-            variants.append(_node(member, path, own, was, title=called))
+            variants.append(_node(member, path, held, was, title=called))
         return replace(node, kind="variants", children=tuple(variants), chosen=chosen, is_changed=chosen != earlier)
     if kinds == ["rows"]:
         rows, first = (list(one) if isinstance(one, list | tuple) else [] for one in (value, begun))
@@ -229,28 +229,28 @@ def _row(item: Schema, path: str, row: Any, begun: Any, is_few: bool) -> Node:
 # From a filled form to data.
 
 
-def form_data(given: Given, schema: Schema = _SCHEMA, path: str = "") -> dict[str, Any]:
+def form_data(texts: Given, schema: Schema = _SCHEMA, path: str = "") -> dict[str, Any]:
     """The nested data of a form as it was sent, or of a group of it."""
-    read = {name: _read(_members(part), own, given) for name, own, part in _entries(schema, path)}
+    read = {name: _read(_members(part), field, texts) for name, field, part in _entries(schema, path)}
     return {name: value for name, value in read.items() if value is not None}
 
 
-def _read(members: list[Schema], path: str, given: Given) -> Any:
+def _read(members: list[Schema], path: str, texts: Given) -> Any:
     kinds = [_kind(m, path) for m in members]
     if kinds == ["group"]:
-        return form_data(given, members[0], path) or None
+        return form_data(texts, members[0], path) or None
     if "group" in kinds:
-        number = _count(given, f"{path}?", len(members))
+        number = _count(texts, f"{path}?", len(members))
         if number and kinds[number - 1] == "group":  # which counts where nothing stands in it, too
-            return form_data(given, members[number - 1], path)
-        return _read([members[number - 1]], path, given) if number else None
-    is_list = f"{path}#" in given
+            return form_data(texts, members[number - 1], path)
+        return _read([members[number - 1]], path, texts) if number else None
+    is_list = f"{path}#" in texts
     if kinds == ["rows"]:
         item = _members(members[0]["items"])[0]
-        places = [f"{path}.{i}" for i in range(_count(given, f"{path}#", MOST_ROWS))]
-        rows = [form_data(given, item, place) for place in places if f"{place}!" not in given]
+        places = [f"{path}.{i}" for i in range(_count(texts, f"{path}#", MOST_ROWS))]
+        rows = [form_data(texts, item, place) for place in places if f"{place}!" not in texts]
         return rows if is_list else None
-    values = [v.strip() for v in given.get(path, []) if v.strip()]
+    values = [v.strip() for v in texts.get(path, []) if v.strip()]
     if kinds == ["several"]:
         return values or ([] if is_list else None)
     return _value(values[0], kinds, members) if values else None
@@ -303,7 +303,7 @@ def _limits(schema: Schema) -> str:
     if low is not None and high is not None:
         return f"{low:g} to {high:g}"
     words = {"minimum": "at least", "exclusiveMinimum": "above", "maximum": "at most", "exclusiveMaximum": "below"}
-    return ", ".join(f"{said} {schema[key]:g}" for key, said in words.items() if key in schema)
+    return ", ".join(f"{text} {schema[key]:g}" for key, text in words.items() if key in schema)
 
 
 def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
@@ -352,8 +352,8 @@ def _listed(text: str, schema: Schema) -> Any:
     return [read] if is_nested and not any(isinstance(item, list) for item in read) else read
 
 
-def _count(given: Given, name: str, most: int) -> int:
-    text = given.get(name, ["0"])[0]
+def _count(texts: Given, name: str, most: int) -> int:
+    text = texts.get(name, ["0"])[0]
     return min(int(text), most) if text.isdecimal() and len(text) < 6 else 0
 
 
@@ -415,24 +415,24 @@ def of_bounded_size(data: Any, at: str = "") -> Any:
     """
     values = enumerate(islice(_values(data, (at,) if at else ()), _MOST_VALUES), start=1)
     many = f"with it there are more than {_MOST_VALUES:,} values"
-    told = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
-    mistakes = (FieldMistake(".".join(place), words) for place, words in told if words)
+    excess = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
+    mistakes = (FieldMistake(".".join(place), words) for place, words in excess if words)
     deny(list(islice(mistakes, MOST_MISTAKES)), 422)
     return data
 
 
-def _values(data: Any, at: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+def _values(data: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
     """Path and value of everything in nested data, what holds others before these; nothing too deep."""
-    yield at, data
+    yield path, data
     items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list | tuple) else ()
-    for key, value in items if len(at) <= _MOST_DEPTH else ():
-        yield from _values(value, (*at, str(key)[:60]))
+    for key, value in items if len(path) <= _MOST_DEPTH else ():
+        yield from _values(value, (*path, str(key)[:60]))
 
 
-def _excess(at: tuple[str, ...], value: Any) -> str:
+def _excess(path: tuple[str, ...], value: Any) -> str:
     """What there is too much of in a value, in words; empty: nothing."""
-    is_long = at[-1:] == ("description",)
-    if len(at) > _MOST_DEPTH:
+    is_long = path[-1:] == ("description",)
+    if len(path) > _MOST_DEPTH:
         return "too deep"
     if isinstance(value, Mapping | list | tuple):
         is_rows = isinstance(value, Mapping) or (len(value) > 0 and isinstance(value[0], Mapping))
@@ -448,13 +448,13 @@ def _excess(at: tuple[str, ...], value: Any) -> str:
 def _of_names(data: Mapping[str, Any], uploads: Collection[str]) -> Iterator[FieldMistake]:
     """Names that this server does not have, and files of its own."""
     # What the predefined scenarios name of data sets, anybody may name.
-    known = [target.spectrum.file for one in predefined().values() for target in one.scene.targets]
-    for at, value in _values(data):
-        path, key = ".".join(at), at[-1] if at else ""
+    files = [target.spectrum.file for one in predefined().values() for target in one.scene.targets]
+    for parts, value in _values(data):
+        path, key = ".".join(parts), parts[-1] if parts else ""
         names = (*_choices(path), *(uploads if path == "sensor" else ()))
         if names and isinstance(value, str) and value not in names and not _GREY.fullmatch(value):
             yield FieldMistake(path, f"this server has nothing of that name; one of {', '.join(names)}")
-        elif key == "file" and value in known:
+        elif key == "file" and value in files:
             yield from (FieldMistake(path, f"this server lacks the data set {name}") for name in needs(value))
         elif key == "file" and value not in (None, *uploads):
             yield FieldMistake(path, f"names no file that you have uploaded: {', '.join(uploads) or 'there is none'}")
@@ -487,12 +487,12 @@ def marked(mistakes: Collection[FieldMistake], paths: Collection[str]) -> dict[s
     """
     out: dict[str, list[str]] = {}
     for mistake in mistakes:
-        at = mistake.field
-        names = {p: p.rpartition(".")[2] for p in paths if p.rpartition(".")[0] == at}
+        field = mistake.field
+        names = {p: p.rpartition(".")[2] for p in paths if p.rpartition(".")[0] == field}
         named = [p for p, name in names.items() if re.search(rf"\b{re.escape(name)}\b", mistake.message)]
-        while at and at not in paths:
-            at = at.rpartition(".")[0]
-        first = min(named, key=lambda p: mistake.message.find(names[p]), default=at)
+        while field and field not in paths:
+            field = field.rpartition(".")[0]
+        first = min(named, key=lambda p: mistake.message.find(names[p]), default=field)
         out.setdefault(first, []).append(mistake.message)
     return out
 

@@ -67,19 +67,19 @@ class Guard:
         is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
         bound = settings.upload_bytes if is_upload else settings.body_bytes
         # Whoever knows the name is the session; it is new where the cookie has none, or a malformed one.
-        given = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
-        is_new = _NAME.fullmatch(given) is None
-        name = secrets.token_urlsafe(32) if is_new else given
+        cookie = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
+        is_new = _NAME.fullmatch(cookie) is None
+        name = secrets.token_urlsafe(32) if is_new else cookie
         # What its runs are stored under, from which the name does not follow.
         scope["owner"] = hashlib.sha256(b"owner" + name.encode()).hexdigest()[:32]
         refusal = self._refusal(scope, headers, bound)
-        seen, is_started = 0, False
+        size, is_started = 0, False
 
         async def counted() -> Message:
-            nonlocal seen
+            nonlocal size
             message = await receive()
-            seen += len(message.get("body", b""))
-            deny(seen > bound, 413, f"larger than {bound:,} bytes", "body")
+            size += len(message.get("body", b""))
+            deny(size > bound, 413, f"larger than {bound:,} bytes", "body")
             return message
 
         async def answer(message: Message) -> None:
@@ -118,7 +118,7 @@ class Guard:
              415, "content-encoding", "bodies are taken as they are, not compressed"),
             (not is_other, 403, "origin", "a page of another site asked for this"),
         ]  # fmt: skip
-        broken = (problems(status, [FieldMistake(at, words)]) for holds, status, at, words in rules if not holds)
+        broken = (problems(status, [FieldMistake(field, words)]) for holds, status, field, words in rules if not holds)
         return next(broken, None)
 
     def _complete(self, headers: MutableHeaders, session: str | None) -> None:
@@ -158,9 +158,9 @@ class _Connection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Count the connection, and wait for its first head."""
         super().connection_made(transport)
-        own = [one for one in self.every if one._address == self._address]
-        if len(own) >= self.most or len(self.every) >= self.most_of_all:
-            crowd = own if len(own) >= self.most else self.every
+        same = [one for one in self.every if one._address == self._address]
+        if len(same) >= self.most or len(self.every) >= self.most_of_all:
+            crowd = same if len(same) >= self.most else self.every
             idle = min((c for c in crowd if repr(c.conn.their_state) == _HEAD), key=lambda c: c._begun, default=None)
             if idle is None:
                 self._end(503)

@@ -99,8 +99,8 @@ def reference(request: Request) -> Response:
 @pages.get("/sensors")
 def sensors_page(request: Request) -> Response:
     """The sensors of the library."""
-    known = {name: load_sensor(name).specification for name in library_names()}
-    return page(request, "sensors.html.j2", sensors=known)
+    sensors = {name: load_sensor(name).specification for name in library_names()}
+    return page(request, "sensors.html.j2", sensors=sensors)
 
 
 @api.get("/sensors")

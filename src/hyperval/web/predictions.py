@@ -29,7 +29,7 @@ from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.plan import MOST_TRIED, point_of, states_of, values_to_try
 from hyperval.study.schema import StudyFile
-from hyperval.study.trade import KINDS, Prepared, Progress, Trade, completed, notebook, prepared, study_of
+from hyperval.study.trade import KINDS, Prepared, Progress, Trade, complete, notebook, prepare, study_of
 from hyperval.web.forms import (
     MOST_ROWS,
     SCENES,
@@ -90,11 +90,11 @@ def predict_form(
 @pages.post("/predict")
 def predict_post(request: Request, form: SentForm) -> Response:
     """Add or remove a row of the form, or run it."""
-    given = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
-    begun = given.get("begun", [""])[0]
-    if given.get("action", ["run"])[0] != "run":
-        return _form(request, form_data(with_action(given)), begun)
-    data = {"schema": 1} | form_data(given)
+    fields = {name: [text for text in form.getlist(name) if isinstance(text, str)] for name in form}
+    begun = fields.get("begun", [""])[0]
+    if fields.get("action", ["run"])[0] != "run":
+        return _form(request, form_data(with_action(fields)), begun)
+    data = {"schema": 1} | form_data(fields)
     try:
         ordered = order_prediction(request, data)
     except Refused as refusal:
@@ -110,11 +110,11 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
     ------
     Refused : what is wrong with it, or there is no room.
     """
-    own = Uploads(request)
-    scenario = checked_scenario(data, own.names())
+    uploads = Uploads(request)
+    scenario = checked_scenario(data, uploads.names())
     text = yaml_text("scenario", plain(scenario))
-    files: Files = {"scenario.yaml": text, **own.copies(text)}
-    return store_of(request).order(own.owner, "prediction", scenario.name, scenario.title, files)
+    files: Files = {"scenario.yaml": text, **uploads.copies(text)}
+    return store_of(request).order(uploads.owner, "prediction", scenario.name, scenario.title, files)
 
 
 def _file(request: Request, name: str) -> str:
@@ -140,16 +140,16 @@ def _first(request: Request, begun: str) -> dict[str, Any] | None:
 
 def _form(request: Request, data: dict[str, Any], begun: str = "", mistakes: Sequence[FieldMistake] = ()) -> Response:
     """The form, and what differs in it from the scenario that it began with."""
-    own, first = Uploads(request), _first(request, begun)
+    uploads, first = Uploads(request), _first(request, begun)
     begun = begun if first else ""
-    nodes = form_nodes(data, first, own.names("sensors"))
+    nodes = form_nodes(data, first, uploads.names("sensors"))
     titles = {node.path: node.title for node in walk(nodes)} if mistakes else {}
     errors = marked(mistakes, titles)
     holding = {path.rsplit(".", n)[0] for path in errors for n in range(path.count(".") + 1)}  # which stand open
     return page(
         request, "predict.html.j2", errors=errors, holding=holding, scenarios=predefined(),
         changes=sum(n.changes for n in nodes), nodes=nodes,
-        titles=titles, begun=begun, uploads=own.names("spectra"),
+        titles=titles, begun=begun, uploads=uploads.names("spectra"),
     )  # fmt: skip
 
 
@@ -160,13 +160,13 @@ def walk(nodes: Sequence[Node]) -> Iterator[Node]:
         yield from walk(node.children)
 
 
-def with_action(given: dict[str, list[str]]) -> dict[str, list[str]]:
+def with_action(fields: dict[str, list[str]]) -> dict[str, list[str]]:
     """The fields of a form, with a row more or less, as its button says."""
-    verb, _, path = given["action"][0].partition(":")
-    count = given.get(f"{path}#", [""])[0]
+    verb, _, path = fields["action"][0].partition(":")
+    count = fields.get(f"{path}#", [""])[0]
     if verb == "add" and count.isdecimal() and len(count) < 4 and int(count) < MOST_ROWS:
-        return {**given, f"{path}#": [str(int(count) + 1)]}
-    return {**given, f"{path}!": ["1"]} if verb == "remove" else given
+        return {**fields, f"{path}#": [str(int(count) + 1)]}
+    return {**fields, f"{path}!": ["1"]} if verb == "remove" else fields
 
 
 Setting = float | str | bool | list[Any] | None
@@ -233,21 +233,21 @@ def _source(request: Request, name: str) -> str:
     return _file(request, name)
 
 
-def _asked(request: Request, given: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
+def _asked(request: Request, sent: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
     """What is asked, checked against its scenario.
 
     Raises
     ------
     Refused : every mistake with its field.
     """
-    *asked, mistakes = _right(request, given)
+    *asked, mistakes = _right(request, sent)
     deny(mistakes, 422)
     return tuple(asked)
 
 
-def _right(request: Request, given: QueryParams | FormData) -> tuple[Any, ...]:
+def _right(request: Request, sent: QueryParams | FormData) -> tuple[Any, ...]:
     """Source, trade and scenario of what is right in what is asked, and every mistake of the rest, left out."""
-    texts = [(name, text.strip()) for name, text in given.multi_items() if isinstance(text, str) and text.strip()]
+    texts = [(name, text.strip()) for name, text in sent.multi_items() if isinstance(text, str) and text.strip()]
     try:
         return (*_checked(request, texts), [])
     except Refused as refusal:
@@ -267,13 +267,13 @@ def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, T
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
     data["moved"] = {name[3:]: text for name, text in texts if name.startswith("at:")}
-    own = Uploads(request)
-    data["kept"] = tuple(own.folder / "sensors" / name for name in own.names("sensors"))
+    uploads = Uploads(request)
+    data["kept"] = tuple(uploads.folder / "sensors" / name for name in uploads.names("sensors"))
     try:
         trade = Trade.model_validate(data)
         source = _source(request, trade.scenario)
-        p = prepared(source, trade)
-        return source, completed(trade, p), p
+        p = prepare(source, trade)
+        return source, complete(trade, p), p
     except ValidationError as error:
         mistakes = mistakes_of(error.errors())
         raise Refused(422, [replace(m, field=re.sub(r"^moved\.", "at:", m.field)) for m in mistakes]) from error
@@ -304,8 +304,8 @@ def desk(request: Request) -> Response:
 def live(request: Request) -> Response:
     """The ROC where the sliders stand, with its interval where that is asked for."""
     source, trade, _ = _asked(request, request.query_params)
-    told = store_of(request).ask("trade_live", source=source, trade=trade, with_limits="limits" in request.query_params)
-    return JSONResponse(told)
+    roc = store_of(request).ask("trade_live", source=source, trade=trade, with_limits="limits" in request.query_params)
+    return JSONResponse(roc)
 
 
 @pages.get("/trade/curve")
@@ -315,11 +315,11 @@ def curve(request: Request) -> Response:
     ask = store_of(request).ask
 
     def pieces() -> Iterator[str]:
-        told = None
+        progress = None
         try:
-            while told is None or told.left:
-                told = Progress(*ask("trade_piece", source=source, trade=trade, before=told))
-                yield json.dumps({"figure": told.figure, "needed": told.said, "left": told.left}) + "\n"
+            while progress is None or progress.left:
+                progress = Progress(*ask("trade_piece", source=source, trade=trade, before=progress))
+                yield json.dumps({"figure": progress.figure, "needed": progress.said, "left": progress.left}) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 
@@ -358,14 +358,14 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     ------
     Refused : what is wrong with it, or there is no room.
     """
-    own = Uploads(request)
+    uploads = Uploads(request)
     scenario = load_scenario(_source(request, study.scenario))
     most = request.app.state.settings.points
-    deny(list(dict.fromkeys((*_of_size(study, scenario, most), *_of_paths(study, scenario, own.names())))), 422)
+    deny(list(dict.fromkeys((*_of_size(study, scenario, most), *_of_paths(study, scenario, uploads.names())))), 422)
     text = yaml_text("scenario", plain(scenario))
     asked = yaml_text("study", plain(study) | {"scenario": "scenario.yaml"})
-    files: Files = {**own.copies(text + asked, scenario.folder), "study.yaml": asked, "scenario.yaml": text}
-    return store_of(request).order(own.owner, "study", study.name, study.title, files)
+    files: Files = {**uploads.copies(text + asked, scenario.folder), "study.yaml": asked, "scenario.yaml": text}
+    return store_of(request).order(uploads.owner, "study", study.name, study.title, files)
 
 
 class StudyOrder(Model):
@@ -394,23 +394,23 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
     """Paths that lead nowhere, and values that cannot stand there: files of the server among them.
 
     >>> planks, asked = "yellow-planks-asphalt", Trade(side_m=1.0)  # of a GSD, which the settings of the study make
-    >>> study = study_of(p := prepared(planks, asked), completed(asked, p), planks)
+    >>> study = study_of(p := prepare(planks, asked), complete(asked, p), planks)
     >>> study.inputs[0].path.endswith("gsd_m"), list(_of_paths(study, load_scenario(planks), ()))
     (True, [])
     """
     tries: list[tuple[str, Mapping[str, Any]]] = [("settings", {})]
     asked = [(f"{kind}.{i}", one) for kind in ("inputs", "required") for i, one in enumerate(getattr(study, kind))]
-    for at, item in asked:
+    for where, item in asked:
         values = list({repr(value): value for value in values_to_try(item)}.values())
         if len(values) > MOST_TRIED:
-            yield FieldMistake(f"{at}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
+            yield FieldMistake(f"{where}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
         for value in values[:MOST_TRIED]:
-            point = {path: own for path, own in point_of(item, value).items() if own is not None and in_file(path)}
+            point = {path: v for path, v in point_of(item, value).items() if v is not None and in_file(path)}
             named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
-            tries.append((f"{at}.path", named))
-    for field, there in tries:
+            tries.append((f"{where}.path", named))
+    for field, moves in tries:
         try:
-            checked_scenario(plain(with_settings(scenario, {**study.settings, **there})), uploads)
+            checked_scenario(plain(with_settings(scenario, {**study.settings, **moves})), uploads)
         except (UsageError, Refused) as error:
             words = said(error) if isinstance(error, UsageError) else str(error)
             yield FieldMistake(field, words[:400])

@@ -103,10 +103,10 @@ def _beside(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
         {key(row): row for row in (side.summary.get("detection", ()) if side else ())} for side in (other, run)
     )
     rows = []
-    for at, row in now.items():
-        if at[-1] == "object" and now.get((*at[:-1], "pixel"), {}).get("pd") == row["pd"]:
+    for name, row in now.items():
+        if name[-1] == "object" and now.get((*name[:-1], "pixel"), {}).get("pd") == row["pd"]:
             continue
-        before = earlier.get(at, {}).get("pd")
+        before = earlier.get(name, {}).get("pd")
         difference = None if before is None or row["pd"] is None else row["pd"] - before
         rows.append({**row, "earlier": before, "difference": difference})
     return rows
@@ -148,8 +148,8 @@ def file(request: Request, run: OwnRun, name: str) -> Response:
     is_own = any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results"))
     deny(not path.is_file() or not is_own, 404, "this run has no such file")
     shown = {".html", ".svg", ".png"} & {path.suffix}
-    own = run.name.removeprefix("run:")
-    headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{own}-{path.name}"'}
+    stem = run.name.removeprefix("run:")
+    headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{stem}-{path.name}"'}
     if path.suffix == ".html":  # the page of a report has scripts of its own, and these alone
         headers["content-security-policy"] = (
             f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {page_hashes()}; "
@@ -238,8 +238,8 @@ def campaigns_of(settings: ServerSettings) -> Iterator[CampaignAnswer]:
     several = twice(one.name for one in found)
     for one in found:
         file = one.path.relative_to(folder).as_posix()
-        own = {"name": file, "title": f"{one.title} ({file})"} if one.name in several else {}
-        yield one.model_copy(update=own)
+        update = {"name": file, "title": f"{one.title} ({file})"} if one.name in several else {}
+        yield one.model_copy(update=update)
 
 
 @lru_cache(maxsize=256)
@@ -259,10 +259,10 @@ def _read(path: Path, changed: int, size: int) -> tuple[CampaignAnswer, ...]:
 def campaigns_page(request: Request) -> Response:
     """Campaigns with their verdicts over time."""
     runs = store_of(request).of(owner_of(request), "validation")
-    known = known_campaigns(request)
-    lacking = {name: needs(campaign.path.read_text("utf-8")) for name, campaign in known.items()}
+    campaigns = known_campaigns(request)
+    lacking = {name: needs(campaign.path.read_text("utf-8")) for name, campaign in campaigns.items()}
     has_folder = request.app.state.settings.campaigns is not None
-    return page(request, "validate.html.j2", campaigns=known, lacking=lacking, runs=runs, has_folder=has_folder)
+    return page(request, "validate.html.j2", campaigns=campaigns, lacking=lacking, runs=runs, has_folder=has_folder)
 
 
 @pages.post("/validate")
@@ -274,10 +274,10 @@ def campaign_run(request: Request, order: Annotated[ValidationOrder, Form()]) ->
 @api.post("/validations", status_code=201)
 def validations(request: Request, order: ValidationOrder) -> RunAnswer:
     """Run a campaign: predict, observe, compare."""
-    known = known_campaigns(request).get(order.campaign)
-    if known is None:
+    found = known_campaigns(request).get(order.campaign)
+    if found is None:
         raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
-    run = store_of(request).order(owner_of(request), "validation", known.name, known.title, path=str(known.path))
+    run = store_of(request).order(owner_of(request), "validation", found.name, found.title, path=str(found.path))
     return answer_of(request, run)
 
 

@@ -162,13 +162,13 @@ def summary_of(kind: str, results: Path) -> dict[str, Any]:
     """What a list and a page say of a folder of results: the numbers of a study, the verdict of anything else."""
     rows = list(Run.open(results).table)
     if kind == "study":
-        told = [{name: getattr(row, name) for name in _STUDY_COLUMNS} for row in rows[:MOST_LISTED]]
-        return {"rows": told, "left_out": max(0, len(rows) - MOST_LISTED)}
+        listed = [{name: getattr(row, name) for name in _STUDY_COLUMNS} for row in rows[:MOST_LISTED]]
+        return {"rows": listed, "left_out": max(0, len(rows) - MOST_LISTED)}
     counts = Counter(str(row.outcome) for row in rows if row.planned)
     screen = first_screen(rows)
-    said = (f"{screen.head}. {screen.lead}", screen.words) if counts else ("One side alone: nothing is compared.",) * 2
+    texts = (f"{screen.head}. {screen.lead}", screen.words) if counts else ("One side alone: nothing is compared.",) * 2
     return {
-        "tone": str(screen.outcome), "status": said[0], "verdict": said[1], "counts": dict(counts), "rows": len(rows),
+        "tone": str(screen.outcome), "status": texts[0], "verdict": texts[1], "counts": dict(counts), "rows": len(rows),
     }  # fmt: skip
 
 
@@ -249,8 +249,8 @@ class Runs:
     def of(self, owner: str, kind: str | None = None) -> list[WebRun]:
         """Runs that a session sees, the latest first."""
         self._adopt()
-        seen = [r for r in self._every() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
-        return sorted(seen, key=lambda r: -r.created)
+        some = [r for r in self._every() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
+        return sorted(some, key=lambda r: -r.created)
 
     def _adopt(self) -> None:
         """Give what commands wrote below the server's folder a run whose results are a link to it."""
@@ -296,8 +296,8 @@ class Runs:
                 return
             self._cleared = now
             kept = [(path.stat().st_mtime, path) for path in (self.folder / "uploads").glob("*/*/*")]
-            own = [run for run in self._every() if run.state in ENDED and run.owner != EVERYBODY]
-            kept += [(run.created, self.place(run.id)) for run in own]
+            ended = [run for run in self._every() if run.state in ENDED and run.owner != EVERYBODY]
+            kept += [(run.created, self.place(run.id)) for run in ended]
             sizes = [size_of(path) for _, path in kept]
             total = sum(sizes)
             for (created, path), size in sorted(zip(kept, sizes, strict=True)):
@@ -336,9 +336,9 @@ class Runs:
         Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
         """
         with self._changed:
-            own = sum(of == owner for of, _ in list(self._tasks))
-            words = f"{own} of your runs wait or run; more are taken when one has finished"
-            deny(own >= self._settings.per_session, 429, words, wait=2)
+            count = sum(of == owner for of, _ in list(self._tasks))
+            words = f"{count} of your runs wait or run; more are taken when one has finished"
+            deny(count >= self._settings.per_session, 429, words, wait=2)
             about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": hyperval.__version__}
             run = WebRun(id=secrets.token_urlsafe(12), created=time.time(), **about)
             place = self.place(run.id)
@@ -379,9 +379,9 @@ class Runs:
         if task is None or run.state in ENDED:
             return {"stage": "", "done": 1.0 if run.state == "finished" else 0.0, "seconds_left": None}
         what, done, total = task.progress
-        stage, left = what or ("working" if task.started else "waiting"), task.seconds_left
-        left = None if left is None else math.ceil(left)
-        return {"stage": stage, "done": done / total if total else 0.0, "seconds_left": left}
+        stage, seconds = what or ("working" if task.started else "waiting"), task.seconds_left
+        seconds = None if seconds is None else math.ceil(seconds)
+        return {"stage": stage, "done": done / total if total else 0.0, "seconds_left": seconds}
 
     def cancel(self, run: WebRun) -> None:
         """Call a run off."""
@@ -402,10 +402,10 @@ class Runs:
         if task in ("files", "draw") and run.version != now:  # the scenario would give other numbers
             raise Refused(409, f"the run was made by version {run.version}, and this is {now}: run it again")
         with self._changed:
-            own = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
+            job = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
             if (run.id, name) not in self._tasks:
-                self._hand((run.id, name), self.long if task == COLLECTION else self.quick, own)
-        self._result(own, self._settings.quick_seconds * 2)
+                self._hand((run.id, name), self.long if task == COLLECTION else self.quick, job)
+        self._result(job, self._settings.quick_seconds * 2)
         return place / name
 
     def ask(self, task: str, of: str = "", **arguments: Any) -> Any:
@@ -419,9 +419,9 @@ class Runs:
         ------
         Refused : it came to nothing, or there is no room.
         """
-        own = WorkerTask(task, arguments)
-        self._hand(("", own), self.quick, own)
-        return self._result(own, self._settings.quick_seconds, of)
+        job = WorkerTask(task, arguments)
+        self._hand(("", job), self.quick, job)
+        return self._result(job, self._settings.quick_seconds, of)
 
     def _result(self, task: WorkerTask, seconds: float, field: str = "") -> Any:
         try:
@@ -464,8 +464,8 @@ class WorkerPool(TaskPool):
         perform, prepare = partial(carried_out, module), partial(_warm, module)
         start: Callable[[], Worker] = partial(Process, perform, prepare, memory_bytes)
         if scheduler is not None:
-            at = self._stack.enter_context(workers(scheduler=scheduler))
-            start, count = partial(_Place, at, module), at.width
+            places = self._stack.enter_context(workers(scheduler=scheduler))
+            start, count = partial(_Place, places, module), places.width
         super().__init__(start, count, most=most, seconds=seconds)
 
     def close(self) -> None:
@@ -506,8 +506,8 @@ _alone = threading.Lock()  # a worker of several threads has one listener, and o
 class _Place:
     """A place on a scheduler: its task tells in the run's folder how far it is."""
 
-    def __init__(self, at: Workers, module: str):
-        self._at, self._module = at, module
+    def __init__(self, places: Workers, module: str):
+        self._at, self._module = places, module
         self._future: Future[Any] = Future()  # of no task yet
         self._folder = _NOWHERE
 

@@ -31,7 +31,7 @@ from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, needed, refuse
 from hyperval.executors import under_command
 from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
-from hyperval.imagery import open_raster, record
+from hyperval.imagery import image_record, open_raster
 from hyperval.observe import open_source
 from hyperval.products import ObservedProducts, PredictedProducts, SpectralEstimate, background_of
 from hyperval.run import file_stems, read_products
@@ -40,7 +40,7 @@ from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import simulate
 from hyperval.spectra.axis import in_window
 from hyperval.storage import write_text
-from hyperval.study import live, piece, study_to_folder
+from hyperval.study import live_figure, next_piece, study_to_folder
 from hyperval.web.refusal import for_pages
 from hyperval.web.store import COLLECTION, MOST_LISTED, summary_of, view_name
 
@@ -146,8 +146,8 @@ def pipeline(folder: str, parts: Mapping[str, list[str]], stated: Mapping[str, A
     with under_command("hyperval", "observe", "campaign.yaml"):
         observe(place / "campaign.yaml", place / "results")
     compares = "comparisons" in parse_yaml(text)[0]
-    told = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": compares}
-    return summary_of("pipeline", place / "results") | told
+    summary = {"header": header, "guesses": [for_pages(guess) for guess in guesses], "compares": compares}
+    return summary_of("pipeline", place / "results") | summary
 
 
 def _drafted(
@@ -155,14 +155,14 @@ def _drafted(
 ) -> tuple[str, list[str], dict[str, str]]:
     """The campaign of the files of each part, what is guessed in it, and what the header says."""
     cube, about, targets = files["cube"][0], dict(stated), next(iter(files["targets"]), None)
-    given = files["header"][0]
-    beside = None if given == header_beside(cube) else given
+    header_file = files["header"][0]
+    beside = None if header_file == header_beside(cube) else header_file
     raster = open_raster(cube, header=beside)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
-    own = raster.description
-    quantity = about.get("quantity") or ("radiance" if "unit" in about else own.quantity)
-    known = replace(raster, description=replace(own, quantity=quantity, unit=about.get("unit", own.unit)))
-    header = {what: value for what, value, _ in record(known) if what != "assumed"}
+    described = raster.description
+    quantity = about.get("quantity") or ("radiance" if "unit" in about else described.quantity)
+    amended = replace(raster, description=replace(described, quantity=quantity, unit=about.get("unit", described.unit)))
+    header = {what: value for what, value, _ in image_record(amended) if what != "assumed"}
     if "scale" in about:
         header |= {what: f"x {about['scale']:g}" for what in header if what.startswith("scale of ")}
     spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
@@ -173,7 +173,7 @@ def _drafted(
 
 def draft(files: Mapping[str, list[str]], stated: Mapping[str, Any], most: int) -> list[tuple[str, str]]:
     """Entries of the campaign of the files that these leave open, and what they are."""
-    paths = {part: [Path(file) for file in own] for part, own in files.items()}
+    paths = {part: [Path(file) for file in names] for part, names in files.items()}
     with TemporaryDirectory(prefix="hyperval-draft-") as place:
         text, *_ = _drafted(Path(place), paths, stated, most)
     return [(one.key, one.what) for one in placeholders(*parse_yaml(text), "")]
@@ -190,15 +190,15 @@ def score_map(folder: str, name: str) -> None:
     values = raster.read_some_bands(0, raster.lines, [0])[0]
     step = int(np.ceil(np.sqrt(values.size / _MOST_PIXELS)))
     shown = values[::step, ::step]
-    known = np.isfinite(values)
-    low, high = (float(v) for v in np.quantile(values[known], [0.0, 1.0])) if known.any() else (0.0, 1.0)
+    finite = np.isfinite(values)
+    low, high = (float(v) for v in np.quantile(values[finite], [0.0, 1.0])) if finite.any() else (0.0, 1.0)
     part = (shown.astype(float) - low) / (high - low or 1.0)
     scaled = np.nan_to_num(np.rint(part * 65534) + 1, nan=0.0).astype("<u2")  # 0: no score
-    ordered = np.sort(values[known])[::-1]
+    ordered = np.sort(values[finite])[::-1]
     curves = _curves(folder, name)
     content = {
         "width": shown.shape[1], "height": shown.shape[0], "step": step, "low": low, "high": high,
-        "pixels": base64.b64encode(scaled.tobytes()).decode(), "known": int(known.sum()),
+        "pixels": base64.b64encode(scaled.tobytes()).decode(), "known": int(finite.sum()),
         "above": _thresholds(ordered, curves), "curves": curves,
     }  # fmt: skip
     _write(Path(folder) / view_name(f"map-{name}"), content)
@@ -228,10 +228,10 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     for (subject, detector, unit), c in curves:
         # Of one map all curves of its detector; of several, those whose subject begins as no longer name does.
         looked_for = [stem for stem, target in maps.items() if file_stems([subject])[subject].startswith(target)]
-        own = detector == own_detector and (len(maps) == 1 or max(looked_for, key=len, default="") == name)
-        known = np.isfinite(c.threshold) & np.isfinite(c.pd)
-        if observed is not None and own and known.any():
-            parts = {part: getattr(c, part)[known].tolist() for part in ("threshold", "pfa", "pd")}
+        is_map = detector == own_detector and (len(maps) == 1 or max(looked_for, key=len, default="") == name)
+        valid = np.isfinite(c.threshold) & np.isfinite(c.pd)
+        if observed is not None and is_map and valid.any():
+            parts = {part: getattr(c, part)[valid].tolist() for part in ("threshold", "pfa", "pd")}
             targets, background = _scores(observed, subject, detector, unit)
             out.append({"subject": subject, "unit": unit, "target_scores": targets, "n_target": c.n_target,
                         "background_scores": background, "n_background": c.n_background, **parts})  # fmt: skip
@@ -280,8 +280,8 @@ def pixel(folder: str, path: str, line: int, sample: int) -> None:
     values = cube.read(line, 1).values[0, sample]
     predicted, quantity = read_products(Path(folder) / "results").pair[0], source.quantity
     spectra = needed(getattr(predicted, quantity, None) or None, "web.spectra", quantity=quantity)
-    own = SpectralEstimate(values, np.zeros((values.size, values.size)))
-    sides: dict[str, Any] = {quantity: dict.fromkeys(spectra, own)}
+    spectrum = SpectralEstimate(values, np.zeros((values.size, values.size)))
+    sides: dict[str, Any] = {quantity: dict.fromkeys(spectra, spectrum)}
     observed = ObservedProducts(cube.axis, **sides)
     figure = spectra_figure((predicted, observed), quantity, names=("predicted", f"pixel ({line}, {sample})"))
     _write(Path(folder) / view_name(f"pixel-{line}-{sample}"), [fetched(figure)] if figure else [])
@@ -294,5 +294,5 @@ def _write(path: Path, content: Any) -> None:
 TASKS: Mapping[str, Callable[..., Any]] = {
     "prediction": predict, "draw": draw, "files": files, "study": study, "validation": campaign,
     "pipeline": pipeline, "draft": draft, "score_map": score_map, "pixel": pixel, "sensor": sensor,
-    "collection": collection, "trade_live": live, "trade_piece": piece,
+    "collection": collection, "trade_live": live_figure, "trade_piece": next_piece,
 }  # fmt: skip

@@ -82,7 +82,7 @@ class Uploads:
     def copies(self, text: str, beside: Path | None = None) -> dict[str, Path]:
         """Files that the text of a scenario names, first those ``beside`` it, by their names in a run."""
         named = {name: self.folder / of / name for of in _OF_SCENARIOS for name in self.names(of) if name in text}
-        return named | {name: own for name in named if beside is not None and (own := beside / name).is_file()}
+        return named | {name: path for name in named if beside is not None and (path := beside / name).is_file()}
 
     def given(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
         """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
@@ -182,18 +182,18 @@ def uploads_page(request: Request, form: SentForm) -> Response:
     try:
         taken = take_files(request, form)
     except Refused as refusal:
-        given = {name: value for name, value in form.items() if isinstance(value, str)}
-        return _page(request, given, to_show(refusal))
+        fields = {name: value for name, value in form.items() if isinstance(value, str)}
+        return _page(request, fields, to_show(refusal))
     return RedirectResponse(f"/runs/{taken.id}" if isinstance(taken, WebRun) else "/bring", status_code=303)
 
 
-def _page(request: Request, given: Mapping[str, str], mistakes: Sequence[FieldMistake] = ()) -> Response:
-    settings, own = request.app.state.settings, Uploads(request)
+def _page(request: Request, fields: Mapping[str, str], mistakes: Sequence[FieldMistake] = ()) -> Response:
+    settings, uploads = request.app.state.settings, Uploads(request)
     errors = marked(mistakes, [mistake.field for mistake in mistakes])
     return page(
-        request, "uploads.html.j2", errors=errors, given=given, most=settings.upload_bytes,
+        request, "uploads.html.j2", errors=errors, given=fields, most=settings.upload_bytes,
         has_data=settings.data is not None, sensors=library_names(),
-        kept={field: own.names(field) for field in _ENDINGS},
+        kept={field: uploads.names(field) for field in _ENDINGS},
     )  # fmt: skip
 
 
@@ -204,10 +204,10 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     ------
     Refused : what is wrong with them, or there is no room; what was right is kept none the less.
     """
-    own, state, mistakes = Uploads(request), request.app.state, list[FieldMistake]()
+    uploads, state, mistakes = Uploads(request), request.app.state, list[FieldMistake]()
     files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
     fields = set[str]()
-    for field, find in own.given(form):
+    for field, find in uploads.given(form):
         fields.add(field)
         try:
             path = find()
@@ -225,14 +225,14 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
         lacking = [field for field in _NEEDED if not parts[field] or (field == "cube" and len(parts[field]) > 1)]
         mistakes += [FieldMistake(field, _NEEDED[field]) for field in lacking if field not in wrong]
-        given = {name: text for name in StatedCollection.model_fields if (text := str(form.get(name) or "").strip())}
+        texts = {name: text for name in StatedCollection.model_fields if (text := str(form.get(name) or "").strip())}
         try:
-            stated = StatedCollection.model_validate(given)
+            stated = StatedCollection.model_validate(texts)
         except ValidationError as error:
             mistakes += mistakes_of(error.errors())
     deny(mistakes, 422)
     if not is_cube:
-        return list(own.names())
+        return list(uploads.names())
     about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
     sent = {part: [str(path) for of, path in files.values() if of == part] for part in PARTS}
     for key, what in state.runs.ask("draft", "cube", files=sent, **about):
@@ -241,11 +241,11 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
             mistakes.append(FieldMistake(field if field in StatedCollection.model_fields else "header", words))
     deny(mistakes, 422)
     run: WebRun = state.runs.order(
-        own.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
+        uploads.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
         {f"collection/{name}": path for name, (_, path) in files.items()}, parts=parts, **about,
     )  # fmt: skip
     for field in PARTS.keys() - {*_OF_SCENARIOS}:
-        shutil.rmtree(own.folder / field, ignore_errors=True)
+        shutil.rmtree(uploads.folder / field, ignore_errors=True)
     return run
 
 
