@@ -26,12 +26,12 @@ from hyperval.model.filters import LinearFilter, filter_base
 from hyperval.model.radiance import (
     Background,
     Material,
-    Seen,
+    Retrieved,
     at_rows,
     cut,
     light_of,
     of_truth,
-    seen_classes,
+    retrieved,
     target_pixels,
     usable_bands,
 )
@@ -70,23 +70,23 @@ def surroundings_variance(of: Background, vectors: Array) -> Array:
     return total
 
 
-def class_scores(seen: Seen, filters: LinearFilter) -> tuple[Array, Array]:
+def class_scores(view: Retrieved, filters: LinearFilter) -> tuple[Array, Array]:
     """theta_m and sigma_m (U, J) of the laws that the background's classes are made of (3.27, 3.29).
 
     A component of a class lies off its mean and has a covariance of its own; noise and surroundings are those of
     the class.  A linear filter makes a normal law normal and a t law a t law: the scores have a closed form.
     """
-    w, of, laws = filters.weights, seen.of, seen.of.laws
+    w, of, laws = filters.weights, view.of, view.of.laws
     owner, truths = np.array([law.owner for law in laws]), len(filters.weights)
 
-    means = (np.einsum("uf,umf->um", w, wide(seen.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
-    variances = np.einsum("uf,umf->um", w**2, wide(seen.noise, truths))[:, owner]
-    through = (w * seen.slope)[:, None, :]
+    means = (np.einsum("uf,umf->um", w, wide(view.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
+    variances = np.einsum("uf,umf->um", w**2, wide(view.noise, truths))[:, owner]
+    through = (w * view.slope)[:, None, :]
     for j, law in enumerate(laws):
         gain, stretch = of.gain[:, law.owner], of.stretch[:, law.owner]
         variances[:, j] += gain * spread(through, law.covariance, stretch)[:, 0]
         means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset, truths))
-    variances += surroundings_variance(of, w[:, None, :] * seen.around)[:, owner]
+    variances += surroundings_variance(of, w[:, None, :] * view.around)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
 
 
@@ -143,17 +143,17 @@ class Responses:
         return means, np.sqrt(np.clip((weights * variance[:, None, :]).sum(axis=2), 0.0, None))
 
 
-def target_scores(seen: Seen, filters: LinearFilter, material: Material, rows: Index) -> Responses:
+def target_scores(view: Retrieved, filters: LinearFilter, material: Material, rows: Index) -> Responses:
     """Score statistics of pixels of which the target fills f, at FILL_NODES (3.26, 3.28).
 
     Var(f) comes in by the average over the fill.
 
     ``rows`` : the truth of the classes that each of those of ``material`` has
     """
-    filters, seen = filters.rows(rows), seen.rows(rows)
-    of, number, w, g = seen.of, material.host, filters.weights, FILL_NODES
+    filters, view = filters.rows(rows), view.rows(rows)
+    of, number, w, g = view.of, material.host, filters.weights, FILL_NODES
     truths, bands = w.shape
-    reflectance, noise, around, factor = target_pixels(seen, material, g)
+    reflectance, noise, around, factor = target_pixels(view, material, g)
     means = np.einsum("uf,ukf->uk", w, wide(reflectance, truths)) - filters.offset[:, None]  # (3.26)
     rest = np.einsum("ukf,uf->uk", wide(noise, truths), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
@@ -161,7 +161,7 @@ def target_scores(seen: Seen, filters: LinearFilter, material: Material, rows: I
     parts = surroundings_variance(of, np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
     zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
     rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)
-    through = (w * seen.slope)[:, None, :]
+    through = (w * view.slope)[:, None, :]
     lit_through, error = through * factor, np.zeros(truths)
     if material.error is not None:
         error = np.linalg.norm(lit_through[:, 0] @ material.error.T, axis=1)
@@ -234,26 +234,26 @@ class Evaluation(Keeps):
         return detection_bands(self.scenario, self.axis, self.usable[0])
 
     @cached_property
-    def seen(self) -> Seen:
+    def view(self) -> Retrieved:
         """The classes as the detectors see them."""
-        return seen_classes(self.light, self.at, self.bands)
+        return retrieved(self.light, self.at, self.bands)
 
     @cached_property
     def filters(self) -> Mapping[tuple[str, str], tuple[LinearFilter, Array, Array]]:
         """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
-        seen, linear, shape = self.seen, self.stated.linear_detectors, (self.at.size, self.bands.size)
-        wanted = {(t.name, d): seen.looked_for[t.name] for t in self.targets for d in linear}
+        view, linear, shape = self.view, self.stated.linear_detectors, (self.at.size, self.bands.size)
+        wanted = {(t.name, d): view.signatures[t.name] for t in self.targets for d in linear}
         made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
         for v in range(self.at.size) if wanted else ():
             try:
-                base = filter_base(self.stated, seen, v)
+                base = filter_base(self.stated, view, v)
                 each = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
             except UsageError as error:
                 self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
                 continue
             for target, one in zip(made.values(), each, strict=True):
                 target.weights[v], target.offset[v] = one
-        return {key: (f, *class_scores(seen, f)) for key, f in made.items()}
+        return {key: (f, *class_scores(view, f)) for key, f in made.items()}
 
     def material(self, target: int, world: World) -> Material:
         """A target with its host, its light and the error of its spectrum, in some truths."""
@@ -346,7 +346,7 @@ class Evaluation(Keeps):
             first, rows = self.world.distinct([self.targets[holds].name])
             filters = self.filters[self.targets[looks_for].name, detector][0]
             material = self.material(holds, self.world.rows(first))
-            return rows, target_scores(self.seen, filters, material, self.which[first])
+            return rows, target_scores(self.view, filters, material, self.which[first])
 
         return self.once(("responses", looks_for, detector, holds), made)
 
@@ -492,10 +492,10 @@ class AceScores(NamedTuple):
 def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     """One truth: exceedance of the background, and of target pixels at nodes over all fills of its populations."""
     processing, named = e.scenario.processing, e.targets[target]
-    v, seen = int(e.which[u]), e.seen.rows(e.which[u : u + 1])
-    of, base, looked_for = seen.of, filter_base(e.stated, e.seen, v), seen.looked_for[named.name][0]
-    space = ace_space(base.of(looked_for), base.of(base.mean), base.factor)
-    slope, surroundings = seen.slope[0], e.seen.of.covariance(v)
+    v, view = int(e.which[u]), e.view.rows(e.which[u : u + 1])
+    of, base, signatures = view.of, filter_base(e.stated, e.view, v), view.signatures[named.name][0]
+    space = ace_space(base.of(signatures), base.of(base.mean), base.factor)
+    slope, surroundings = view.slope[0], e.view.of.covariance(v)
 
     def spread_of(surface: Array, around: Array, noise: Array) -> Array:
         """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
@@ -520,9 +520,9 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     for j, law in enumerate(of.laws):
         m = law.owner
         gain, stretch = float(of.gain[0, m]), of.stretch[0, m] * np.ones(e.bands.size)
-        mean = seen.means[0, m] + np.sqrt(gain) * slope * stretch * law.offset
+        mean = view.means[0, m] + np.sqrt(gain) * slope * stretch * law.offset
         surface = gain * law.covariance * np.outer(stretch, stretch)
-        whole = spread_of(surface, seen.around[0, m], seen.noise[0, m])
+        whole = spread_of(surface, view.around[0, m], view.noise[0, m])
         laws.append((mean, surface, whole))
         classes.append(above(mean, whole, float(dof[j]), [j], decades))
     background = _mixed(fractions, classes)
@@ -534,11 +534,11 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     square, shift = np.outer(slope, slope), float(e.shift[u])
 
     def at_fill(fill: float) -> Exceedance:
-        share, (means, noise, (beside, on), lit) = 1.0 - fill, target_pixels(seen, material, np.array([fill]))
+        share, (means, noise, (beside, on), lit) = 1.0 - fill, target_pixels(view, material, np.array([fill]))
         mean = means[0, 0]
         if shift and material.error is not None:
             # The true target departs along the filter's own direction, by standard deviations of its score.
-            w = base.filter("matched-filter", looked_for).weights * slope
+            w = base.filter("matched-filter", signatures).weights * slope
             along = material.error @ w
             mean = mean + shift * fill * (along @ material.error / np.linalg.norm(along)) * slope
         factor = material.stretch[0] * np.ravel(lit) * np.ones(e.bands.size)
@@ -552,7 +552,7 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
             law_mean, surface, alone = laws[j]
             total, tailed = whole + share**2 * (surface - host) * square, np.isfinite(dof[j])
             part = share**2 * alone if tailed else total
-            centre = mean + share * (law_mean - seen.means[0, number])
+            centre = mean + share * (law_mean - view.means[0, number])
             stream = [1_000_003, *([k] if k else [])]
             by_law.append(above(centre, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
         return _mixed(parts, by_law)

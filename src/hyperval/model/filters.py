@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dtfttr
 
 from hyperval.data import Array, Index
 from hyperval.errors import UsageError, refusal, refuse
-from hyperval.model.radiance import Seen, add_products, diagonal_places, latest, of_truth, packed, unpacked
+from hyperval.model.radiance import Retrieved, add_products, diagonal_places, latest, of_truth, packed, unpacked
 from hyperval.model.stated import Stated
 
 # Beyond this the float64 solve keeps fewer than about three correct digits.
@@ -288,7 +288,7 @@ class FilterBase:
         return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
 
 
-def filter_base(stated: Stated, seen: Seen, u: int) -> FilterBase:
+def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
     """Mean and covariance of the background that the filter of one truth is built on, factorised (3.8, 3.11).
 
     Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
@@ -300,13 +300,13 @@ def filter_base(stated: Stated, seen: Seen, u: int) -> FilterBase:
     ------
     UsageError : a matrix that can not be inverted.
     """
-    of, chosen, choice = seen.of, stated.scenario.processing.filter_classes, stated.scenario.processing.features
+    of, chosen, choice = view.of, stated.scenario.processing.filter_classes, stated.scenario.processing.features
     f = np.where([not chosen or name in chosen for name in stated.classes], of_truth(of.fraction, u), 0.0)
     f = f / f.sum() if chosen else f
-    weights, used, slope = f * of_truth(of.gain, u), f > 0.0, of_truth(seen.slope, u)
-    f, means, noise = f[used], of_truth(seen.means, u)[used], of_truth(seen.noise, u)[used]
+    weights, used, slope = f * of_truth(of.gain, u), f > 0.0, of_truth(view.slope, u)
+    f, means, noise = f[used], of_truth(view.means, u)[used], of_truth(view.noise, u)[used]
     mean, under = f @ means, np.sqrt(f)[:, None] / slope
-    around, between = under * of_truth(seen.around, u)[used], under * (means - mean)
+    around, between = under * of_truth(view.around, u)[used], under * (means - mean)
 
     def still() -> Array:
         """The covariance over the slopes, but for the noise."""
@@ -325,14 +325,14 @@ def filter_base(stated: Stated, seen: Seen, u: int) -> FilterBase:
     if choice.pca is not None:
         psi = principal_components(covariance, choice.pca)
     else:
-        psi = minimum_noise_fraction(covariance, noise_of(seen, u, mean), choice.mnf or 0)
+        psi = minimum_noise_fraction(covariance, noise_of(view, u, mean), choice.mnf or 0)
     return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
 
 
-def noise_of(seen: Seen, u: int, reflectance: Array) -> Array:
+def noise_of(view: Retrieved, u: int, reflectance: Array) -> Array:
     """Noise variance (F,) of a retrieved reflectance (F,) in one truth (3.16-3.19)."""
-    gain, offset = (of_truth(x, u)[0] for x in (seen.gain, seen.offset))
-    return np.asarray(seen.light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
+    gain, offset = (of_truth(x, u)[0] for x in (view.gain, view.offset))
+    return np.asarray(view.light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
 
 
 def own_mean_sampling(

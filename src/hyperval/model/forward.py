@@ -154,10 +154,10 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
     for region, without in origins.left_out():
         parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
         of_parts = [settled(with_truths(read_world(free, part), [truth]))[0][1] for part in parts]
-        laws = [(w.law_fraction, w.law_dof, radiance.seen_classes(radiance.light_of(w), w, e.bands)) for w in of_parts]
+        laws = [(w.law_fraction, w.law_dof, radiance.retrieved(radiance.light_of(w), w, e.bands)) for w in of_parts]
         for key, x in thresholds.items():
             row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
-            scores = [ClassScores(fraction, *class_scores(seen, one), dof) for fraction, dof, seen in laws]
+            scores = [ClassScores(fraction, *class_scores(view, one), dof) for fraction, dof, view in laws]
             out[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
     for key, regions in out.items():
         if regions:

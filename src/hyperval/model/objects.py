@@ -344,9 +344,9 @@ def _change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, dr
     name, v, of = e.targets[holds].name, int(e.which[u]), e.world.of_target
     if name not in drawn.spectra:
         return np.zeros(len(drawn.blur))
-    shade = e.seen.light.row(v).shade(float(of("beam", holds)[u]), float(of("sky_view", holds)[u]))
+    shade = e.view.light.row(v).shade(float(of("beam", holds)[u]), float(of("sky_view", holds)[u]))
     weights = e.filters[e.targets[looks_for].name, detector][0].weights[v]
-    return np.asarray(drawn.spectra[name] @ (weights * of_truth(e.seen.slope, v) * shade))
+    return np.asarray(drawn.spectra[name] @ (weights * of_truth(e.view.slope, v) * shade))
 
 
 def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
@@ -359,7 +359,7 @@ def expected_scores(e: Evaluation) -> dict[tuple[str, str, str], float]:
     v, first, scene = int(e.which[0]), e.world.rows(np.array([0])), e.scenario.scene
     pure = (*scene.classes, *scene.panels, *scene.sites)
     means = {s.name: first.mean[0, first.surface(s.name), e.bands] for s in pure}
-    view, light = e.seen.light.row(v), e.light.rows(np.array([v]))
+    view, light = e.view.light.row(v), e.light.rows(np.array([v]))
     for number, (t, _, population) in enumerate(e.stated.populations):
         lit, fill = target_light(first, light, t)[0][0, 0, e.bands], first.pixel_fills[number].mean
         means[population.name] = target_pixel_reflectance(fill, lit, means[e.targets[t].host])

@@ -705,7 +705,7 @@ class Background:
 
 
 @dataclass(frozen=True)
-class Seen:
+class Retrieved:
     """What the detectors see in U truths, on their bands: the classes after the empirical line, (U or 1, ...) each.
 
     Attributes
@@ -717,7 +717,7 @@ class Seen:
     means : (U or 1, M, F) retrieved reflectances
     noise : (U or 1, M, F) noise variances of the retrieved reflectances, 0 of classes whose covariance holds them
     held : (U or 1, M, F) the others: covariances of pixels of the image hold the noise that these have
-    looked_for : target -> (U or 1, F) what a filter looks for, in the units of the image
+    signatures : target -> (U or 1, F) what a filter looks for, in the units of the image
     """
 
     light: Light
@@ -729,16 +729,16 @@ class Seen:
     means: Array
     noise: Array
     held: Array
-    looked_for: Mapping[str, Array]
+    signatures: Mapping[str, Array]
 
-    def rows(self, index: Index) -> Seen:
+    def rows(self, index: Index) -> Retrieved:
         """Of some truths."""
         some = _rows_of(self, ("gain", "offset", "slope", "around", "means", "noise", "held"), index)
-        signatures = {name: at_rows(x, index) for name, x in self.looked_for.items()}
-        return replace(some, light=self.light.rows(index), of=self.of.rows(index), looked_for=signatures)
+        signatures = {name: at_rows(x, index) for name, x in self.signatures.items()}
+        return replace(some, light=self.light.rows(index), of=self.of.rows(index), signatures=signatures)
 
 
-def seen_classes(whole: Light, world: World, bands: Index) -> Seen:
+def retrieved(whole: Light, world: World, bands: Index) -> Retrieved:
     """What the detector sees of a world under its light, on some bands (3.7-3.21).
 
     A covariance of pixels of the image holds their noise; of one that was taken from predicted pixels the same follows:
@@ -771,13 +771,13 @@ def seen_classes(whole: Light, world: World, bands: Index) -> Seen:
     weight = np.sqrt(of.gain[:, :, None] * light.kappa)
     around = light.adjacency_slope(of.means) / line.gain * weight
     slope = np.ascontiguousarray((light.slope() / line.gain)[:, 0])
-    looked_for = {
+    signatures = {
         name: retrieved_reflectance(light.library_line, light.level(signature[None, bands]))[:, 0]
         for name, signature in world.stated.signatures.items()
     }
     means, noise = retrieved_reflectance(line, level), light.noise_variance(level) / line.gain**2
     held = np.where(of.of_pixels[:, None], noise, 0.0)
-    return Seen(light, of, line.gain, line.offset, slope, around, means, noise - held, held, looked_for)
+    return Retrieved(light, of, line.gain, line.offset, slope, around, means, noise - held, held, signatures)
 
 
 def usable_bands(world: World, light: Light) -> Mask:
@@ -815,7 +815,7 @@ class Material:
     of_pixels: bool = False
 
 
-def target_pixels(seen: Seen, material: Material, fills: Array) -> tuple[Array, Array, tuple[Array, Array], Array]:
+def target_pixels(view: Retrieved, material: Material, fills: Array) -> tuple[Array, Array, tuple[Array, Array], Array]:
     """Pixels of which a target fills K parts f (K,), as the detector sees them in U truths (3.7-3.12).
 
     Returns
@@ -824,15 +824,15 @@ def target_pixels(seen: Seen, material: Material, fills: Array) -> tuple[Array, 
     times the root of g_m kappa (3.11) of a pixel of host, and of one full of target, (U or 1, 1, F) each; light on the
     target over that in the open (U, 1, F), (1,) without shade.
     """
-    light, of, number = seen.light, seen.of, material.host
+    light, of, number = view.light, view.of, material.host
     lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
     host = of.means[:, number : number + 1]
     level = light.level(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
-    means = retrieved_reflectance(TwoPanelLine(seen.gain, seen.offset), level)
-    weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / seen.gain
+    means = retrieved_reflectance(TwoPanelLine(view.gain, view.offset), level)
+    weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / view.gain
     around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
-    held = (1.0 - fills[:, None]) ** 2 * seen.held[:, number : number + 1]
+    held = (1.0 - fills[:, None]) ** 2 * view.held[:, number : number + 1]
     if material.of_pixels:
         part = fills**2 + material.fine_texture[:, None] * (fills - fills**2)
-        held = held + part[:, :, None] * light.noise_variance(light.level(lit)) / seen.gain**2
-    return means, light.noise_variance(level) / seen.gain**2 - held, around, factor
+        held = held + part[:, :, None] * light.noise_variance(light.level(lit)) / view.gain**2
+    return means, light.noise_variance(level) / view.gain**2 - held, around, factor
