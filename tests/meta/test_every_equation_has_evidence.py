@@ -30,14 +30,14 @@ MODULES = (
 # matrix, the reading of curves, classifiers and laws with evidence of their own below tests/.
 BESIDE = {
     "add_products", "at_rows", "class_features", "curve_area", "cut", "detect", "detection_at", "detection_bands",
-    "evaluations", "feature_bands", "fill_distribution", "fill_with_mean", "fills_of_objects", "fills_of_population",
-    "filter_base", "fully_constrained", "gaussian_classes", "latest", "library_names", "light_of", "load_sensor",
-    "log10_false_alarm_at", "mean_detection", "measured_error", "new_sensor_file", "of_truth", "on_bands",
-    "own_mean_sampling", "packed", "pixels_of_object", "population_fill", "predicted_areas",
-    "predicted_classification", "predicted_error", "probit", "read_statistics_library", "score_distributions",
-    "spread", "stacked", "stacked_fills", "statistics_of_samples", "target_light", "unmixing_method",
-    "unpacked", "usable_bands", "whitened", "whole_object_fills", "wide", "widened", "with_distances",
-    "write_statistics_library",
+    "evaluations", "feature_bands", "fill_distribution", "fill_squares", "fill_with_mean", "fills_of_objects",
+    "fills_of_population", "filter_base", "fully_constrained", "gaussian_classes", "latest", "library_names",
+    "light_of", "load_sensor", "log10_false_alarm_at", "mean_detection", "measured_error", "new_sensor_file",
+    "of_truth", "on_bands", "own_mean_sampling", "packed", "pixels_of_object", "population_fill", "predicted_areas",
+    "predicted_classification", "predicted_error", "probit", "read_statistics_library", "retrieved",
+    "score_distributions", "spread", "stacked", "stacked_fills", "statistics_of_samples", "target_light",
+    "unmixing_method", "unpacked", "usable_bands", "whitened", "whole_object_fills", "wide", "widened",
+    "with_distances", "write_statistics_library",
 }  # fmt: skip
 ROOT = Path(__file__).parents[2]
 SOURCE = ROOT / "src" / "hyperval"

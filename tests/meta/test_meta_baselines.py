@@ -96,7 +96,7 @@ OF_CAMPAIGN = {
     "radiance of the image 2 % too large": (CUBE_2_PERCENT, RATIO),
     "bands of the image from the other end": (of_cube(stored_band=lambda cube: cube.stored_band[::-1].copy()), RATIO),
     "(3.12) without Var(f)": (
-        wrapped("hyperval.model.fill.moments", result(lambda fill: fixed_fill(fill.mean))), "pd_predicted@1e-2",
+        wrapped("hyperval.model.fill.population_fill", result(lambda fill: fixed_fill(fill.mean))), "pd_predicted@1e-2",
     ),
     "optical depth 0.25 for 0.2": (wrapped("hyperval.model.stated.atmospheric_terms", HAZIER), RATIO),
 }  # fmt: skip

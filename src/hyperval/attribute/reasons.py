@@ -496,10 +496,10 @@ def causes_of(model: ScenarioModel) -> Causes:
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.errors import InputError
-    >>> from hyperval.model import read
+    >>> from hyperval.model import read_world
     >>> from hyperval.products import PredictedProducts, SpectralEstimate
     >>> stated = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
-    >>> world, lawn = read(stated), SpectralEstimate(np.full(360, 0.2), 1e-4 * np.eye(360))
+    >>> world, lawn = read_world(stated), SpectralEstimate(np.full(360, 0.2), 1e-4 * np.eye(360))
     >>> seen = PredictedProducts(world.stated.axis, reflectance={"lawn": lawn})
     >>> predict = lambda scenarios, truths, budgeted: iter([seen] * len(truths))
     >>> def causes(lines):
@@ -510,7 +510,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
     >>> fraction = {"subject": stated.scene.classes[0].name, "absolute": 0.002}
     >>> tight = stated.with_values({"uncertainty.fractions": [fraction]})
-    >>> model = ScenarioModel([tight], [read(tight)], predict, seen, seen, None)
+    >>> model = ScenarioModel([tight], [read_world(tight)], predict, seen, seen, None)
     >>> (only,) = (c for c in causes_of(model).residuals.columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]

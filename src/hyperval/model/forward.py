@@ -610,14 +610,13 @@ def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], numbe
     spread = _of_surface(world, target.name)[0] * np.outer(shade, shade)
     host, (host_spread, gain, *_) = world.mean[0, world.surface(target.host)], _of_surface(world, target.host)
     fills, fine = world.pixel_fills[number], world.column("fine_texture")[0, world.surface(target.name)]
-    f2, g2 = fills.mean**2 + fills.variance, (1.0 - fills.mean) ** 2 + fills.variance  # of (3.12)
+    of_target, of_host = radiance.fill_squares(fills.mean, fills.variance, fine)
     covariance = radiance.target_pixel_covariance(
         fills.mean, fills.variance, full[target.name], spread, host, host_spread,
         target_gain=float(world.column("target_gain")[0, t]), fine_texture=fine,
     )  # fmt: skip
-    shares = shares_at(world, number)
-    errors = {} if shares is None else shares[0][shares[1][0]].errors(full, host, host_spread)
-    return covariance, gain, errors, {target.host: g2, target.name: f2 + fine * (fills.mean - f2)}
+    errors = shares[0][shares[1][0]].errors(full, host, host_spread) if (shares := shares_at(world, number)) else {}
+    return covariance, gain, errors, {target.host: of_host, target.name: of_target}
 
 
 def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> list[str]:

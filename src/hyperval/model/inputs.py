@@ -348,8 +348,8 @@ def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
     >>> plank = predict(scenario.with_values({"uncertainty": stated})).reflectance["green plank 0.4"]
     >>> bool(np.allclose(plank.budget["compensation (gain)"], 0.04 * plank.mean))
     True
-    >>> from hyperval.model import read
-    >>> world = read(scenario.with_values({"uncertainty": stated}))
+    >>> from hyperval.model import read_world
+    >>> world = read_world(scenario.with_values({"uncertainty": stated}))
     >>> asphalt, *others = world.stated.scenario.scene.classes
     >>> of_image = asphalt.model_copy(update={"spectrum": asphalt.spectrum.model_copy(update={"measured": "court"})})
     >>> scene = world.stated.scenario.scene.model_copy(update={"classes": [of_image, *others]})

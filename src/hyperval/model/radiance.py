@@ -203,6 +203,12 @@ def radiance_covariance(
     return result  # (3.11)
 
 
+def fill_squares(mean: float, variance: float, fine_texture: float = 0.0) -> tuple[float, float]:
+    """E[f^2] of a target, E[f] of its texture that is finer than a pixel, and E[(1 - f)^2] of its host (3.12)."""
+    f2 = mean**2 + variance
+    return f2 + fine_texture * (mean - f2), (1.0 - mean) ** 2 + variance
+
+
 def target_pixel_covariance(
     fill_mean: float,
     fill_variance: float,
@@ -232,10 +238,8 @@ def target_pixel_covariance(
     -------
     (B, B)
     """
-    f2, g2 = fill_mean**2 + fill_variance, (1.0 - fill_mean) ** 2 + fill_variance  # E[f^2], E[(1-f)^2]
-    f2 += fine_texture * (fill_mean - f2)
-    result = (f2 * target_gain) * np.asarray(target_covariance, dtype=float)
-    result += (g2 * host_gain) * np.asarray(host_covariance, dtype=float)
+    f2, g2 = fill_squares(fill_mean, fill_variance, fine_texture)
+    result = (f2 * target_gain) * np.asarray(target_covariance, float) + (g2 * host_gain) * np.asarray(host_covariance)
     d = np.asarray(target, dtype=float) - np.asarray(host, dtype=float)
     if fill_variance or not np.all(np.isfinite(d)):  # a band without a mean has no covariance either
         result += np.outer(fill_variance * d, d)

@@ -221,7 +221,7 @@ def complete(trade: Trade, p: Prepared) -> Trade:
     >>> at = {"time_utc": "2012-09-20T16:00:00Z", "latitude_deg": 43.0, "longitude_deg": -77.7}
     >>> at |= dict.fromkeys(("solar_zenith_deg", "solar_azimuth_deg", "day_of_year"))
     >>> lit = load_scenario("panels").with_values({f"atmosphere.{key}": value for key, value in at.items()})
-    >>> world = plan.read(lit)
+    >>> world = plan.read_world(lit)
     >>> plan.try_changes(world, {"atmosphere.solar_zenith_deg": 35.0, "atmosphere.view_zenith_deg": -5.0,  # past nadir
     ...                          "sensor.gain": np.int64(1)})  # place and time give way
 
