@@ -113,7 +113,7 @@ function tips(mark, x, y, data) {
 function styleAxis(ruler, axis, narrow) {
   Object.assign(ruler, {
     axis_line_color: SOFT, major_tick_line_color: SOFT, minor_tick_line_color: null, major_label_text_color: INK, major_label_text_font_size: "12px",
-    axis_label: (axis.label ?? "").replace(/(.{1,40})(?: |$)/g, "$1\n").trim(), axis_label_text_color: INK, axis_label_text_font_size: "12px", axis_label_text_font_style: "normal",
+    axis_label: axis.label ?? "", axis_label_text_color: INK, axis_label_text_font_size: "12px", axis_label_text_font_style: "normal",
   });
   if (axis.scale === "log" && axis.ends[1] / axis.ends[0] < FEW_DECADES) { // plain numbers at 1, 2 and 5
     const ticks = [];
@@ -170,6 +170,7 @@ function plotOf(figure, part, number, shared, note) {
   if (!part.own) shared.x ??= plot.x_range;
   if (plot.toolbar) Object.assign(plot.toolbar, { logo: null, autohide: true });
   for (const [ruler, axis] of [[plot.xaxis, x], [plot.yaxis, y]]) styleAxis(ruler, axis, narrow);
+  plot.yaxis.axis_label = (y.label ?? "").replace(/(.{1,40})(?: |$)/g, "$1\n").trim(); // along the side, where a long one is cut
   plot.xgrid.grid_line_color = named(x) ? null : GRID;
   plot.ygrid.grid_line_color = named(y) ? null : GRID;
   if (named(x)) Object.assign(plot.xaxis, { major_label_orientation: 0.7 }), (plot.min_width = 320 + 36 * x.names.length);

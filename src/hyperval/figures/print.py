@@ -115,7 +115,7 @@ def _height_in(view: Panels) -> float:
 def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:
     """Handles and labels of the legend of views."""
     marks = [mark for view in views for part in view.parts for mark in part.marks]
-    entries = {mark.label: _handle(mark) for mark in marks if mark.label}
+    entries = {m.label: _handle(next(one for one in marks if one.label == m.label)) for m in marks if m.label}
     if any(mark.kind in ("line", "steps") and "low" in mark.numbers for mark in marks):
         entries["95 % interval"] = Patch(color=GREY, alpha=0.3, linewidth=0)
     if views[0].x.absorption:
