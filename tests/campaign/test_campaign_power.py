@@ -52,7 +52,7 @@ def test_only_what_turns_counts_and_a_gate_that_nothing_fails_sees_nothing(make_
     monkeypatch.setattr("hyperval.campaign.power.WORLDS", 1)  # how often causes are named is not looked at
     (job,) = campaign.jobs_of(on_radiance_alone(make_small("sound"), at_most=0.02))
     found = campaign.power_table(job, errors=some_errors(BRIGHT, QUIET, TAILS))
-    sights = [campaign.Sight.GATES, campaign.Sight.UNSEEN, campaign.Sight.NOT_APPLICABLE]
+    sights = [campaign.Sight.GATES, campaign.Sight.INFORMING, campaign.Sight.NOT_APPLICABLE]
     assert [p.sight for p in found.errors.values()] == sights
     assert [name.split(" | ")[1] for name in found.errors[BRIGHT].gates] == SUBJECTS
     assert (found.gates, found.disagreeing, found.campaign) == (2, 0, "small")
@@ -109,12 +109,12 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert sorted(p.name for p in Path("out").glob("*.*") if not p.name.startswith(".")) == ["power.csv", "small.yaml"]
     lines = Path("out/power.csv").read_text().splitlines()
     assert lines[1].startswith("small,sunlight x 1.05,criteria,2,")
-    unseen, without = "small,noise x 1.5,undetected,0,0,", "small,tails left out,not applicable,0,0,no class has tails"
-    assert lines[2:] == [unseen, without]
+    informing, without = "informational comparisons,0,1,", "not applicable,0,0,no class has tails"
+    assert lines[2:] == [f"small,noise x 1.5,{informing}", f"small,tails left out,{without}"]
     run = campaign.run_campaign(campaign.jobs_of(path)[0])
     assert run.power is not None
     page = report_page(run, [])
-    assert "Undetected: noise x 1.5." in page[: page.index("<nav")]
+    assert "Informational comparisons alone detect: noise x 1.5." in page[: page.index("<nav")]
     assert "The table is" not in page
     assert "Which errors this campaign would detect is not known" in report_page(replace(run, power=None), [])
     known, inputs = campaign.accepted_table("small", tmp_path), run.provenance["inputs"]
@@ -129,7 +129,7 @@ def test_tables_are_written_accepted_shown_and_changes_told(small, tmp_path, mon
     assert cli.run(["power", str(path)]) == 1
     said = capsys.readouterr().err
     assert "sunlight x 1.05: criteria, accepted: undetected" in said
-    assert "noise x 1.5: undetected, accepted: not in the table" in said
+    assert "noise x 1.5: informational comparisons, accepted: not in the table" in said
     assert "another: not in the table, accepted: undetected" in said
 
     def since() -> str:

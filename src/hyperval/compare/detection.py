@@ -46,7 +46,7 @@ def compare_scores(predicted: ScoreDistribution, observed: ScoreDistribution) ->
     half = float(scipy.stats.t.ppf(0.975, (n or 1) - 1)) * error
     half = half if abs(observed.mean) > ROUNDING * observed.sd else math.nan
     wide = Z95 * np.nan_to_num([predicted.mean_error, predicted.sd_error])
-    yield row("score_mean_predicted", predicted.mean, half=Z95 * predicted.mean_error, n=predicted.n)
+    yield row("score_mean_predicted", predicted.mean, half=Z95 * (predicted.mean_error or math.nan), n=predicted.n)
     yield row("score_mean_observed", observed.mean, half=half, n=n)
     yield row("score_mean_difference", predicted.mean - (observed.mean - bias), half=math.hypot(half, wide[0]), n=n)
     if observed.sd > 0 and part > 0:

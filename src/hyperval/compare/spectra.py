@@ -582,11 +582,16 @@ def snr_beside_texture(predicted: Products, subject: str) -> Array:
     >>> products = Products(axis, radiance={"field": class_, "panel": panel}, snr=snr)
     >>> [snr_beside_texture(products, s).round(2).tolist() for s in ("field", "panel")]
     [[0.2, 0.2, 0.2, 0.2], [1.0, 1.0, 1.0, 1.0]]
+    >>> dark = replace(class_, pixel_covariance=np.diag([26.0, 26.0, 26.0, np.nan]))  # a band that tells nothing
+    >>> snr_beside_texture(replace(products, radiance={"field": dark}), "field").round(2).tolist()
+    [0.2, 0.2, 0.2, 0.2]
     """
     radiance, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
     if radiance is None or noise is None or radiance.pixel_covariance is None or radiance.mean.size < 3:
         return np.ones(len(predicted.axis))
-    return np.fmin(pixels.snr_from_moments(radiance.mean, radiance.pixel_covariance) / noise.mean, 1.0)
+    part = np.minimum(pixels.snr_from_moments(radiance.mean, radiance.pixel_covariance) / noise.mean, 1.0)
+    # Bands that tell nothing are as those that do.
+    return np.where(np.isfinite(part), part, np.nanmedian(part) if np.isfinite(part).any() else 1.0)
 
 
 def compare_spectra(

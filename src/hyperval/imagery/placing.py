@@ -261,7 +261,7 @@ def open_lookup_table(table: Path | str | Raster, shape: tuple[int, int]) -> Loc
     refuse(raster.size[:2] != shape or raster.bands < 2, "place.size", raster.path, size=raster.size, shape=shape)
     places = LocationTable(raster, None)
     x, y = places._coarse[0].data.T
-    within = np.all(np.abs([x, y]).max(axis=1) <= (180.0, 90.0)) and (places._area or 0.0) < 1e-4  # a kilometre wide
+    within = np.all(np.abs([x, y]).max(axis=1) <= (180.0, 90.0)) and (places._area or 0.0) < 1e-3  # 3 km wide
     named = raster.crs is not None and raster.crs.is_geographic
     crs = CRS.from_epsg(4326) if within and not is_table and not named else raster.crs
     return LocationTable(raster, crs, float(x[0]) if crs is not None and crs.is_geographic else None)

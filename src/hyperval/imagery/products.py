@@ -197,7 +197,7 @@ def table_in(raster: Raster) -> arrays.ArrayRaster | None:
             columns = [tree.image(name, axes=2) for name in names]
             dtype = np.dtype(np.int32 if on_map else np.float64)
             pieces = tuple(arrays.Piece((arrays.Term(c.name.strip("/")),), "ls", c.shape, dtype) for c in columns)
-            position = _position(tree, pieces[0])[:2] if on_map else (None, None)
+            position = _position(tree, pieces[0])[:2] if on_map else (None, CRS.from_epsg(4326))
             about = Description(ignore_value=arrays.stated(columns[0].attrs) if on_map else None)
             return arrays.array_raster(arrays.Store(raster.path, arrays.hdf5), pieces, about, position)
     return None

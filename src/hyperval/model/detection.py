@@ -619,8 +619,8 @@ def detect(
     UsageError : no filter, as the background can not be inverted.
     """
     processing, pfa, index = e.scenario.processing, e.pfa, np.array(points)
-    counts = [e.stated.surfaces[c].n or 0 for c in e.stated.classes]
-    n = sum(counts) if e.stated.of_pixels[: len(counts)].all() else None
+    measured = (c.spectrum.measured and (not c.covariance or c.covariance.measured) for c in e.scenario.scene.classes)
+    n = sum(e.stated.surfaces[c].n or 0 for c in e.stated.classes) or None if all(measured) else None
     out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
     for target in e.targets:
         for name in processing.detectors:

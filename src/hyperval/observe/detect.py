@@ -435,7 +435,8 @@ def target_areas(
     """Sum of scores over each object times the pixel area, and the area that the truth states [m2].
 
     By subject and detector, for every check that is asked for.  The uncertainty is the spread of the same sum over
-    background that has the object's footprint.  Both are means over the objects of a subject.
+    background that has the object's footprint.  Both are means over the objects of a subject that hold data in all of
+    their pixels, as what lies under one that does not is no part of 0; without one the subject is not measured.
     """
     areas: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
@@ -443,20 +444,19 @@ def target_areas(
     for check in detection.areas:
         sums = _footprint_sums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
         for subject, members in target_groups(place.targets, targets[check.target], detection.group).items():
-            areas[subject, check.detector] = _mean_area(place, map(sums, members))
-            stated = float(np.mean([o.area_m2 for o in members]))
+            each = [(o, sums(o)) for o in members]
+            measured = [(o, found) for o, found in each if not math.isnan(found[0])]
+            if measured:
+                areas[subject, check.detector] = _mean_area(place, [found for _, found in measured])
+            stated = float(np.mean([o.area_m2 for o, _ in measured or each]))
             if np.isfinite(stated):  # a truth may say where the objects are and not how large
                 nominal[subject, check.detector] = stated
     return areas, nominal
 
 
 def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
-    """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere.
-
-    An object with a pixel that holds no data is not measured: what lies there is no part of 0.
-    """
-    measured = [o for o in objects if not math.isnan(o[0])] or [(math.nan, 0, ())]
-    totals, pixels, elsewhere = zip(*measured, strict=True)
+    """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere."""
+    totals, pixels, elsewhere = zip(*objects, strict=True)
     each = needed(place.pixel_area_m2, "areas.ground") / len(totals)
     variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
     return Abundance(sum(totals) * each, math.sqrt(variance) * each, sum(pixels), nominal)
@@ -537,7 +537,10 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
             for o in members:
                 if o.name not in footprints:
                     footprints[o.name] = _footprints(place, o, region, task, bands, rng)
-            found = [footprints[o.name] for o in members]
+            members = [o for o in members if footprints[o.name].whole]
+            if not members:  # none holds data in all of its pixels
+                continue
+            found, nominal = [footprints[o.name] for o in members], float(np.mean([o.area_m2 for o in members]))
             for method, weights in noise.items():
                 sums = (_abundance_sum(f, whole[bands], weights) for f in found)
                 areas[subject, unmixing_method(method, item.endmembers)] = _mean_area(place, sums, nominal)
@@ -555,7 +558,7 @@ def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite 
     between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
     parts = fully_constrained(whitened(found.pixels, noise), whitened(between, noise)[found.place])[:, 0]
     area, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
-    return area if found.whole else math.nan, int(np.count_nonzero(found.place == 0)), elsewhere
+    return area, int(np.count_nonzero(found.place == 0)), elsewhere
 
 
 def _footprints(

@@ -483,7 +483,7 @@ def _t_width(d: Array, p: int, nu: float) -> float:
     def excess(log_width: float) -> float:
         return (nu + p) / p * float(np.mean(d / (math.exp(log_width) + d))) - 1.0
 
-    low, high = 1e-6 * float(np.median(d)) * nu / p, 1e6 * float(d.max()) * nu
+    low, high = 1e-6 * max(float(d.min()), 1e-290) * nu / p, 1e6 * float(d.max()) * nu  # excess > 0 and < 0, whatever d
     return math.exp(scipy.optimize.brentq(excess, math.log(low), math.log(high), xtol=1e-9))
 
 
@@ -540,6 +540,12 @@ def fit_tail_dof(
     Raises
     ------
     UsageError : fewer than ten distances, or no more pixels than bands.
+
+    Examples
+    --------
+    >>> near = np.r_[np.full(400, 1e-14), np.random.default_rng(0).chisquare(5, 600)]  # 40 % hold the mean itself
+    >>> round(fit_tail_dof(near, 5).dof, 2)
+    2.05
     """
     d, offset = np.asarray(squared_distances, dtype=float), 0.0
     d = d[np.isfinite(d) & (d > 0)]

@@ -155,14 +155,18 @@ class AlarmBlocks:
 
     @property
     def moment_errors(self) -> tuple[float, float]:
-        """Standard errors of the mean score, and of the standard deviation as a part of it; NaN in one block.
+        """Standard errors of the mean score, and of the standard deviation as a part of it.
 
-        By :meth:`variance_of_sum` of departures and of their squares, widened by (t/1.96)^2 as a design effect is.
+        NaN in one block, or where all scores are equal.  By :meth:`variance_of_sum` of departures and of their squares,
+        widened by (t/1.96)^2 as a design effect is.
+
+        >>> AlarmBlocks.of_map(np.zeros((60, 60)), np.ones((60, 60), bool)).moment_errors
+        (nan, nan)
         """
-        if self.stratum.size < 2:
+        away = self.scores - (self.scores.mean() if self.scores.size else 0.0)
+        square = float(np.mean(away**2)) if self.stratum.size > 1 else 0.0
+        if square == 0.0:
             return np.nan, np.nan
-        away = self.scores - self.scores.mean()
-        square = float(np.mean(away**2))
         sums = [np.bincount(self.block, x) for x in (away, away**2 - square)]
         variance, dof = self.variance_of_sum(np.array(sums))
         mean, second = (np.sqrt(variance) / away.size * special.stdtrit(dof, 0.975) / intervals.Z95).tolist()

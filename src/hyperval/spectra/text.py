@@ -108,7 +108,8 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
     records, others = list[FieldSpectrum](), {*spread.values(), *counted}
     told, zero = dict[str, Any](), ("a standard deviation of 0 everywhere is none",)
     for i in range(1, table.shape[1]):
-        steps, is_again = np.diff(table[np.isfinite(table[:, i]), i]), titles[i] == titles[0] != ""
+        steps = np.diff(table[np.isfinite(table[:, i]), i])
+        is_again = titles[i] == titles[0] != "" and _UNIT_TITLE.match(titles[i])
         if i > 1 and (is_again or _WAVE.search(titles[i])) and abs(np.sign(steps).sum()) == steps.size:
             nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
         if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
@@ -174,7 +175,7 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
     header, rows = list[str](), list[list[float]]()
     start, stated, ended = 0, None, False
     for number, line in enumerate(text.splitlines(), start=first):
-        if not line.strip(" \t,;"):
+        if not line.strip().strip(" \t,;"):
             continue
         cells, where = _cells(line), f"{path}:{number}"
         numbers = cells[0] and all(_NUMBER.match(c) for c in cells if c)
@@ -194,7 +195,7 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
         start = start or number
         rows.append([float(c.replace("d", "e").replace("D", "e") or "nan") for c in cells])
     if not rows and any(line[0] in ",;" for line in header):  # an empty first column
-        return number_table(re.sub("(?m)^[ \t]*[,;]", "", text), path, first)
+        return number_table(re.sub("(?m)^[ \t,;]+", "", text), path, first)
     refuse(not rows, "text.empty", path)
     table = np.array(rows)
     check_stated(table[:, 0], str(path), stated)
@@ -303,7 +304,7 @@ def _cells(line: str) -> list[str]:
         return [c.replace(",", ".") for c in blanks]
     if len(parts) > 1 and not any(c.split()[1:] for c in parts):
         return parts
-    return [c for c in re.split(r"[,\s]+", text) if c]
+    return [c for c in re.split(r"[,\s]+", text) if c] or [""]
 
 
 def _titles(header: list[str], count: int, where: str) -> list[str]:
@@ -334,7 +335,9 @@ def _titles(header: list[str], count: int, where: str) -> list[str]:
         if any(above):
             return [f"{a} {u}".strip() for a, u in zip(above, units, strict=True)]
         by_name = next((t for t in split if t[0].lower().removeprefix("file ") in _NAMES), titles)
-        return titles if _WAVE.match(titles[0]) else by_name  # rows of metadata above a table may end with any
+        of_axis = any(pattern.search(titles[0]) for pattern in (_WAVE, *_WAVELENGTH_UNITS.values()))
+        is_title = of_axis or any(quantity_in(t) or percent_in(t) or title_words(t)[1] for t in titles[1:])
+        return titles if is_title else by_name  # rows of metadata above a table may end with any
     if waves := [t for t in split if _WAVE.match(t[0])]:
         return waves[-1]
     found = _titled(header)
@@ -377,19 +380,29 @@ FEWEST_BANDS, FEWEST_BANDS_OF_A_DETECTOR = 4, 25
 # What stands before a wavelength in a title, and behind it; no b: that counts bands.
 _BEFORE = r"(?:(?:[xrw]|wl|wvl|wav|wave|wavelength|lambda|spc|spec|rfl|rrs|refl|reflectance|nm|scan_visnir)[_. ]?)?"
 _WAVELENGTH = re.compile(rf"^{_BEFORE}([0-9]+(?:\.[0-9]+)?)[_ ]?[(\[]?(nm|um)?[)\]]?(?:_ref)?$", re.IGNORECASE)
+_COUNTED = re.compile(r"^(w|spc|spec|rfl|rrs)[_. ]?[0-9]+$", re.IGNORECASE)  # bands, or spectra by their number
 _FIRST_TITLE = re.compile(r"^\W*(wave|wvl|wl\b|lambda|nm\b)(?!.*units)", re.IGNORECASE)
 _NAMES = ("name", "sample_name", "sample name", "spectrum", "spectra", "sample", "sample_id", "id", "fname", "names")
 
 
 def is_row_table(file: SpectraFile) -> bool:
-    """Whether the first line has wavelengths as titles of its last columns, behind others or at once."""
+    """Whether the first line has wavelengths as titles of its last columns, behind others or at once.
+
+    >>> file, names = SpectraFile(Path("a.csv")), ",".join(f"spec{number}" for number in range(401, 431))
+    >>> for title, first in ("sample", "oak"), ("sample", "400"), ("band", "400"):  # the last: spectra by their number
+    ...     vars(file)["text"] = f"{title},{names}\\n{first}{30 * ',0.3'}"
+    ...     print(is_row_table(file), end=" ")
+    True True False
+    """
     first, _, rest = file.text.partition("\n")
     delimiter = _delimiter(first)
     titles = next(csv_rows(first, file.path, delimiter), (1, []))[1]
     if _first_band(titles) is None:
         return False
     # Numbers under "wavelength" are wavelengths, and the other columns spectra that go by a number.
-    return not (_FIRST_TITLE.match(titles[0]) and _value(rest.split(delimiter, 1)[0].strip(' "')) is not None)
+    cell, by_number = _value(rest.split(delimiter, 1)[0].strip(' "')), _COUNTED.match(titles[-1].strip())
+    by_number = by_number if titles[0].lower() not in _NAMES and (cell or 0.0) >= 100.0 else None
+    return not (by_number or (cell is not None and _FIRST_TITLE.match(titles[0])))
 
 
 def _delimiter(line: str) -> str:

@@ -281,6 +281,7 @@ def try_changes(world: World, changes: dict[str, Any]) -> None:
     sky = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and isinstance(v, Real)}
     # With what gives way to them, such as time and place to the sun.
     given = {f"atmosphere.{k}": v for k, v in (state_entries(state, sky) if state else {}).items()}
+    given |= {path: v for path, v in changes.items() if not path.endswith("_zenith_deg")}
     with_settings(world.stated.scenario, {path: v for path, v in (changes | given).items() if in_file(path)})
 
 
