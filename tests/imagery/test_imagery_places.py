@@ -221,7 +221,7 @@ def test_swath_products_place_regions_by_longitude_and_latitude(tmp_path):
     shells.tree(tmp_path / "p.he5", "prisma")
     cube = imagery.open_cube(tmp_path / "p.he5", quantity="radiance")
     table, _ = imagery.table_of(cube.raster)
-    assert table.crs == CRS.from_epsg(4326)
+    assert table.crs == table.raster.crs == CRS.from_epsg(4326)  # stated, whatever the size of the pixels
     corners = np.array([[2.0, 3.0], [6.0, 3.0], [6.0, 8.0], [2.0, 8.0]]) - 0.5  # the arrays hold the centres of pixels
     lonlat = [(10.0 + 0.0037 * s + 0.0004 * n, 44.0 - 0.0027 * n + 0.0005 * s) for s, n in corners]
     want = np.zeros(cube.shape, bool)
