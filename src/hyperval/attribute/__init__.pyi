@@ -6,7 +6,6 @@ from .candidates import (
     NotInjectable,
     assumed_inputs,
     candidates,
-    check_numbers,
     errors_of_file,
     exchanged_pairs,
     further_candidates,
@@ -46,7 +45,7 @@ __all__ = [
     "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
     "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "Residuals", "ScenarioModel", "Stack",
     "Truths", "WhatIf", "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "candidates", "causes_of",
-    "changed_scenarios", "check_numbers", "common_and_individual", "errors_of_file", "exchanged_pairs", "few_objects",
+    "changed_scenarios", "common_and_individual", "errors_of_file", "exchanged_pairs", "few_objects",
     "further_candidates", "injected_errors", "injected_prediction", "kind_of", "others_in_place", "quantities",
     "rarer_candidates", "reason_for", "sampled_covariance", "scale_warnings", "shares_of_variance", "stack_of",
 ]  # fmt: skip

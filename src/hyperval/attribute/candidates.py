@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
 from itertools import combinations, permutations, product
-from numbers import Real
 from pathlib import Path
 from typing import Any, get_args
 
@@ -28,7 +27,7 @@ from hyperval.data import Array
 from hyperval.errors import UsageError, package_table, refuse
 from hyperval.model import Origins, Truth, UncertainInput, inputs_of, number_input, predict, read_world, value_at
 from hyperval.model.inputs import Kind, error_rows, field_spectrum_of, form_in_words, spectral_input
-from hyperval.model.world import World, column_of, find, in_file
+from hyperval.model.world import World, check_numbers
 from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, Target, TargetSubject
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
@@ -800,28 +799,6 @@ def injected_prediction(
         shown = {name: _through_line(estimate, gain, offset) for name, estimate in prediction.reflectance.items()}
         prediction = replace(prediction, reflectance=shown)
     return prediction, truth
-
-
-def check_numbers(world: World, truth: Truth) -> None:
-    """Refuse what is beyond the limits of a path of the model, or is neither a number nor a list of as many as it has.
-
-    Raises
-    ------
-    UsageError : the path, what was given, and what was expected.
-    """
-    for path, given in truth.items():
-        entry, is_zenith = find(world.stated, path), path.endswith("_zenith_deg")  # which is taken beyond the zenith
-        of_column = isinstance(given, Real) and entry.field and not path.startswith("atmosphere.")
-        if in_file(path) and not is_zenith and not of_column:  # the file's own rules hold
-            continue
-        value = np.asarray(column_of(given) if isinstance(given, list | tuple) else given)
-        counts = {1, *((np.size(value_at(world, path)), len(world.stated.axis)) if entry.shape == "vector" else ())}
-        is_number = value.dtype.kind in "fiu" and value.ndim <= (entry.shape == "vector") and value.size in counts
-        is_taken = is_number and np.all((entry.low <= value) & (value <= entry.high))
-        ends = {"above" if entry.low > float(f"{entry.low:g}") else "from": entry.low, "to": entry.high}
-        words = [f" {word} {end:g}" for word, end in ends.items() if np.isfinite(end)]
-        words += [f", or a list of {count}" for count in sorted(counts - {1})]
-        refuse(not is_taken, "study.limits", path=path, given=f"{given!r:.80}", words="".join(words))
 
 
 def _each(world: World, path: str) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -310,6 +311,28 @@ def value_at(world: World, path: str) -> Any:
             raise
         mend = f"did you mean {near[0]}?"
         raise UsageError(error.what, where=error.where, expected=error.expected, mend=mend) from error
+
+
+def check_numbers(world: World, truth: Truth) -> None:
+    """Refuse what is beyond the limits of a path of the model, or is neither a number nor a list of as many as it has.
+
+    Raises
+    ------
+    UsageError : the path, what was given, and what was expected.
+    """
+    for path, given in truth.items():
+        entry, is_zenith = find(world.stated, path), path.endswith("_zenith_deg")  # which is taken beyond the zenith
+        of_column = isinstance(given, Real) and entry.field and not path.startswith("atmosphere.")
+        if in_file(path) and not is_zenith and not of_column:  # the file's own rules hold
+            continue
+        value = np.asarray(column_of(given) if isinstance(given, list | tuple) else given)
+        counts = {1, *((np.size(value_at(world, path)), len(world.stated.axis)) if entry.shape == "vector" else ())}
+        is_number = value.dtype.kind in "fiu" and value.ndim <= (entry.shape == "vector") and value.size in counts
+        is_taken = is_number and np.all((entry.low <= value) & (value <= entry.high))
+        ends = {"above" if entry.low > float(f"{entry.low:g}") else "from": entry.low, "to": entry.high}
+        words = [f" {word} {end:g}" for word, end in ends.items() if np.isfinite(end)]
+        words += [f", or a list of {count}" for count in sorted(counts - {1})]
+        refuse(not is_taken, "study.limits", path=path, given=f"{given!r:.80}", words="".join(words))
 
 
 def every_path(world: World) -> list[str]:

@@ -15,7 +15,6 @@ from scipy.optimize.elementwise import find_root
 from scipy.stats import qmc
 
 from hyperval.atmosphere.between import interpolation_nodes
-from hyperval.attribute import check_numbers
 from hyperval.data import Array, Index
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, needed, refuse
@@ -24,7 +23,7 @@ from hyperval.model.forward import reflectances
 from hyperval.model.radiance import Light, mean_radiance
 from hyperval.model.roc import WHOLE, RocArea
 from hyperval.model.stated import plain, state_entries
-from hyperval.model.world import column_of, in_file
+from hyperval.model.world import check_numbers, column_of, in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
 from hyperval.spectra.axis import SpectralAxis, in_window
