@@ -49,7 +49,7 @@ _MEMBER = re.compile(r"[a-z-]*\[.*|\(.*\)|(?:constrained-)?(?:float|int|str)|boo
 # Kind of mistake that pydantic finds -> what was expected.
 _EXPECTED = {
     **dict.fromkeys(("float_type", "finite_number"), "a finite number, such as 0.5"), "literal_error": "{expected}",
-    **dict.fromkeys(("int_type", "int_from_float", "int_parsing_size"), "a whole number"), "bool_type": "true or false",
+    **dict.fromkeys(("int_type", "int_from_float", "int_type_size"), "a whole number"), "bool_type": "true or false",
     **dict.fromkeys(("tuple_type", "list_type"), "a list, such as [450, 700]"), "string_type": "a text",
     **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), "keys and values, such as {{VNIR: 0.3}}"),
     "too_short": "{min_length} or more, not {actual_length}", "too_long": "{max_length} or fewer, not {actual_length}",
@@ -359,6 +359,8 @@ def mistakes_in(
     ... except ValidationError as error:
     ...     [words for _, words in mistakes_in(error.errors())]
     ['unknown key', "expected a finite number, such as 0.5, or 'random'"]
+    >>> [words for _, words in mistakes_in([{"type": "int_parsing_size", "loc": ("n",), "msg": "", "input": "9"}])]
+    ['expected a whole number']
     """
     expected: dict[Location, list[str]] = {}
     for number, item in enumerate(fitting(items)):
