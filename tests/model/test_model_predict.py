@@ -96,14 +96,14 @@ def test_relative_covariance():
 
 @pytest.mark.parametrize("axis", [AXIS, SpectralAxis(np.linspace(450.0, 1700.0, 30), np.full(30, 10.0))])
 def test_a_class_from_a_library_is_that_class(tmp_path, axis):
-    path = tmp_path / "statistics.nc"
-    write_statistics_library(path, [replace(builtin_class(n, axis), n=500) for n in ("grass", "asphalt")])
-    s = beside(tmp_path, "{library: statistics.nc, record: grass}")
+    write_statistics_library(tmp_path / "s.nc", [replace(builtin_class(n, axis), n=500) for n in ("grass", "asphalt")])
+    s = beside(tmp_path, "{library: s.nc, record: grass}")
     if axis is not AXIS:
         with pytest.raises(UsageError, match=r"spectrum.library of 'grass'.*2 bands lie outside it \(first 2130 nm\)"):
             model.predict(s, ORIGINS)
         return
     p, q = model.predict(s, ORIGINS), of()
+    assert {score.n for score in p.scores.values()} == {None}  # of samples elsewhere, not pixels of the image
     assert p.reflectance["grass"].pixel_covariance == pytest.approx(q.reflectance["grass"].pixel_covariance)
     assert p.roc["tenth", "cem", "pixel"].pd == pytest.approx(q.roc["tenth", "cem", "pixel"].pd)
 
