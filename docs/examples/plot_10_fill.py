@@ -8,14 +8,14 @@ A square target anywhere on the pixel grid: fill fraction of its fullest pixel, 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hyperval.model import ranked_pixel_fill
-from hyperval.scenario import Geometry
+from hyperval.model import fill_distribution
+from hyperval.scenario import Fill
 
 sides = np.linspace(0.2, 3.0, 15)
 figure, axes = plt.subplots(figsize=(7, 4), layout="constrained")
 for psf in (0.0, 1.0, 1.5):
-    fills = [ranked_pixel_fill(Geometry(side_m=s, gsd_m=1.0, psf_fwhm_pixels=psf), 1) for s in sides]
-    means = [float(f.values @ f.weights) for f in fills]
+    fills = [Fill(geometry={"side_m": s, "gsd_m": 1.0, "psf_fwhm_pixels": psf}) for s in sides]
+    means = [fill_distribution(fill).mean for fill in fills]
     axes.plot(sides, means, "o-", label=f"PSF {psf:g} pixels")
 axes.set(xlabel="side of the target [pixels]", ylabel="fill fraction of its fullest pixel", ylim=(0, 1))
 axes.legend()

@@ -74,7 +74,7 @@ def few_pixels() -> Any:
         (lambda: model.beta_fill(0.0, 0.1), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.5, 0.5), "no fill fraction between 0 and 1 has mean"),
         (lambda: model.beta_fill(0.1, 0.31), "no fill fraction between 0 and 1 has mean"),
-        (lambda: model.ranked_pixel_fill(Geometry(**ONE | {"side_m": 1000.0}), 1), "64 pixels across"),
+        (lambda: model.object_fills(Geometry(**ONE | {"side_m": 1000.0}), 1), "64 pixels across"),
         (lambda: model.shared_pixel_fills(Geometry(**ONE, heading_deg="random"), 4, []), "has no heading"),
         (few_pixels, r"rank 5 of 12 bands, condition number"),
         (

@@ -18,22 +18,21 @@ from hyperval.model import (
     average_reflectance,
     beta_fill,
     direct_slope,
+    fill_distribution,
     fixed_fill,
     lattice_positions,
     mean_radiance,
     object_fills,
     pixel_fills,
     radiance_covariance,
-    ranked_pixel_fill,
     shared_pixel_fills,
     target_pixel_covariance,
     target_pixel_reflectance,
     toa_reflectance,
     touched_counts,
-    touched_pixel_fill,
 )
 from hyperval.model.radiance import Background
-from hyperval.scenario import Geometry
+from hyperval.scenario import Fill, Geometry
 from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import _SURFACES, _modes, builtin_class, builtin_mean
 
@@ -230,9 +229,9 @@ def test_best_pixel_of_a_small_square_by_closed_form():
     # A square of side a < 1 at a random place: in one direction the best pixel holds a when it does not
     # cross an edge (probability 1 - a), else uniform between a/2 and a: mean a - a^2/4, squared for two.
     a = 0.6
-    found = ranked_pixel_fill(rectangle(a, a), 1)
+    found = fill_distribution(Fill(geometry=rectangle(a, a)))
     assert found.mean == pytest.approx((a - a**2 / 4) ** 2, rel=1e-4)  # 377 positions stand for the integral
-    centred = ranked_pixel_fill(rectangle(a, a, phase="centred"), 1)
+    centred = fill_distribution(Fill(geometry=rectangle(a, a, phase="centred")))
     assert (centred.mean, centred.variance) == pytest.approx((0.36, 0.0))
 
 
@@ -244,11 +243,11 @@ def test_places_on_the_grid_average_what_is_smooth():
 
 
 def test_ranked_pixels_hold_the_whole_target():
-    geometry = rectangle(1.0, 1.0, 0.5)
+    geometry = rectangle(1.0, 1.0, 0.5, pixels="ranked", n=4)
     objects = object_fills(geometry, 25)
     assert np.all(np.diff(objects, axis=1) <= 0)
     assert objects.sum(axis=1) == pytest.approx(np.ones(len(objects)), abs=1e-6)
-    assert ranked_pixel_fill(geometry, 4).mean == pytest.approx(objects[:, :4].mean(), rel=1e-12)
+    assert fill_distribution(Fill(geometry=geometry)).mean == pytest.approx(objects[:, :4].mean(), rel=1e-12)
 
 
 def test_fills_by_moments():
@@ -286,8 +285,9 @@ def test_3_10_pixels_that_a_target_touches_are_as_many_as_steiner_says(length, w
     assert np.mean(touched_counts(along)) == pytest.approx((1 + length) * (1 + width), rel=0.01)
     assert np.mean(touched_counts(anyhow)) == pytest.approx(1 + length * width + 4 / np.pi * (length + width), rel=0.01)
     # The fullest pixel is among them, and blur puts a part of the area beside them all.
-    touched, best = touched_pixel_fill(anyhow), ranked_pixel_fill(anyhow, 1)
-    assert touched.values.max() == pytest.approx(best.values.max())
+    of = [anyhow.model_copy(update={"pixels": which}) for which in ("touched", "best")]
+    touched, best = (fill_distribution(Fill(geometry=geometry)) for geometry in of)
+    assert np.nanmax(object_fills(of[0], 20)) == pytest.approx(object_fills(of[1], 1).max())
     assert touched.mean < best.mean
     assert touched.mean * np.mean(touched_counts(anyhow)) < length * width
 

@@ -30,10 +30,8 @@ from .fill import (
     pixel_fills,
     pixels_of_object,
     population_fill,
-    ranked_pixel_fill,
     shared_pixel_fills,
     touched_counts,
-    touched_pixel_fill,
 )
 from .filters import (
     FILTERS,
@@ -173,10 +171,10 @@ __all__ = [
     "mid_p_limits", "minimum_noise_fraction", "moved_together", "number_input", "object_fills", "own_mean_sampling",
     "pixel_fills", "pixels_of_object", "plain", "population_fill", "predict", "predicted_areas",
     "predicted_classification", "predicted_error", "predictions", "principal_components", "product_values",
-    "radiance_covariance", "ranked_pixel_fill", "read_world", "reads_again", "replicate_statistics",
+    "radiance_covariance", "read_world", "reads_again", "replicate_statistics",
     "retrieved_covariance", "retrieved_reflectance", "score_density", "settled", "shared_pixel_fills", "shares_of",
     "spectral_input", "spectral_matched_filter", "spectrum_error_rows", "target_pixel_covariance",
-    "target_pixel_reflectance", "thresholds_at", "toa_reflectance", "touched_counts", "touched_pixel_fill",
+    "target_pixel_reflectance", "thresholds_at", "toa_reflectance", "touched_counts",
     "two_panel_line", "unmixing_method", "unstated_notes", "value_at", "with_bands", "with_distances",
     "with_law_limits", "with_sensor_blur", "with_truths", "with_values", "without_calibration_error",
 ]  # fmt: skip

@@ -183,7 +183,6 @@ class Evaluation(Keeps):
     Attributes
     ----------
     scenario, axis, targets : what all truths share: names and processing, the bands as they are labelled
-    pfa : (K,) false-alarm probabilities of the curves
     at, which : the V truths with other light, sensor and classes, and which (U,) of these each truth has
     usable : (V or 1, B) bands of the truths with other light that the detectors could use
     probits : of P_D, (U, K) of all truths at the false-alarm probabilities of the curves, once they were asked for
@@ -194,8 +193,6 @@ class Evaluation(Keeps):
         self.world, self.stated, self.errors = world, world.stated, errors or {}
         self.scenario, self.axis, self.targets = self.stated.scenario, self.stated.axis, self.stated.targets
         self.shift = np.broadcast_to(shift, (world.size,))
-        grid = self.scenario.processing.false_alarm_grid
-        self.pfa = roc.false_alarm_grid(grid.lowest, grid.per_decade)
         self.at, self.which = world.of_light
         self.light = light_of(self.at)
         self.usable = usable_bands(self.at, self.light)
@@ -227,6 +224,12 @@ class Evaluation(Keeps):
         return values[self.which] if len(values) > 1 else wide(values, len(self))
 
     # ---- detection -----------------------------------------------------------------------------------------
+
+    @cached_property
+    def pfa(self) -> Array:
+        """(K,) false-alarm probabilities of the curves."""
+        grid = self.scenario.processing.false_alarm_grid
+        return roc.false_alarm_grid(grid.lowest, grid.per_decade)
 
     @cached_property
     def bands(self) -> Index:
@@ -618,7 +621,7 @@ def detect(
     ------
     UsageError : no filter, as the background can not be inverted.
     """
-    processing, pfa, index = e.scenario.processing, e.pfa, np.array(points)
+    processing, index = e.scenario.processing, np.array(points)
     measured = (c.spectrum.measured and (not c.covariance or c.covariance.measured) for c in e.scenario.scene.classes)
     n = sum(e.stated.surfaces[c].n or 0 for c in e.stated.classes) or None if all(measured) else None
     out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
@@ -629,7 +632,7 @@ def detect(
                 raise error
             objects = [e.scores(p.name, name, True) for p in target.populations] if object_curves else pixels
             # What the background scores by one filter, all populations of its target share.
-            thresholds = pixels[0].thresholds(pfa[None])
+            pfa, thresholds = e.pfa, pixels[0].thresholds(e.pfa[None])
             backgrounds = pixels[0].background(index, thresholds[index], densities=densities)
             for population, scores, whole in zip([p.name for p in target.populations], pixels, objects, strict=True):
                 pd: dict[Literal["pixel", "object"], Array] = {"pixel": scores.detection_above(thresholds)}

@@ -114,25 +114,6 @@ def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
     return FillDistribution(np.clip(values, 0.0, 1.0), vectors[0] ** 2)
 
 
-def _alike(values: Array) -> FillDistribution:
-    """Fills that are equally likely."""
-    return FillDistribution(values, np.full(values.size, 1.0 / values.size))
-
-
-def ranked_pixel_fill(geometry: Geometry, n: int) -> FillDistribution:
-    """Distribution of f over the ``n`` fullest pixels of an object, each counted alike (f of 3.10)."""
-    return _alike(object_fills(geometry, n).ravel())
-
-
-def touched_pixel_fill(geometry: Geometry) -> FillDistribution:
-    """Distribution of f over the pixels that the target's outline meets, each counted alike (f of 3.10).
-
-    They are what a truth by outlines has: those that hold a corner alone, nearly empty, and the full ones.
-    """
-    fills, touched = _around(_outline(geometry))
-    return _alike(fills[touched])
-
-
 def touched_counts(geometry: Geometry) -> Index:
     """(K,) number of pixels that the target's outline meets (f of 3.10), for K equally likely positions."""
     return np.asarray(_around(_outline(geometry))[1].sum(axis=(1, 2)))
@@ -383,22 +364,26 @@ def _looked_up(table: Array, away: Array) -> Array:
 
 
 def fill_distribution(fill: Fill) -> FillDistribution:
-    """Fill fractions of the pixels of one population (f of 3.10)."""
+    """Fill fractions of the pixels of one population (f of 3.10).
+
+    Where the geometry says that all pixels count which the outline meets, as a truth by outlines has them, they are
+    those that hold a corner alone, nearly empty, and the full ones.
+    """
     if fill.fixed is not None:
         return fixed_fill(fill.fixed)
-    if fill.geometry is not None:
-        return _of_geometry(fill.geometry, 0 if fill.geometry.pixels == "touched" else fill.geometry.n or 1)
-    if fill.listed is not None:
-        return _alike(np.concatenate([np.asarray(row, float) for row in fill.listed])).binned()
+    if fill.geometry is not None or fill.listed is not None:
+        return _of_pixels(fill)
     refuse(fill.truth is not None, "fill.truth")
     return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
 
 
 @lru_cache(maxsize=256)
-def _of_geometry(geometry: Geometry, n: int) -> FillDistribution:
-    """For one geometry, however often it is asked for; not to be written to.  ``n`` = 0: all pixels it touches."""
-    fill = (ranked_pixel_fill(geometry, n) if n else touched_pixel_fill(geometry)).binned()
-    values, weights = _fixed(fill.values, fill.weights)
+def _of_pixels(fill: Fill) -> FillDistribution:
+    """Over the pixels of its objects, each counted alike; kept, and not to be written to."""
+    fills = fills_of_objects(fill)
+    fills = fills[np.isfinite(fills)]
+    binned = FillDistribution(fills, np.full(fills.size, 1.0 / fills.size)).binned()
+    values, weights = _fixed(binned.values, binned.weights)
     return FillDistribution(values, weights)
 
 

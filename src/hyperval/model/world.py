@@ -558,7 +558,8 @@ class World:
                 change += widths[0] - fill_distribution(before).mean
             else:
                 entries["geometry.psf_fwhm_pixels"] = widths[0] if len(widths) == 1 else widths
-        return fill_with_mean(with_settings(fill, entries) if entries else fill, change)
+        of_entries = with_settings(fill, entries) if entries else fill
+        return fill_with_mean(of_entries, change) if change else of_entries
 
     def populations_at(self, u: int) -> list[tuple[str, TargetSubject]]:
         """The populations of target pixels with their fills in one truth, each with the name of its target."""
