@@ -317,6 +317,11 @@ class Pair:
         return self.a.outcome != self.b.outcome if self.a and self.b else self.gates
 
     @property
+    def is_same(self) -> bool:
+        """Whether both runs have it with the same value and outcome."""
+        return bool(self.a and self.b) and not self.size and not self.verdict_changed
+
+    @property
     def half_width(self) -> float:
         """Of the wider interval; NaN where neither has one.
 

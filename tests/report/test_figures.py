@@ -72,6 +72,8 @@ def reasons() -> list[Result]:
         for name, gain in ((LONG, 130.0), ("sensor gain", 5.0), ("blur (2)", 0.2))
     ]
     told = [("attribution", "lawn", LONG, "likelihood_gain", 104.0, math.nan)]
+    gains = [*(("lawn", f"input {i}", 9.0 + i) for i in range(14)), ("grass", "one of its own", 2.5)]
+    told += [("attribution", *names, "likelihood_gain", gain, math.nan) for *names, gain in gains]
     told += [("attribution", "radiance of lawn", "sensor gain", "reduced_chi_square", 1.1, 9.3)]
     told += [
         ("sensitivity", f"all of the materials {i} m", f"{LONG} / cem/pixel", "roc_pd@1e-2_change", 0.01 * i, -0.2)
@@ -159,6 +161,7 @@ def test_spectra_hold_both_sides_and_their_difference(run):
     figure = figures.spectra_figure(run.pair, "radiance")
     assert [view.subject for view in figure.views] == ["grass", "lawn"]
     above, below = stated(figure)[0]["parts"]
+    assert (below["y"]["label"], "95 %" in figure.caption) == ("predicted / measured − 1", True)
     predicted, measured = run.pair[0].radiance["grass"], run.pair[1].radiance["grass"]
     p, m, u = predicted.mean, measured.mean, predicted.standard_uncertainty
     ratio_u = np.hypot(u / m, p * measured.standard_uncertainty / m**2)
@@ -177,7 +180,7 @@ def test_spectra_hold_both_sides_and_their_difference(run):
 
 def test_sides_without_a_difference_have_none_drawn(run):
     same = figures.spectra_figure((run.pair[0], run.pair[0]), "radiance")
-    assert "which are identical" in same.title
+    assert ("which are identical" in same.title, same.caption.count("grey: absorption bands")) == (True, 1)
     assert [len(view.parts) for view in same.views] == [1, 1]
     axis_of = run.pair[1].axis
     moved = dataclasses.replace(run.pair[1], axis=dataclasses.replace(axis_of, centre_nm=axis_of.centre_nm + 40.0))
@@ -208,7 +211,7 @@ def test_a_side_alone(run):
     side = dataclasses.replace(run.pair[1], axis=numbered, provenance={"quantity": "counts"})
     figure = figures.spectra_figure((None, side), "reflectance")
     assert [figure.views[0].x.label, figure.views[0].parts[0].y.label] == ["number of the band", "counts"]
-    assert "absorption" not in figure.title + figures.statement(figure)
+    assert "absorption" not in figure.caption + figures.statement(figure)
     known = figures.spectra_figure((None, run.pair[1]), "reflectance")
     assert [685.0, 693.0] in json.loads(figures.statement(known))["absorption"]
     (mark,) = further(None, run.pair[0])["radiance-eigenvalues"].views[0].parts[0].marks
@@ -216,6 +219,9 @@ def test_a_side_alone(run):
     part = figures.Part(figures.Axis("y"), (figures.Mark("line", {"x": [1.0], "y": [5.0]}),))
     low, high = figures.Panels(figures.Axis("x"), (part,)).ends("y", part)
     assert low < 5.0 < high, "a single value has an axis"
+    line = figures.Mark("line", {"x": [1, 2], "y": [2.0, 3.0]})
+    part = figures.Part(figures.Axis("y"), (line,), (("y", 1.5), ("y", 0.1)))
+    assert 1.3 < figures.Panels(figures.Axis("x"), (part,)).ends("y", part)[0] < 1.5, "of rules that which lies near"
 
 
 def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(run, charts):
@@ -225,7 +231,7 @@ def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(
     (part,) = figure.views[0].parts
     assert [(mark.kind, mark.dash) for mark in part.marks] == [("line", "dashed"), ("steps", "solid")]
     assert (figure.together, part.rules) == ("first", (("x", 1.0 / 12203),))
-    assert "12\u202f203 background px" in figure.views[0].note
+    assert ("12\u202f203 background pixels" in figure.views[0].note, figure.caption[-13:]) == (True, "95 % interval")
     pfa = np.geomspace(1e-6, 1.0, 50_000)
     curve = RocCurve(pfa, *(np.sqrt(pfa),) * 3, pfa)
     held = {(f"t{i}", "cem", "pixel"): dataclasses.replace(curve, n_target=i) for i in range(30)}
@@ -259,12 +265,14 @@ def test_reasons_are_told_by_shape_and_number_not_by_colour_alone(charts, drawin
     assert "one of several" in inputs.legend
     (cells,) = stated(effects)[0]["parts"]
     assert cells["marks"][0]["columns"]["value"].tolist() == pytest.approx([0.01, 0.02, 0.03, 0.04])
-    assert len(cells["x"]["names"]) == 1
-    assert [mark.marker for mark in what_ifs.views[0].parts[0].marks] == ["circle", "left", "right"]
+    looks = {(m.marker, m.beside) for m in what_ifs.views[0].parts[0].marks}
+    assert looks == {("circle", ""), ("left", "left"), ("right", "right")}, "no number on a line"
     assert {"after, closer", "after, farther"} <= set(words_of(drawings["what-ifs"]))
-    assert "104" in words_of(drawings["attribution-subjects"])
+    assert {"104", "2.5"} <= set(words_of(drawings["attribution-subjects"])), "the greatest of each, among many"
+    quiet = ResultTable([dataclasses.replace(row, value=0.1) for row in reasons()])
+    assert "attribution-inputs" not in {f.name for f in figures.further_figures((None, None), quiet, None)}
     # Labels stay inside: each is a group that is moved to where its first letter stands.
-    assert "all of the materials 4 m, P_D 1e-2 cem (gap -0.2)" in words_of(drawings["attribution-effects"])
+    assert "all of the materials 4 m, P_D at P_FA 1e-2, cem (gap -0.2)" in words_of(drawings["attribution-effects"])
     text = drawings["attribution-effects"].content.decode()
     assert min(float(x) for x in re.findall(r'<g transform="translate\((-?[\d.]+) ', text)) >= 0.0
 

@@ -140,6 +140,8 @@ def test_criteria_are_drawn_in_units_of_the_field_with_what_is_accepted():
     assert part.y.names == ("lawn", "grass"), "the worst first"
     assert part.y.notes == ("+12 % (10 to 14)", "+1 % (−1 to 3)")
     assert part.x.label == "Radiance: level [% of radiance]"
+    (size,) = criteria_figure([replace(rows[0], metric="median_abs_difference_ratio_windows")]).views[0].parts
+    assert size.x.label == "Radiance [% of radiance]", "not twice"
     marks = [mark for mark in part.marks if not np.isnan(next(iter(mark.columns.values()))).all()]
     accepted, failed, met, found = marks
     np.testing.assert_allclose([accepted.columns["left"][0], accepted.columns["right"][0]], [-5.0, 5.0])

@@ -91,6 +91,7 @@ def test_classes_are_toggled(page):
     )
     assert page.evaluate(_LINES_VISIBLE) == []
     assert page.evaluate(_OF_RADIANCE) == [360]
+    assert not page.evaluate("[...drawnFigures.values()][0].sources.some((s) => 'low' in s.source.data)"), "none stated"
 
 
 def test_two_runs_are_compared(page):
@@ -165,6 +166,7 @@ def test_pages_fit_a_phone(page):
             picture(page, "phone")
     predict(page)
     assert page.evaluate(WIDER_THAN_SCREEN) <= 1
+    assert page.evaluate("labelOf({ label: `${'long '.repeat(9)}[nm]` }, isNarrow())").endswith("\n[nm]"), "not cut"
 
 
 @pytest.mark.parametrize(("scheme", "pages"), [("light", PAGES), ("dark", PAGES[:3])])

@@ -55,8 +55,7 @@ def test_campaign_runs_to_the_verdict_of_the_command(own, run, tmp_path):
     rows = api.validate(own.folder.parent / "campaigns" / "small" / "campaign.yaml").results.to_dataframe()
     counts = rows[rows["outcome"] != "none"]["outcome"].value_counts().to_dict()
     assert told["summary"]["counts"] == counts
-    page = client.get(f"{own.address}/validate").text
-    assert told["summary"]["status"] in page
+    assert told["summary"]["status"] in client.get(f"{own.address}/validate").text
     assert client.get(f"{own.address}/runs/{told['id']}/files/report.html").status_code == 200
     shown, folded = client.get(f"{own.address}/runs/{told['id']}").text.split("2 more figures</summary>")
     figures = [re.findall(r'<div class="card (\w+)"><img src="[^"]*/(.+?)"', part) for part in (shown, folded)]
@@ -66,8 +65,7 @@ def test_campaign_runs_to_the_verdict_of_the_command(own, run, tmp_path):
 
 def test_map_holds_the_scores_and_the_curves_read_at_its_threshold(own, run):
     client, told = run
-    page = client.get(f"{own.address}/runs/{told['id']}/map")
-    assert "yellow-cem" in page.text
+    assert "yellow-cem" in client.get(f"{own.address}/runs/{told['id']}/map").text
     answer = client.get(f"{own.address}/runs/{told['id']}/map.json", params={"name": "yellow-cem"})
     assert answer.status_code == 200, answer.text
     content = answer.json()
@@ -345,6 +343,7 @@ def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_pa
     assert table["pd"].iloc[1] > table["pd"].iloc[0]
     assert table["pd"].max() in [pytest.approx(v) for v in shown]
     assert told["done"] == 1.0
+    assert "files/scenario.yaml" in client.get(f"{own.address}/runs/{told['id']}").text, "which study.yaml names"
 
 
 def test_campaign_that_there_is_not_is_refused(own):
@@ -356,5 +355,4 @@ def test_campaign_that_there_is_not_is_refused(own):
 
 
 def test_methods_of_a_path_are_told_whole(own):
-    answer = own.session().options(f"{own.address}/api/v1/runs/{'a' * 16}")
-    assert answer.headers["allow"] == "DELETE, GET"
+    assert own.session().options(f"{own.address}/api/v1/runs/{'a' * 16}").headers["allow"] == "DELETE, GET"

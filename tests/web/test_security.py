@@ -47,8 +47,7 @@ def test_change_that_another_site_asks_for_is_refused_and_takes_no_session_away(
 
 @pytest.mark.parametrize("host", ["elsewhere.example", "127.0.0.1.elsewhere.example", "", "127.0.0.1:80:80"])
 def test_host_is_checked(server, host):
-    answer = requests.get(server.address, headers={"Host": host}, timeout=20)
-    assert answer.status_code == 400
+    assert requests.get(server.address, headers={"Host": host}, timeout=20).status_code == 400
 
 
 def test_every_answer_has_the_policy_and_the_cookie_its_attributes(server):
@@ -94,8 +93,7 @@ def test_wrong_order_is_refused_at_its_field_at_once(server, client, case):
 def test_body_of_too_much_is_refused_by_its_size_alone(server, client, monkeypatch):
     """A check of each of 4500 backgrounds took two thirds of a second."""
     monkeypatch.setattr("hyperval.scenario.Scenario.__pydantic_validator__", None)
-    answer = client.post(f"{server.address}/api/v1/predictions", json=ROWS)
-    assert answer.json()["errors"] == [
+    assert client.post(f"{server.address}/api/v1/predictions", json=ROWS).json()["errors"] == [
         {"field": "scenario.scene.classes", "message": "4,500 entries; at most 100 are taken"}]  # fmt: skip
 
 
@@ -210,8 +208,7 @@ def test_large_body_is_refused_before_it_is_sent(server):
      "/runs/%2e%2e", "/runs/" + "a" * 16 + "/files/../run.json", "/static/.%00", "/" + "a" * 20_000],
 )  # fmt: skip
 def test_no_path_leads_out(server, client, path):
-    answer = client.get(server.address + path)
-    assert answer.status_code in (404, 414, 422)
+    assert client.get(server.address + path).status_code in (404, 414, 422)
 
 
 def test_files_of_a_run_are_those_it_offers(server, client):

@@ -34,6 +34,7 @@ from hyperval.figures.spec import (
     robust_limits,
     single,
 )
+from hyperval.metrics import product_words
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio
 from hyperval.pixels import EigenDirections, exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
@@ -54,7 +55,6 @@ SPECTRA = {
 MOST_SUBJECTS = 24  # and curves
 _MOST_ROWS = 40
 _MOST_SOURCES = 7
-_REST = "other sources"
 
 
 def both_of(sides: Sides, product: str) -> list[Mapping[Any, Any]]:
@@ -140,7 +140,6 @@ def spectra_figure(
     about = ("counts", "Counts", False) if counted else SPECTRA[product]
     views = tuple(_view(axis, s, [each.get(s) for each in aligned], about, not identical, names) for s in shown)
     title = f"{about[1]}: {_there(both, names)}" + ", which are identical" * identical
-    title += "" if axis.numbered else " (grey: absorption)"
     return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
 
 
@@ -167,11 +166,12 @@ def _view(
         (p, up), (m, um) = estimates
         gap = difference_ratio(p, m) if ratio else p - m
         u = np.hypot(up, (gap + 1.0) * um) / m if ratio else np.hypot(up, um)
-        columns, below = {"x": axis.centre_nm, "y": gap, "half": Z95 * u}, f"difference{' ratio' * ratio}"
+        below = f"{names[0]} / {names[1]} − 1" if ratio else f"{names[0]} − {names[1]}"
+        columns = {"x": axis.centre_nm, "y": gap, "half": Z95 * u}
         parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
         if np.isfinite(gap[keep]).any():
             median = np.nanmedian(np.abs(gap[keep]))
-            words = f"median absolute {below} in the windows {median:{'.2%' if ratio else '.4f'}}"
+            words = f"median absolute difference in the windows {median:{'.2%' if ratio else '.4f'}}"
     return Panels(wavelengths(axis), tuple(parts), subject, words=words)
 
 
@@ -228,7 +228,7 @@ def _ranked_sources(estimates: Sequence[SpectralEstimate]) -> list[str]:
         total = sum(squares.values()) or 1.0
         weight |= {source: max(weight.get(source, 0.0), square / total) for source, square in squares.items()}
     ranked = sorted(weight, key=lambda s: (-weight[s], s))
-    return ranked if len(ranked) <= _MOST_SOURCES else [*ranked[: _MOST_SOURCES - 1], _REST]
+    return ranked if len(ranked) <= _MOST_SOURCES else [*ranked[: _MOST_SOURCES - 1], "other sources"]
 
 
 _MOST_SPREADS = 6  # subjects in each quantity; those with the most pixels
@@ -392,7 +392,7 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
         kind = "steps" if names[1] == SIDES[1] else "line"
         marks.append(measured_mark(kind, _roc_columns(measured, low), names[1]))
         background, n = measured.n_background, measured.n_target
-        counted = (n, measured.unit + "s" * (n != 1)), (background, "background px")
+        counted = (n, measured.unit + "s" * (n != 1)), (background, "background pixels")
         note = ", ".join(f"{count_text(number)} {what}" for number, what in counted if number is not None)
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
     x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
@@ -466,7 +466,7 @@ def score_figure(sides: Sides) -> Figure | None:
     both = [{key: _entry(s.mean, s.sd, s.n) for key, s in of_side.items()} for of_side in both_of(sides, "scores")]
     return a_row_each(
         "scores", "scores", f"Score distributions: {_there(both)}", both_first(*both), both, Axis("score"),
-        rules=(0.0, 1.0), legend="dot: mean; bar: mean ± 1.96 standard deviations",
+        rules=(0.0, 1.0), legend="dot: mean; bar: mean ± 1.96 standard deviations; dotted: scores of 0 and 1",
     )  # fmt: skip
 
 
@@ -684,12 +684,12 @@ _STATED = {
     False: {"label": "none stated: standard step", "colour": "#E69F00"},
 }
 _GREATEST = {
-    False: {"label": "part of it", "colour": "#8aa4b8"},
+    False: {"label": "smaller gain", "colour": "#8aa4b8"},
     True: {"label": "greatest gain of a subject", "colour": "#C2410C", "beside": "right"},
 }
 _CLOSER = {
-    True: {"label": "after, closer", "colour": MET, "marker": "left"},
-    False: {"label": "after, farther", "colour": NOT_MET, "marker": "right"},
+    True: {"label": "after, closer", "colour": MET, "marker": "left", "beside": "left"},
+    False: {"label": "after, farther", "colour": NOT_MET, "marker": "right", "beside": "right"},
 }
 _LONGEST = 34  # characters of an input's name
 # Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
@@ -707,7 +707,7 @@ def reason_figures(table: ResultTable) -> list[Figure | None]:
     outcomes = tests.where(product="what-if")
     return [
         _before_and_after("residuals", "attribution", residuals, [r.subject for r in residuals], first),
-        _inputs(whole[:_MOST_INPUTS], table) if whole else None,
+        _inputs(whole[:_MOST_INPUTS], table) if whole and whole[0].value >= 1.0 else None,
         _gain(table),
         _by_subject([r for r in gains if r.subject != "all"]),
         _effects(moves) if moves else None,
@@ -765,9 +765,11 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
         return None
     subjects = telling[:_MOST_QUANTITIES]
     best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
-    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: -best[n])[:_MOST_INPUTS]
+    # The input that says most of a subject has its column, however little it says of the others.
+    top = {s: max(best, key=lambda n: by.get((s, n), 0.0)) for s in subjects}
+    inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: (n not in top.values(), -best[n]))[:_MOST_INPUTS]
     gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
-    part = gains / np.maximum(gains.max(axis=1, keepdims=True), 1e-300)
+    part = gains / np.array([[by[s, n]] for s, n in top.items()])
     cells = np.nonzero(gains > 0.0)
     columns = {"x": cells[1].astype(float), "y": cells[0].astype(float), "size": 14.0 * np.sqrt(part[cells])}
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[cells])
@@ -776,19 +778,19 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     quiet = len({r.subject for r in rows}) - len(telling)
     legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
     legend += left_out(len(subjects), len(telling), "results.csv")
-    tops = "; ".join(f"{s}: {inputs[cells]}" for s, cells in zip(subjects, gains.argmax(axis=1), strict=True))
     names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
-    summary = f"input of the greatest gain: {tops}"
-    return of_rows("attribution-subjects", "attribution", "The same for each subject", *names, marks, summary, legend)
+    summary = f"input of the greatest gain: {'; '.join(f'{s}: {n}' for s, n in top.items())}"
+    title = "Inputs that would explain the differences of each subject if they were less certain"
+    return of_rows("attribution-subjects", "attribution", title, *names, marks, summary, legend)
 
 
 def _effects(rows: Sequence[Result]) -> Figure:
     """Change of each number of the comparison per unit of each input, as a matrix of colours."""
 
     def label(r: Result) -> str:
-        what = r.metric.removesuffix("_change").replace("roc_pd@", "P_D ").removesuffix("_ratio_windows")
+        what = product_words(r.metric.removesuffix("_change").removesuffix("_ratio_windows"))
         way = r.method.partition(" / ")[2].removesuffix("/pixel")
-        return f"{r.subject}, {what}" + (f" {way}" if way else "")
+        return ", ".join(filter(None, (r.subject, what.replace("roc_pd@", "P_D at P_FA "), way)))
 
     gaps = {label(r): r.before for r in rows}
     shown = sorted(gaps, key=lambda q: -abs(gaps[q]))[:_MOST_QUANTITIES]
@@ -809,8 +811,7 @@ def _effects(rows: Sequence[Result]) -> Figure:
     legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
     legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
     legend += "the largest gaps are shown"
-    quantities = [f"{q} (gap {gaps[q]:+.2g})" for q in shown]
-    ways = Axis.named(names, _LONGEST), Axis.named(quantities, 56)
+    ways = Axis.named(names, _LONGEST), Axis.named([f"{q} (gap {gaps[q]:+.2g})" for q in shown], 64)
     title = "Change by one unit of each input"
     return of_rows("attribution-effects", "sensitivity", title, *ways, [cells], text, legend)
 
@@ -822,7 +823,7 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     (before, after), place = np.array([(r.before, r.value) for r in rows]).T, np.arange(float(len(rows)))
     start = Mark("dots", {"x": before, "y": place}, "as in the campaign", marker="circle", hollow=True)
     columns = {"x": after, "y": place, "low": np.minimum(before, after), "high": np.maximum(before, after)}
-    end = Mark("dots", columns, along="x", words=tuple(f"{value:.3g}" for value in after), beside="right")
+    end = Mark("dots", columns, along="x", words=tuple(f"{v:.3g}" if v < 1e3 else count_text(round(v)) for v in after))
     marks = [start, *end.by_kind(after < before, _CLOSER)]
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)

@@ -19,6 +19,8 @@ function columnsOf(figure, mark) {
     data.low = data.y.map((v, i) => v - data.half[i]);
     data.high = data.y.map((v, i) => v + data.half[i]);
   }
+  // Where both ends are the value nothing is stated.
+  if (mark.kind !== "area" && data.low !== undefined && !data.low.some((v, i) => v < data.high[i])) delete data.low, delete data.high;
   if (mark.words !== undefined) data.words = mark.words;
   if (mark.shades !== undefined) data.shade = mark.shades;
   return data;
@@ -110,26 +112,35 @@ function tips(mark, x, y, data) {
   return said;
 }
 
+// On a phone the unit of a long label stands below it.
+const labelOf = ({ label = "" }, narrow) => (narrow && label.length > 44 ? label.replace(" [", "\n[") : label);
+
 function styleAxis(ruler, axis, narrow) {
   Object.assign(ruler, {
     axis_line_color: SOFT, major_tick_line_color: SOFT, minor_tick_line_color: null, major_label_text_color: INK, major_label_text_font_size: "12px",
-    axis_label: axis.label ?? "", axis_label_text_color: INK, axis_label_text_font_size: "12px", axis_label_text_font_style: "normal",
+    axis_label: labelOf(axis, narrow), axis_label_text_color: INK, axis_label_text_font_size: "12px", axis_label_text_font_style: "normal",
   });
   if (axis.scale === "log" && axis.ends[1] / axis.ends[0] < FEW_DECADES) { // plain numbers at 1, 2 and 5
     const ticks = [];
     for (let decade = 10 ** Math.floor(Math.log10(axis.ends[0])); decade <= axis.ends[1]; decade *= 10) ticks.push(decade, 2 * decade, 5 * decade);
     Object.assign(ruler, { ticker: new Bokeh.FixedTicker({ ticks }), formatter: new Bokeh.BasicTickFormatter() });
   }
+  if (axis.scale === undefined || axis.scale === "linear") ruler.formatter = new Bokeh.BasicTickFormatter({ power_limit_low: -6 });
   if (!named(axis)) return;
   const places = axis.names ?? [];
   Object.assign(ruler, { ticker: new Bokeh.FixedTicker({ ticks: [...places.keys()] }), major_label_overrides: new Map(places.map((name, i) => [i, name])), axis_line_color: null, major_tick_line_color: null });
 }
 
 // On a phone the names of rows and what stands at their other end lie above each row, inside the plot.
-function rowsInside(plot, axis, x) {
-  const at = axis.names.map((_, i) => i), edge = x.ends;
+function rowsInside(plot, axis, x, width) {
+  const at = axis.names.map((_, i) => i), edge = x.ends, notes = axis.notes ?? [], long = (words) => pen.measureText(words).width;
   plot.yaxis.visible = false;
-  for (const [words, place, align] of [[axis.names, edge[0], "left"], [axis.notes ?? [], edge[1], "right"]]) {
+  const names = axis.names.map((name, i) => { // as long as the note beside it leaves room for
+    let words = name;
+    while (words.length > 4 && long(words) > width - long(notes[i] ?? "") - 44) words = `${words.slice(0, -2)}…`;
+    return words;
+  });
+  for (const [words, place, align] of [[names, edge[0], "left"], [notes, edge[1], "right"]]) {
     if (words.length > 0) plot.text({ x: at.map(() => place), y: at, text: words, text_align: align, text_baseline: "bottom", y_offset: -9, text_color: INK, text_font_size: "12px" });
   }
 }
@@ -161,6 +172,7 @@ function plotOf(figure, part, number, shared, note) {
   const range = (axis, flip) => new Bokeh.Range1d({ start: axis.ends[flip ? 1 : 0], end: axis.ends[flip ? 0 : 1] - (flip && inside ? 0.3 : 0) });
   let height = rows ? (inside ? 42 : 26) * rows + 58 : named(x) || part.own ? 280 : [figure.together === "first" || figure.legend_title ? 380 : 270, 190][Math.min(number, 1)];
   if (named(x)) height += 100;
+  if (labelOf(x, narrow).includes("\n")) height += 16;
   const tools = narrow ? "reset,save" : "pan,box_zoom,wheel_zoom,reset,save" + (part.marks.some((m) => m.linked) ? ",box_select" : "");
   const plot = Bokeh.Plotting.figure({
     sizing_mode: "stretch_width", height, tools, x_axis_type: x.scale === "log" ? "log" : "linear", y_axis_type: y.scale === "log" ? "log" : "linear",
@@ -193,9 +205,12 @@ function plotOf(figure, part, number, shared, note) {
   for (const [way, location] of part.rules ?? []) {
     plot.add_layout(new Bokeh.Span({ location, dimension: way === "x" ? "height" : "width", line_color: SOFT, line_dash: "dotted" }));
   }
-  if (inside) rowsInside(plot, y, x);
+  if (inside) rowsInside(plot, y, x, shared.width);
   else if (y.notes) notesBeside(plot, y);
-  plot.height += legendOf(plot, number === 0 || part.own ? entries : new Map(), figure.legend_title ?? "", narrow, shared.width);
+  // Plots below the first name what it does not have.
+  const told = shared.legend ??= new Set(), fresh = [...entries].filter(([label]) => part.own || !told.has(label));
+  for (const [label] of fresh) told.add(label);
+  plot.height += legendOf(plot, new Map(fresh), figure.legend_title ?? "", narrow, shared.width);
   if (note) plot.add_layout(new Bokeh.Title({ text: note, text_font_style: "normal", text_color: SOFT, text_font_size: "12px" }), "above");
   return plot;
 }

@@ -28,7 +28,7 @@ _MARKERS = {
     "x": "X", "hex": "h", "tick": "|", "left": "<", "right": ">",
 }  # fmt: skip
 _ABSORPTION = "#e9e9e9"
-_ROW_IN, _LABEL = 0.3, 40  # [in] of a named row; letters along an axis
+_ROW_IN, _LABEL, _LABEL_BELOW = 0.3, 40, 16  # [in] of a named row; letters along an axis, and along a low one
 _FEW_DECADES = 2.5  # below which an axis has plain numbers at 1, 2 and 5
 _JOURNAL_SCALE = 0.72  # of 10 in: 183 mm, two columns
 _METADATA: dict[str, dict[str, Any]] = {
@@ -90,7 +90,8 @@ def canvas_of(figure: Figure, views: Sequence[Panels], *, simulated: bool, journ
                 axes.set_title("\n".join(name), loc="left")
             draw_part(axes, view, part)
             last = number == len(view.parts) - 1
-            axes.set_ylabel(fill(plain(part.y.label), _LABEL).replace(" [", "\n[") if column == 0 else "")
+            words = fill(plain(part.y.label), _LABEL if number == 0 or part.x else _LABEL_BELOW).replace(" [", "\n[")
+            axes.set_ylabel(words if column == 0 else "")
             axes.set_xlabel(plain((part.x or view.x).label) if part.x or (last and k + columns >= len(views)) else "")
             if not last and not part.x:
                 axes.tick_params(labelbottom=False)
@@ -114,9 +115,9 @@ def _height_in(view: Panels) -> float:
 
 def legend_of(*views: Panels) -> tuple[list[Any], list[str]]:
     """Handles and labels of the legend of views."""
-    marks = [mark for view in views for part in view.parts for mark in part.marks]
+    marks = [mark for view in views for mark in view.marks]
     entries = {m.label: _handle(next(one for one in marks if one.label == m.label)) for m in marks if m.label}
-    if any(mark.kind in ("line", "steps") and "low" in mark.numbers for mark in marks):
+    if any(view.shaded for view in views):
         entries["95 % interval"] = Patch(color=GREY, alpha=0.3, linewidth=0)
     if views[0].x.absorption:
         entries["absorption band"] = Patch(color=_ABSORPTION)

@@ -200,7 +200,7 @@ def _part(rows: Sequence[Result], most: int) -> Part:
     low, high = _ends(rows, False)
     log = first.effect_unit == _P_VALUE or (first.ideal == 1.0 and all(row.effect > 0 for row in rows) and high > 3.0)
     ends = _ends(rows, True) if log else (low, high)
-    title = ": ".join(word for word in (product_words(first.product), "" if several else _words(first)) if word)
+    title = ": ".join(dict.fromkeys([product_words(first.product), *([] if several else [_words(first)])]))
     label = f"{title[:1].upper()}{title[1:]}" + (f" [{first.effect_unit}]" if first.effect_unit else "")
     # What could be detected is another for each of those that are folded.
     folded = (replace(row, detectable_low=math.nan, detectable_high=math.nan) for row in rest)

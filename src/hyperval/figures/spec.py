@@ -38,7 +38,7 @@ Way = Literal["x", "y"]
 Kind = Literal["svg", "pdf", "png"]
 Rules = tuple[tuple[Way, float], ...]
 _TONES = 33  # of a scale in a page
-_REACH = {"x": {"x", "left", "right"}, "y": {"y", "bottom", "top"}}
+_REACH: dict[Way, set[str]] = {"x": {"x", "left", "right"}, "y": {"y", "bottom", "top"}}
 
 
 @dataclass(frozen=True)
@@ -208,30 +208,46 @@ class Panels:
         return ", ".join(filter(None, (self.subject, self.tab)))
 
     @property
+    def marks(self) -> list[Mark]:
+        """Those of all its plots."""
+        return [mark for part in self.parts for mark in part.marks]
+
+    @property
+    def shaded(self) -> bool:
+        """Whether a line has its interval about it."""
+        return any(mark.kind in ("line", "steps") and "low" in mark.numbers for mark in self.marks)
+
+    @property
     def told(self) -> str:
         """Name and numbers in words."""
-        marks = [mark for part in self.parts for mark in part.marks]
-        numbers = [mark.told_at(self.at) for mark in marks if mark.label and self.at is not None]
-        points = [": ".join(filter(None, (mark.label, "; ".join(mark.words)))) for mark in marks if any(mark.words)]
+        numbers = [mark.told_at(self.at) for mark in self.marks if mark.label and self.at is not None]
+        points = [": ".join(filter(None, (m.label, "; ".join(m.words)))) for m in self.marks if any(m.words)]
         texts = list(filter(None, [*numbers, self.words])) or points
         return ": ".join(filter(None, (self.name, "; ".join(texts))))
 
     def ends(self, way: Way, part: Part) -> tuple[float, float]:
-        """Ends of an axis of a part: as stated, or with a margin about everything drawn along it."""
+        """Ends of an axis of a part: as stated, or with a margin about all along it and the rules that lie near."""
         axis = part.y if way == "y" else part.x or self.x
         if axis.scale == "names":
             return -0.6, len(axis.names) - 0.4
         if axis.ends is not None:
             return axis.ends
         parts = self.parts if way == "x" and part.x is None else (part,)
-        every = np.concatenate([np.empty(0), *(v for p in parts for m in p.marks for v in _extent(m, way))])
+        reach = {along: _REACH[way] | ({"low", "high"} if way == along else set()) for along in _REACH}
+        columns = (v for p in parts for m in p.marks for name, v in m.numbers.items() if name in reach[m.along])
+        every = np.concatenate([np.empty(0), *columns])
         every = every[np.isfinite(every) & ((every > 0.0) | (axis.scale != "log"))]
         if not every.size:
             return (0.1, 1.0) if axis.scale == "log" else (0.0, 1.0)
         low, high = float(every.min()), float(every.max())
+        places = [place for p in parts for along, place in p.rules if along == way]
         if axis.scale == "log":
-            return low / 1.4, high * 1.4
-        margin = 0.05 * (high - low) or 0.05 * abs(high) or 1.0
+            near = [place for place in places if low**2 / high <= place <= high**2 / low]
+            return min([low, *near]) / 1.4, max([high, *near]) * 1.4
+        near = [place for place in places if 2.0 * low - high <= place <= 2.0 * high - low]
+        low, high = min([low, *near]), max([high, *near])
+        room = 0.12 if way == "x" and any(m.beside in ("left", "right") for p in parts for m in p.marks) else 0.05
+        margin = room * (high - low) or 0.05 * abs(high) or 1.0
         return low - margin, high + margin
 
 
@@ -272,15 +288,20 @@ class Figure:
         """Text for those who cannot see it: title, axes, what is shown, and each view in words."""
         shared = [part for part in self.views[0].parts if part.x is None]
         axes = [" over ".join(filter(None, (part.y.told, self.views[0].x.told))) for part in shared]
-        names = dict.fromkeys(mark.label for view in self.views for part in view.parts for mark in part.marks)
+        names = dict.fromkeys(mark.label for view in self.views for mark in view.marks)
         texts = ["; ".join(filter(None, each)) for each in (axes, names, (view.told for view in self.views))]
         parts = [f"{what}{words}" for what, words in zip(("Axes: ", "Shown: ", ""), texts, strict=True) if words]
         return f"{'. '.join([self.title, *parts])}."
 
     @property
     def caption(self) -> str:
-        """Title and legend."""
-        return self.title + (f". {self.legend[0].upper()}{self.legend[1:]}" if self.legend else "")
+        """Title, legend, and what is shaded where neither they nor a label says it."""
+        said = " ".join((self.title, self.legend, *(mark.label for view in self.views for mark in view.marks)))
+        interval = "95 %" not in said and any(view.shaded for view in self.views)
+        gases = any(view.x.absorption for view in self.views)
+        keys = self.legend, "shaded: 95 % interval" * interval, "grey: absorption bands" * gases
+        legend = "; ".join(filter(None, keys))
+        return self.title + (f". {legend[0].upper()}{legend[1:]}" if legend else "")
 
 
 @dataclass(frozen=True)
@@ -352,12 +373,6 @@ def statement(figure: Figure) -> str:
     if bands := next((view.x.absorption for view in figure.views if view.x.absorption), None):
         whole["absorption"] = bands
     return json.dumps(whole, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
-
-
-def _extent(mark: Mark, way: Way) -> list[Array]:
-    """The columns of a mark that reach along an axis."""
-    names = _REACH[way] | ({"low", "high"} if way == mark.along else set())
-    return [values for name, values in mark.numbers.items() if name in names]
 
 
 def columns_of(rows: Sequence[Sequence[float]], names: Sequence[str] = ("x", "y", "low", "high")) -> dict[str, Array]:

@@ -52,7 +52,7 @@ def conclusion(pairs: Sequence[Pair]) -> str:
     >>> print(conclusion([Pair(*rounding), Pair(a, b)]).partition("most ")[2])
     radiance lawn sixs bias_ratio: 0.01 in A, 0.03 in B.
     """
-    changed = [p for p in pairs if p.size > 0 or p.verdict_changed or not (p.a and p.b)]
+    changed = [p for p in pairs if not p.is_same]
     if not changed:
         return f"Identical: all {len(pairs)} comparisons have the same value and outcome in both runs."
     most = max(changed, key=lambda p: (p.gates and p.verdict_changed, p.size))
@@ -96,7 +96,8 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         moved=whole,
         bands=len(moved) - len(whole),
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
-        same=sum(bool(p.a and p.b) and p.size == 0 and not p.verdict_changed for p in pairs),
+        same=sum(p.is_same for p in pairs),
+        is_identical=all(p.is_same for p in pairs),
         conclusion=conclusion(pairs),
         inputs=[(k, first.get(k, "–"), second.get(k, "–")) for k in first | second if first.get(k) != second.get(k)],
         charts=charts,

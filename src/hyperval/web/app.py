@@ -25,8 +25,6 @@ from hyperval.web.pages import api, page, pages
 from hyperval.web.refusal import FieldMistake, Refused, mistakes_of, problems, said
 from hyperval.web.store import Runs, ServerSettings
 
-_THREADS = 128  # requests that wait for a worker hold one each
-
 
 def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None = None) -> FastAPI:
     """The application of one server; its workers run while it is served.
@@ -40,7 +38,8 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
 
     @asynccontextmanager
     async def life(app: FastAPI) -> AsyncIterator[None]:
-        anyio.to_thread.current_default_thread_limiter().total_tokens = _THREADS
+        # Requests that wait for a worker hold a thread each.
+        anyio.to_thread.current_default_thread_limiter().total_tokens = 128
         await anyio.to_thread.run_sync(_warm, settings)
         yield
         app.state.runs.close()
@@ -79,9 +78,8 @@ def _told(request: Request, error: Exception) -> Response:
     status, headers, mistakes = 500, dict[str, str](), list[FieldMistake]()
     if isinstance(error, HTTPException):
         status, headers = error.status_code, {name.lower(): value for name, value in (error.headers or {}).items()}
-        mistakes = [FieldMistake("body" if status == 400 else "", _WORDS.get(status, "refused"))]
-    if isinstance(error, Refused):
-        mistakes = list(error.mistakes)
+        unsaid = FieldMistake("body" if status == 400 else "", _WORDS.get(status, "refused"))
+        mistakes = list(error.mistakes) if isinstance(error, Refused) else [unsaid]
     elif isinstance(error, RequestValidationError):
         status, unread = 422, isinstance(error.body, str)
         mistakes = [

@@ -25,7 +25,7 @@ from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
 from hyperval.study.schema import StudyFile
-from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, mistakes_of
+from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, for_pages, mistakes_of
 
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
@@ -213,7 +213,7 @@ def _node(schema: Schema, path: str, value: Any, begun: Any, is_needed: bool = F
     default = schema.get("default")
     return replace(
         node, kind=kind, value=text, choices=choices, unit=schema.get("unit", ""),
-        limits=next((words for m in members if (words := _limits(m))), ""),
+        limits=next((words for m in members if kind != "several" and (words := _limits(m))), ""),
         default="" if default is None or isinstance(default, dict) else _text(default),
         # Where nothing is said a form cannot tell it from a field that is left alone.
         is_changed=value != begun and not all(one in (None, "", [], (), {}) for one in (value, begun)),
@@ -372,7 +372,7 @@ def needs(source: object) -> dict[str, str]:
     for name in sorted(set(re.findall(r"data:([\w-]+)/", str(source))) & registry().keys()):
         entry = registry()[name]
         if missing(name) if entry.public else not files_at_hand(name):
-            lacking[name] = f"hyperval data fetch {name}" if entry.public else how_to_get(entry)
+            lacking[name] = f"hyperval data fetch {name}" if entry.public else for_pages(how_to_get(entry))
     return lacking
 
 

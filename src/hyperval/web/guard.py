@@ -13,6 +13,7 @@ import os
 import re
 import secrets
 import sys
+from http import HTTPStatus
 from typing import ClassVar
 from urllib.parse import urlsplit
 
@@ -137,7 +138,6 @@ LEAST_BYTES = 10_000
 _LOOK_S = 0.5
 _FILES = 256  # open at a time besides connections
 _HEAD, _BODY = "IDLE", "SEND_BODY"  # what h11 calls the states of a client that sends them
-_WORDS = {408: "Request Timeout", 503: "Service Unavailable"}
 
 
 class _Connection(H11Protocol):
@@ -204,7 +204,7 @@ class _Connection(H11Protocol):
 
     def _end(self, status: int) -> None:
         if self.cycle is None or self.cycle.response_complete:
-            head = f"HTTP/1.1 {status} {_WORDS[status]}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
+            head = f"HTTP/1.1 {status} {HTTPStatus(status).phrase}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
             self.transport.write(head.encode())
         self.transport.close()
 

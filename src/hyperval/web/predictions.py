@@ -15,12 +15,11 @@ from functools import partial
 from itertools import groupby
 from typing import Annotated, Any
 
-from fastapi import Request
+from fastapi import Body, Request
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
-from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model import in_file
@@ -50,7 +49,6 @@ from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
 
-_WAIT_S = 5.0
 _FREE: dict[str, Any] = {"schema": 1, "name": "free", "sensor": "prospectir-vs", "atmosphere": {}, "scene": {}}
 
 
@@ -74,12 +72,8 @@ def start(request: Request) -> Response:
 
 
 @pages.get("/predict")
-def predict_form(
-    request: Request, scenario: str | None = None, s: str | None = None, run: str | None = None
-) -> Response:
+def predict_form(request: Request, scenario: str | None = None, run: str | None = None) -> Response:
     """The form, filled in with a predefined scenario, or that of an earlier run."""
-    words = "links hold no scenario any more: the scenario.yaml of a run stands in their place"
-    deny(s is not None, 410, words, "s")
     begun = f"run:{run}" if run is not None else scenario or "free"
     data = _FREE if begun == "free" else _first(request, begun)
     if data is None:
@@ -99,7 +93,7 @@ def predict_post(request: Request, form: SentForm) -> Response:
         ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, begun, to_show(refusal))
-    store_of(request).wait(ordered, _WAIT_S)
+    store_of(request).wait(ordered, 5.0)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
 
@@ -118,12 +112,7 @@ def order_prediction(request: Request, data: dict[str, Any]) -> WebRun:
 
 
 def _file(request: Request, name: str) -> str:
-    """A scenario as workers read it: its name, or its file; ``run:ID`` is that of a prediction of this session.
-
-    Raises
-    ------
-    Refused : there is none.
-    """
+    """A scenario as workers read it: its name, or its file; ``run:ID`` is that of a prediction of this session."""
     if name.startswith("run:"):
         deny(run_of(request, name[4:]).kind != "prediction", 404, "this run is not a prediction")
         return str(store_of(request).place(name[4:]) / "scenario.yaml")
@@ -234,12 +223,7 @@ def _source(request: Request, name: str) -> str:
 
 
 def _asked(request: Request, sent: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
-    """What is asked, checked against its scenario.
-
-    Raises
-    ------
-    Refused : every mistake with its field.
-    """
+    """What is asked, checked against its scenario; refused with every mistake at its field."""
     *asked, mistakes = _right(request, sent)
     deny(mistakes, 422)
     return tuple(asked)
@@ -368,16 +352,10 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     return store_of(request).order(uploads.owner, "study", study.name, study.title, files)
 
 
-class StudyOrder(Model):
-    """A study; its scenario is a predefined one by name, or ``run:ID``, that of a prediction of this session."""
-
-    study: Annotated[StudyFile, small("study")]
-
-
 @api.post("/studies", status_code=201)
-def studies(request: Request, order: StudyOrder) -> RunAnswer:
-    """Evaluate a trade-off study; ask for the run to learn how far it is."""
-    return answer_of(request, order_study(request, order.study))
+def studies(request: Request, study: Annotated[StudyFile, small("study"), Body(embed=True)]) -> RunAnswer:
+    """Evaluate a trade-off study of a predefined scenario by name, or of ``run:ID``, a prediction of this session."""
+    return answer_of(request, order_study(request, study))
 
 
 def _of_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldMistake]:

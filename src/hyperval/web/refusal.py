@@ -72,14 +72,14 @@ def to_show(refusal: Refused) -> list[FieldMistake]:
 
 def for_pages(text: str) -> str:
     """The text without options of a command, each absolute path in it cut down to its last name."""
-    text = re.sub(r" \(--[a-z-]+\)", "", text)
+    text = re.sub(r" \((?:or )?--[a-z-]+\)", "", text)
     return _PATH.sub(lambda m: re.split(r"[\\/]", m[0].rstrip("\\/"))[-1] or "a folder", text)
 
 
 def said(error: HypervalError) -> str:
     """What an error of the package says to someone who does not share its files, and types no options of a command.
 
-    >>> said(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit"))
+    >>> said(HypervalError("collection.cube.unit: of the radiance (--unit)", expected="a unit (or --scale)"))
     'collection.cube.unit: of the radiance; expected: a unit'
     """
     return for_pages(f"{error.what}; expected: {error.expected}" if error.expected else error.what)

@@ -11,11 +11,11 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import Depends, Form, Query, Request
+from fastapi import Body, Depends, Form, Query, Request
 from pydantic import BaseModel, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
-from hyperval.config import Model, load_yaml, twice
+from hyperval.config import load_yaml, twice
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
 from hyperval.run import provenance_of
@@ -46,17 +46,13 @@ def answer_of(request: Request, run: WebRun) -> RunAnswer:
 
 
 def run_of(request: Request, run_id: str) -> WebRun:
-    """A run of this session.
-
-    Raises
-    ------
-    Refused : there is none by that name, or it is another session's.
-    """
+    """A run of this session, refused as by :meth:`~hyperval.web.store.Runs.run`."""
     return store_of(request).run(run_id, owner_of(request))
 
 
 OwnRun = Annotated[WebRun, Depends(run_of)]
 Wait = Annotated[float, Query(ge=0, le=60, description="seconds, at most")]
+CampaignName = Annotated[str, Body(embed=True, max_length=100, description="a name of /campaigns")]
 Number = Annotated[int, Query(ge=0, lt=1_000_000)]
 
 
@@ -125,7 +121,7 @@ def files_of(place: Path, run: WebRun) -> list[str]:
 
 @api.get("/runs/{run_id}/charts", response_class=JSONResponse, response_model=None)
 def charts(request: Request, run: OwnRun, beside: str | None = None) -> Response:
-    """Charts of a prediction, beside another one where one is named, as Bokeh draws them."""
+    """Charts of a prediction, beside another one where one is named: figures as stated for charts.js."""
     other = run_of(request, beside) if beside else None
     is_other = other is not None and (other.kind, other.state) != ("prediction", "finished")
     deny(run.kind != "prediction" or is_other, 409, "charts are of predictions that have finished")
@@ -139,8 +135,6 @@ def file(request: Request, run: OwnRun, name: str) -> Response:
     """A file of a run, such as results.csv, products.nc or scenario.yaml."""
     place = store_of(request).place(run.id)
     deny(not _NAME.fullmatch(name) or ".." in name, 404, "this run has no such file")
-    words = "campaign.yaml stands in its place: the files that were sent go into collection/ beside it"
-    deny(name == "campaign.zip", 410, words)
     path = place / name if name in _SOURCES.values() else place / "results" / name
     if path.parent != place and run.kind == "prediction":  # whose files are written when the first is asked for
         store_of(request).view(run, "files", "results/results.csv")
@@ -159,10 +153,9 @@ def file(request: Request, run: OwnRun, name: str) -> Response:
 
 
 @pages.post("/runs/{run_id}/cancel")
-def run_cancel(request: Request, run: OwnRun) -> Response:
+def run_cancel(request: Request, run_id: str) -> Response:
     """Call a run off."""
-    store_of(request).cancel(run)
-    return RedirectResponse(f"/runs/{run.id}", status_code=303)
+    return RedirectResponse(f"/runs/{cancel(request, run_id).id}", status_code=303)
 
 
 @api.post("/runs/{run_id}/cancel")
@@ -194,12 +187,6 @@ class CampaignAnswer(BaseModel):
     title: str
     description: str
     path: Path = Field(exclude=True)
-
-
-class ValidationOrder(Model):
-    """Which campaign to run."""
-
-    campaign: str = Field(max_length=100, description="a name of /campaigns")
 
 
 @api.get("/campaigns")
@@ -266,15 +253,15 @@ def campaigns_page(request: Request) -> Response:
 
 
 @pages.post("/validate")
-def campaign_run(request: Request, order: Annotated[ValidationOrder, Form()]) -> Response:
+def campaign_run(request: Request, campaign: Annotated[str, Form(max_length=100)]) -> Response:
     """Run a campaign."""
-    return RedirectResponse(f"/runs/{validations(request, order).id}", status_code=303)
+    return RedirectResponse(f"/runs/{validations(request, campaign).id}", status_code=303)
 
 
 @api.post("/validations", status_code=201)
-def validations(request: Request, order: ValidationOrder) -> RunAnswer:
+def validations(request: Request, campaign: CampaignName) -> RunAnswer:
     """Run a campaign: predict, observe, compare."""
-    found = known_campaigns(request).get(order.campaign)
+    found = known_campaigns(request).get(campaign)
     if found is None:
         raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
     run = store_of(request).order(owner_of(request), "validation", found.name, found.title, path=str(found.path))
@@ -302,12 +289,7 @@ def map_data(request: Request, run: OwnRun, name: str) -> Response:
 
 
 def campaign_of(request: Request, run: WebRun) -> Path:
-    """The campaign of a run: the file that the run has read, of several such and of one that has changed by its name.
-
-    Raises
-    ------
-    Refused : there is none.
-    """
+    """The campaign of a run: the file that it has read, of several such and of one that has changed by its name."""
     read = {entry["sha256"] for entry in provenance_of(store_of(request).place(run.id) / "results").get("inputs", ())}
     alike = {c.path: (sha256_of(c.path) in read, c.name == run.name) for c in known_campaigns(request).values()}
     path = max(alike, key=alike.__getitem__, default=Path())

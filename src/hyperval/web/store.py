@@ -87,7 +87,6 @@ class ServerSettings:
 
 ENDED = ("finished", "failed", "cancelled", "lost")
 _ID = re.compile(r"[A-Za-z0-9_-]{16}")
-_DAY_S = 86400.0
 EVERYBODY = ""  # the owner of what commands wrote
 MOST_LISTED = 40
 _COMMANDS = ("hyperval", "__main__.py")  # by which this program is started
@@ -301,7 +300,7 @@ class Runs:
             sizes = [size_of(path) for _, path in kept]
             total = sum(sizes)
             for (created, path), size in sorted(zip(kept, sizes, strict=True)):
-                if now - created > self._settings.kept_days * _DAY_S or total > self._settings.kept_bytes:
+                if now - created > self._settings.kept_days * 86400.0 or total > self._settings.kept_bytes:
                     total -= size
                     shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
 

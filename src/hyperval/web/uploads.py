@@ -127,7 +127,8 @@ class Uploads:
                 self._state.runs.ask("sensor", field, path=str(path))
             except Refused as refusal:
                 words = to_show(refusal)[0].message.replace(path.name, name)
-                raise Refused(422, [FieldMistake("sensors", f"{name}: {words}")]) from refusal
+                mistake = FieldMistake("sensors", words if words.startswith(name) else f"{name}: {words}")
+                raise Refused(422, [mistake]) from refusal
 
     def _named(self, field: str, name: str) -> Path:
         """A file of the data folder that a form names."""
@@ -277,11 +278,3 @@ def uploads(request: Request, form: SentForm) -> UploadAnswer:
     """
     taken = take_files(request, form)
     return UploadAnswer(run=answer_of(request, taken)) if isinstance(taken, WebRun) else UploadAnswer(kept=taken)
-
-
-@api.get("/session", include_in_schema=False)
-@api.post("/uploads/{kind}", include_in_schema=False)
-def replaced() -> None:
-    """Say what stands in the place of what there was in versions before."""
-    words = "there are no tokens any more: the cookie of the first answer is the session; all files go to /uploads"
-    raise Refused(410, words)
