@@ -41,6 +41,11 @@ _NAMED = {
     "uflick": "uW cm-2 sr-1 um-1",
     "microflick": "uW cm-2 sr-1 um-1",
 }
+_WAVELENGTHS = {
+    "nm": re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE),
+    "um": re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE),
+    "angstrom": re.compile(r"[aå]ngstr[oö]m|[\[(]\s*(?-i:[AÅ\u212b])\s*[\])]", re.IGNORECASE),
+}
 _WATTS = {"power": 1, "area": -2, "wavelength": -1}
 # Quantity -> powers of the kinds of its unit, the power of ten of the internal unit, and what is expected.
 _QUANTITIES = {
@@ -100,6 +105,16 @@ def in_nm(unit: str | None) -> float | None:
     [1000.0, 1000000000.0, None, None]
     """
     return _known(unit or "", "wavelength")
+
+
+def wavelength_unit_named(text: str) -> str | None:
+    """The only unit of wavelengths among the words of a text; None without one, or with several.
+
+    >>> [wavelength_unit_named(text) for text in ("nanometers (nm)", "Wavelength, microns", "nm or um", "cm-1")]
+    ['nm', 'um', None, None]
+    """
+    units = [unit for unit, pattern in _WAVELENGTHS.items() if pattern.search(text)]
+    return units[0] if len(units) == 1 else None
 
 
 def is_radiance(unit: str | None) -> bool:

@@ -272,7 +272,7 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     """What an ENVI header states as a scale of a quantity."""
     of_reflectance = quantity == "reflectance" and "data reflectance gain values" in header.entries
     kind = "data reflectance" if of_reflectance else "data"
-    gain, offset = (header.numbers(f"{kind} {name} values", header.bands) for name in ("gain", "offset"))
+    gain, offset = (header.numbers(f"{kind} {of} values", header.bands, each=False) for of in ("gain", "offset"))
     factor = header.number("reflectance scale factor")
     refuse(gain is not None and np.any(gain == 0), "scale.zero", header.where(f"{kind} gain values"))
     if factor is not None and not (np.isfinite(factor) and factor > 0):
