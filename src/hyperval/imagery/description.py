@@ -8,7 +8,7 @@ wavelengths, which unit and which scale an image has, and which stored number me
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, time
@@ -409,8 +409,8 @@ class Raster:
             for here in self._together(rows, cols):
                 top, first = int(rows[here].min()), int(cols[here].min())
                 window = slice(top, int(rows[here].max()) + 1), slice(first, int(cols[here].max()) + 1)
-                for bands in self._band_blocks():
-                    out[here, bands] = self._box(bands, *window)[:, rows[here] - top, cols[here] - first].T
+                values = self._box(slice(0, self.bands), *window)
+                out[here] = values[:, rows[here] - top, cols[here] - first].T
         return out
 
     def some_pixels(self) -> npt.NDArray[Any]:
@@ -424,10 +424,6 @@ class Raster:
         ordered, most = rows[order], max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
         edges = np.flatnonzero((np.diff(ordered) > 1) | (np.diff(ordered // most) > 0)) + 1
         return [part for part in np.split(order, edges) if part.size]
-
-    def _band_blocks(self) -> Iterable[slice]:
-        """The bands that are best read together."""
-        return (slice(0, self.bands),)
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
         return self._box(slice(0, self.bands), slice(first, first + count), slice(0, self.samples))
@@ -443,9 +439,9 @@ def some_lines(lines: int, count: int) -> Index:
 
 
 def crs_of_wkt(wkt: str | None) -> CRS | None:
-    """The system of a WKT, ESRI's among them; None where there is none that is understood."""
+    """The system of a WKT, ESRI's among them, or a code; None where there is none that is understood."""
     try:
-        return CRS.from_wkt(wkt, morph_from_esri_dialect=True) if wkt else None
+        return CRS.from_user_input(wkt, morph_from_esri_dialect=True) if wkt else None
     except CRSError:
         return None
 
@@ -494,10 +490,7 @@ def filled(stored: npt.NDArray[Any], ignore: float | None = None) -> Mask:
     fill = np.asarray(last == 0 if len(stored) < _LEAST_FILLED else last <= 0)
     if len(stored) >= _LEAST_FILLED and ignore is None and stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
         fill |= last == np.iinfo(stored.dtype).max
-    for band in (0, len(stored) // 2):  # few pixels are alike in three bands; only those are looked at in full
-        if not fill.any():
-            return fill
-        fill &= stored[band] == last
+    fill &= (stored[0] == last) & (stored[len(stored) // 2] == last)  # as few pixels are; they are looked at in full
     fill[fill] = (stored[:, fill] == last[fill]).all(axis=0)
     return fill
 

@@ -386,18 +386,14 @@ def _xml_parts(definitions: list[ElementTree.Element], grid: ImageGrid, where: s
         refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
         grid = replace(grid, coordinates="pixel" if in_pixels else None)
         for child in (child for child in definition if child.tag != "CoordSysStr"):
-            made: list[dict[str, Any]] = [{"type": child.tag}]
+            made: list[dict[str, Any]] = [] if child.tag in _AREAS else [{"type": child.tag}]
             if child.tag in _POINTS:
                 made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
-            elif child.tag in _AREAS:
-                made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
+            for polygon in child.iter("Polygon"):
+                outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
+                refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
+                made.append({"type": "Polygon", "coordinates": [_xml_pairs(r, where) for r in (*outer, *inner)]})
             yield from (grid.place(geometry_of(one, where), source, where) for one in made)
-
-
-def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
-    outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
-    refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
-    return {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
 
 
 def _xml_pairs(element: ElementTree.Element, where: str) -> Array:

@@ -74,7 +74,7 @@ def read_spectrum(
     if wavelengths is None:
         chosen = _chosen(_records(path, columns, quantity), record, str(path))
     else:
-        chosen = text.usgs_record(path, checked_file(wavelengths, what="wavelength file"))
+        chosen = text.usgs_records(SpectraFile(path), wavelengths)[0]
     return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 

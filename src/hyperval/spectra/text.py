@@ -605,9 +605,6 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     return [FieldSpectrum(path.stem, nm, values, quantity=wanted, wavelength_unit="nm", unit=unit)]
 
 
-_COUNTERS = ("", "index", "row", "unnamed: 0")  # titles of columns that count the rows
-
-
 def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
     """Of a table with a wavelength a row, the columns of that and of what names its spectra; these are none of others.
 
@@ -624,7 +621,7 @@ def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
     if len(waves) != 1 or len(cells) != len(titles) or _value(cells[waves[0]], delimiter) is None:
         return 0, []
     named = {i for i, cell in enumerate(cells) if titles[i].lower() in _NAMES or _value(cell, delimiter) is None}
-    before = {i for i in range(waves[0]) if titles[i].lower() not in _COUNTERS}
+    before = {i for i in range(waves[0]) if titles[i].strip()}  # without a title the rows are counted
     return waves[0], sorted(named | before) if named else []
 
 
@@ -649,21 +646,17 @@ def below_records(file: SpectraFile) -> list[FieldSpectrum]:
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
-def usgs_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """The spectrum of a file of one column, at the wavelengths that lie beside it."""
-    grid = checked_file(wavelengths_beside(file.path) or "", what="wavelength file")
-    return [replace(usgs_record(file.path, grid), notes=(f"wavelengths from {grid.name}, which lies beside it",))]
-
-
-def usgs_record(path: Path, grid: Path) -> FieldSpectrum:
-    """A spectrum of a library that keeps values and wavelengths in files of one column each."""
+def usgs_records(file: SpectraFile, stated: Path | str | None = None) -> list[FieldSpectrum]:
+    """The spectrum of a file of one column, at the wavelengths of another, which is stated or lies beside it."""
+    path, grid = file.path, checked_file(stated or wavelengths_beside(file.path) or "", what="wavelength file")
     (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     unit = wavelength_unit_in(" ".join(above), "", str(grid))
     told: dict[str, Any] = {"source": str(path), "wavelength_unit": unit}
-    return FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], **told)
+    told["notes"] = () if stated else (f"wavelengths from {grid.name}, which lies beside it",)
+    return [FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], **told)]
 
 
 def wavelengths_beside(path: Path) -> Path | None:
