@@ -111,14 +111,8 @@ class EnviHeader:
         for i in np.flatnonzero(~np.isfinite(out)):
             kind = "finite" if np.isinf(out[i]) or "nan" in parts[i].lower() else "a number"
             raise refusal("header.item", self.where(key), item=i + 1, key=key, kind=kind, text=parts[i][:40])
-        refuse(
-            count not in (None, out.size) and (each or out.size > 1),
-            "header.count",
-            self.where(key),
-            key=key,
-            size=out.size,
-            count=count,
-        )
+        unlike = count not in (None, out.size) and (each or out.size > 1)
+        refuse(unlike, "header.count", self.where(key), key=key, size=out.size, count=count)
         return out
 
     def number(self, key: str) -> float | None:

@@ -30,7 +30,7 @@ _SYMBOLS = {
     "cm": ("area", -2, "centimeter centimeters centimetre centimetres"),
     "um": ("wavelength", -6, "micron microns micrometer micrometers micrometre micrometres"),
     "nm": ("wavelength", -9, "nanometer nanometers nanometre nanometres"),
-    "angstrom": ("wavelength", -10, "angstroms"),
+    "angstrom": ("wavelength", -10, "angstroms ångström ångstrom angström"),
     "sr": ("angle", 0, "steradian steradians ster str"),
 }
 _SPELLED = {word: symbol for symbol, (*_, words) in _SYMBOLS.items() for word in (symbol, *words.split())}
@@ -40,11 +40,6 @@ _NAMED = {
     "flick": "W cm-2 sr-1 um-1",
     "uflick": "uW cm-2 sr-1 um-1",
     "microflick": "uW cm-2 sr-1 um-1",
-}
-_WAVELENGTHS = {
-    "nm": re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE),
-    "um": re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE),
-    "angstrom": re.compile(r"[aå]ngstr[oö]m|[\[(]\s*(?-i:[AÅ\u212b])\s*[\])]", re.IGNORECASE),
 }
 _WATTS = {"power": 1, "area": -2, "wavelength": -1}
 # Quantity -> powers of the kinds of its unit, the power of ten of the internal unit, and what is expected.
@@ -113,8 +108,9 @@ def wavelength_unit_named(text: str) -> str | None:
     >>> [wavelength_unit_named(text) for text in ("nanometers (nm)", "Wavelength, microns", "nm or um", "cm-1")]
     ['nm', 'um', None, None]
     """
-    units = [unit for unit, pattern in _WAVELENGTHS.items() if pattern.search(text)]
-    return units[0] if len(units) == 1 else None
+    plain = re.sub(r"[\[(]\s*[AÅ\u212b]\s*[\])]", " angstrom ", text).translate(_SIGNS).lower()
+    units = {"nm", "um", "angstrom"} & {_SPELLED.get(word) for word in re.findall(r"[a-zåö]+", plain)}
+    return units.pop() if len(units) == 1 else None
 
 
 def is_radiance(unit: str | None) -> bool:

@@ -42,7 +42,6 @@ Numbers = npt.NDArray[Any]
 Position = tuple[Affine | None, CRS | None]
 AXES = "bls"  # bands, lines, samples: the order in which values are handed out
 MAX_CHUNK_BYTES = 256 << 20
-CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
 SLAB_BYTES = 128 << 20  # of lines that are kept in memory, where they are stored in blocks
 MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
@@ -121,7 +120,7 @@ def hdf5(path: Path) -> h5py.File:
     """
     check_hdf5(path)
     try:
-        return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
+        return h5py.File(path, "r")
     except OSError as error:
         raise refusal("array.hdf5", path, why=error) from error
 

@@ -273,13 +273,11 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     of_reflectance = quantity == "reflectance" and "data reflectance gain values" in header.entries
     kind = "data reflectance" if of_reflectance else "data"
     gain, offset = (header.numbers(f"{kind} {of} values", header.bands, each=False) for of in ("gain", "offset"))
-    factor = header.number("reflectance scale factor")
+    factor = header.number(key := "reflectance scale factor")
     refuse(gain is not None and np.any(gain == 0), "scale.zero", header.where(f"{kind} gain values"))
-    if factor is not None and not (np.isfinite(factor) and factor > 0):
-        raise refusal("scale.factor", header.where("reflectance scale factor"), factor=factor)
+    refuse(factor is not None and not 0.0 < factor < np.inf, "scale.factor", header.where(key), factor=factor)
     name = f"{kind} gain/offset values" if gain is not None or offset is not None else ""
     two, second = factor not in (None, 1.0) and (name or quantity == "radiance"), name or "a radiance"
-    key = "reflectance scale factor"
     refuse(two, "scale.two", header.where(key), first=f"{key!r}", second=second)
     if factor is not None and quantity == "reflectance" and not name:
         return [Scale(1.0 / factor, 0.0, f"stored values / {factor:g} (reflectance scale factor)")]

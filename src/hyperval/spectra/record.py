@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.data import Array, Index
-from hyperval.errors import refusal, refuse
+from hyperval.errors import refuse
 from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.storage import decoded, number_of
 from hyperval.units import to_internal
@@ -188,8 +188,7 @@ def finished(
 def _check_reflectance(record: FieldSpectrum, factor: float) -> None:
     """Refuse marks of missing values, and what is no fraction."""
     marks = np.isin(record.values, FILLS)
-    if marks.any():
-        raise refusal("spectrum.fill", record.source, count=marks.sum(), mark=record.values[marks][0])
+    refuse(marks.any(), "spectrum.fill", record.source, count=marks.sum(), mark=record.values[marks][:1])
     middle = float(np.median(record.values)) * factor
     name = "scaled:10000" if middle > 150.0 else "percent"
     facts = {"of": record.name, "middle": middle, "name": name}

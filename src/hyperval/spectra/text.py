@@ -96,9 +96,8 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
         holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
         table, titles = table[:, holds], [titles[i] for i in holds]
-        if len(titles) > 2 and all(
-            _WAVE.search(t) and re.search(e, t.lower()) for e, t in zip(_EDGES, titles, strict=False)
-        ):
+        edges = zip(_EDGES, titles, strict=False)
+        if len(titles) > 2 and all(_WAVE.search(title) and re.search(edge, title.lower()) for edge, title in edges):
             table, titles = np.column_stack([table[:, :2].mean(axis=1), table[:, 2:]]), [titles[0], *titles[2:]]
             middles = ("wavelengths are the middles of the steps that the file states",)
         spread = _deviations(titles)
@@ -462,9 +461,7 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     return records
 
 
-def _of_row(
-    name: str, about: dict[str, str], titles: list[str], numbers: list[float | None], where: str
-) -> FieldSpectrum:
+def _of_row(name: str, about: dict[str, str], titles: list[str], numbers: list[Any], where: str) -> FieldSpectrum:
     """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
     if None in numbers:
         raise refusal("text.cell", where, title=titles[numbers.index(None)])
