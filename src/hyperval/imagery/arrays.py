@@ -7,11 +7,13 @@ image; MATLAB and NumPy files; arrays of xarray and SPy that are at hand.
 from __future__ import annotations
 
 import re
+import tempfile
 import threading
 import warnings
+import weakref
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
@@ -42,7 +44,8 @@ Numbers = npt.NDArray[Any]
 Position = tuple[Affine | None, CRS | None]
 AXES = "bls"  # bands, lines, samples: the order in which values are handed out
 MAX_CHUNK_BYTES = 256 << 20
-SLAB_BYTES = 128 << 20  # of lines that are kept in memory, where they are stored in blocks
+CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
+SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
 MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
@@ -120,7 +123,7 @@ def hdf5(path: Path) -> h5py.File:
     """
     check_hdf5(path)
     try:
-        return h5py.File(path, "r")
+        return h5py.File(path, "r", rdcc_nbytes=CACHE_BYTES)
     except OSError as error:
         raise refusal("array.hdf5", path, why=error) from error
 
@@ -257,23 +260,54 @@ class ArrayRaster(Raster):
     def _read(self, first: int, count: int, buffer: Numbers | None) -> Numbers:
         """Consecutive lines, of those that this thread holds or that take their place.
 
-        Arrays that are stored in blocks are read by as many lines as their blocks have, so that few blocks are unpacked
-        twice, and these are kept for the next call of the same thread.  Lines far from those before are read alone.
+        Arrays that are stored in blocks are read by as many lines as their blocks have, and these are kept for the
+        next call of the same thread: in memory where they fit into ``SLAB_BYTES``, else unpacked into a file, so
+        that no block is unpacked twice and few are in memory.  Lines far from those before are read alone.
         """
         here = self.store.held
         held = getattr(here, "slab", None)
-        if held is None or first < held[0] or first + count > held[0] + held[1].shape[1]:
+        if held is None or first < held[0] or first + count > held[0] + held[1]:
             here.slab = held = None  # the memory of the one before is given back first
-            block, lines = max(map(self._block_lines, self.pieces)), count
+            block = max(self._block(piece, "l", 1) for piece in self.pieces)
+            lines = count
             if first == 0 or 0 <= first - getattr(here, "end", -block) <= block:  # one after the other
-                fit = SLAB_BYTES // (self.samples * self.bands * self.dtype.itemsize)
-                lines = max(count, min((first // block + 1) * block - first, self.lines - first, fit))
-            here.slab = held = (
-                first,
-                self._box(slice(0, self.bands), slice(first, first + lines), slice(0, self.samples)),
-            )
+                lines = max(count, min((first // block + 1) * block - first, self.lines - first))
+            here.slab = held = self._slab(first, count, lines)
         here.end = first + count
-        return held[1][:, first - held[0] :][:, :count]
+        return held[2](first - held[0], count)
+
+    def _slab(self, first: int, count: int, lines: int) -> tuple[int, int, Callable[[int, int], Numbers]]:
+        """First line, number of lines and reader of at least ``count`` lines, ``lines`` of them where they fit."""
+        size = self.samples * self.bands * self.dtype.itemsize
+        fit = max(count, SLAB_BYTES // size)
+        if fit < lines:
+            with suppress(OSError):  # no room for the file: each block is unpacked several times, only slower
+                return first, lines, self._unpacked(first, lines)
+        lines = min(lines, fit)
+        values = self._box(slice(0, self.bands), slice(first, first + lines), slice(0, self.samples))
+        return first, lines, lambda start, count: values[:, start : start + count]
+
+    def _unpacked(self, first: int, lines: int) -> Callable[[int, int], Numbers]:
+        """Reader of lines in a file, one after the other with all their bands; those of one block are in memory."""
+        file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 - open for as long as its reader is there
+        row = self.samples * self.dtype.itemsize
+
+        def read(start: int, count: int) -> Numbers:
+            out = np.empty((count, self.bands, self.samples), self.dtype)
+            file.seek(start * self.bands * row)
+            file.readinto(out.data.cast("B"))
+            return out.transpose(1, 0, 2)
+
+        weakref.finalize(read, file.close)
+        step = min(self._block(piece, "b", piece.size("b")) for piece in self.pieces)
+        for band in range(0, self.bands, step):
+            bands = slice(band, min(band + step, self.bands))
+            values = self._box(bands, slice(first, first + lines), slice(0, self.samples))
+            for line in range(lines):
+                file.seek((line * self.bands + band) * row)
+                file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
+            del values
+        return read
 
     def read_some_bands(self, first: int, count: int, bands: Sequence[int]) -> Numbers:
         """(n, count, samples) values of consecutive lines in a few bands, which alone are read."""
@@ -281,13 +315,13 @@ class ArrayRaster(Raster):
         with self.kept_open():
             return np.concatenate([self._box(slice(band, band + 1), *part) for band in bands])
 
-    def _block_lines(self, piece: Piece) -> int:
-        """Lines of the blocks that a piece is stored in; 1 where it is not stored in blocks."""
+    def _block(self, piece: Piece, axis: str, whole: int) -> int:
+        """Size along an axis of the blocks that a piece is stored in; ``whole`` where it is not stored in blocks."""
         with self.store.kept_open() as opened:
             array = opened[piece.terms[0].name]
             of_tree = getattr(array, "encoding", {}).get("chunksizes")
             chunks = array.chunks if isinstance(array, h5py.Dataset) else of_tree
-        return int(chunks[piece.axes.index("l")]) if chunks and "l" in piece.axes else 1
+        return int(chunks[piece.axes.index(axis)]) if chunks and axis in piece.axes else whole
 
     def _box(self, bands: slice, lines: slice, samples: slice) -> Numbers:
         parts, first = [], 0

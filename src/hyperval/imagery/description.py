@@ -25,7 +25,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import needed, package_table, reader, refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
+from hyperval.spectra.axis import SUNLIT_NM, SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
 from hyperval.storage import number_of
@@ -35,7 +35,6 @@ Bands = SpectralAxis | Literal["numbers"] | None
 
 _SEEN_LINES, _SEEN_SAMPLES = 16, 64
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
-_SUNLIT_NM = 3000.0  # beyond which what surfaces emit is no longer little beside what they reflect
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
 _SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writes it
@@ -226,7 +225,7 @@ class Description:
         order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
-        if centre.min() > _SUNLIT_NM:
+        if centre.min() > SUNLIT_NM:
             notes.append(f"warning: no band below {centre.min():g} nm: the model has reflected sunlight, no emission")
         if width is None:
             width, apart = _spacing_by_detector(centre)
@@ -407,8 +406,7 @@ class Raster:
             for here in self._together(rows, cols):
                 top, first = int(rows[here].min()), int(cols[here].min())
                 window = slice(top, int(rows[here].max()) + 1), slice(first, int(cols[here].max()) + 1)
-                values = self._box(slice(0, self.bands), *window)
-                out[here] = values[:, rows[here] - top, cols[here] - first].T
+                out[here] = self._box(slice(0, self.bands), *window)[:, rows[here] - top, cols[here] - first].T
         return out
 
     def some_pixels(self) -> npt.NDArray[Any]:

@@ -19,7 +19,7 @@ from hyperval.errors import needed, refuse
 from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, to_internal, wavelength_unit_named
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
-_SUNLIT = 3000.0  # numbers beyond it that nobody calls nm are more often wavenumbers, or angstrom
+SUNLIT_NM = 3000.0  # up to which reflected sunlight is most; numbers beyond it that nobody calls nm may be wavenumbers
 
 # (from nm, to nm, gas)
 ABSORPTION_BANDS_NM: tuple[tuple[float, float, str], ...] = (
@@ -132,7 +132,7 @@ def wavelengths_in_nm(
     refuse(unlike, "wavelengths.units", where, stated=text, given=by_user)
     unit, ends = text or by_user or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
     unit = needed(unit, "wavelengths.unstated", where, **ends)
-    refuse(not (text or by_user) and ends["most"] > _SUNLIT, "wavelengths.doubtful", where, **ends)
+    refuse(not (text or by_user) and ends["most"] > SUNLIT_NM, "wavelengths.doubtful", where, **ends)
     nm, (low, high) = values * to_internal(unit, "wavelength"), PLAUSIBLE_NM
     refuse(not plausible(nm), "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
     note = f"the file states no wavelength unit: {ends['least']:g} to {ends['most']:g} can only be {unit}"

@@ -57,9 +57,7 @@ _QUANTITIES = {
     r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed)",
 }
 # A line above a table that says what it holds, and the titles of the edges of its steps.
-_ABOVE = re.compile(
-    r"^\W*(measurement type\W+\w+|ppfd\b|(spectral )?(ir)?radiance\s*[(\[].*[)\]]\W*$)", re.IGNORECASE | re.MULTILINE
-)
+_ABOVE = re.compile(r"(?im)^\W*(measurement type\W+\w+|ppfd\b|(spectral )?(ir)?radiance\s*[(\[].*[)\]]\W*$)")
 _EDGES = r"(?<![a-z])(low(er)?|start|min)(?![a-z])", r"(?<![a-z])(upp(er)?|end|max)(?![a-z])"
 _POWER = re.compile(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", re.IGNORECASE)
 
@@ -628,14 +626,12 @@ def below_records(file: SpectraFile) -> list[FieldSpectrum]:
     rows, parts = csv_rows(file.text, file.path, delimiter), dict[str, list[str]]()
     titles = [title.replace(delimiter, " ") for title in next(rows)[1]]
     kept = [wave, *(i for i in range(wave + 1, len(titles)) if i not in named)]
-    for number, cells in rows:
-        if any(cells):
-            where = f"{file.path}:{number}"
-            refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
-            wrong = [titles[i] for i in kept if _value(cells[i], delimiter) is None]
-            refuse(wrong, "text.cell", where, title=(*wrong, "")[0])
-            name, *head = " ".join(cells[i] for i in named), delimiter.join(titles[i] for i in kept)
-            parts.setdefault(name, head).append(delimiter.join(cells[i] for i in kept))
+    for where, cells in ((f"{file.path}:{number}", cells) for number, cells in rows if any(cells)):
+        refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
+        wrong = [titles[i] for i in kept if _value(cells[i], delimiter) is None]
+        refuse(wrong, "text.cell", where, title=(*wrong, "")[0])
+        name, *head = " ".join(cells[i] for i in named), delimiter.join(titles[i] for i in kept)
+        parts.setdefault(name, head).append(delimiter.join(cells[i] for i in kept))
     made = [(name, r) for name, lines in parts.items() for r in text_records(file, "\n".join(lines))]
     return [replace(r, name=name if len(parts) == len(made) else f"{name} {r.name}") for name, r in made]
 
