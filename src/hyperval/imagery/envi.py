@@ -46,7 +46,6 @@ _ALIASES = {"NAD83": "NORTHAMERICA1983", "NAD27": "NORTHAMERICA1927", "ED50": "E
 _ALIASES["GDA94"] = "GEOCENTRICDATUMOFAUSTRALIA1994"
 _HEMISPHERES = {"NORTH": False, "SOUTH": True} | dict.fromkeys("CDEFGHJKLM", True) | dict.fromkeys("NPQRSTUVWX", False)
 _ORDERS = {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}  # of lines, samples and bands in a file
-_SCALES, _SCALED = {"data gain values", "reflectance scale factor"}, re.compile(r"\bscal(e|ing)\b|multiplier")
 _PACKED = {
     b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ\x00": "xz",
     b"(\xb5/\xfd": "zstandard", b"7z\xbc\xaf": "7-zip",
@@ -180,12 +179,6 @@ class EnviRaster(Raster):
 def open_envi(data: Path, header: Path) -> EnviRaster:
     """Open an ENVI data file with its header, and the file of gains that may lie beside it.
 
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     image = write_cube(f"{folder}/x.img", np.ones((1, 1, 1)), extra={"radiance scale": "50"})
-    ...     open_envi(image, image.with_suffix(".hdr")).description.notes
-    ("warning: header: 'radiance scale' changes no number; state scale: where it does",)
-
     Raises
     ------
     InputError : a header that is not understood, or a data file of another size than it says.
@@ -199,16 +192,14 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
         sizes: dict[str, object] = {"header": parsed, "packed": packed, "size": size, "more": size - expected}
         sizes["missing"] = 100.0 * (1.0 - size / expected)
         raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **sizes)
-    scaled = _SCALES & parsed.entries.keys()
+    scaled = {"data gain values", "reflectance scale factor"} & parsed.entries.keys()
     # The .gain file that the image's name begins with, as f130612t01p00r10rdn_e.gain.
     files = [] if scaled or parsed.dtype.kind == "f" else sorted(data.parent.glob("*.[gG][aA][iI][nN]"))
     named = [p for p in files if data.name.lower().startswith(p.stem.lower())]
     gains = max(named, key=lambda p: len(p.stem), default=None)
-    idle = [key for key in parsed.entries if _SCALED.search(key) and key not in _SCALES]
-    notes = (f"warning: header: {', '.join(idle)!r} changes no number; state scale: where it does",) * bool(idle)
     others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(
-        entries=parsed.entries, notes=parsed.notes + notes, header=parsed, gains=gains, band_names=parsed.band_names
+        entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains, band_names=parsed.band_names
     )
     image_size, place = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
     return EnviRaster(data, *image_size, parsed.dtype, about, *place, others)

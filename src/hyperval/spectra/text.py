@@ -58,7 +58,7 @@ _QUANTITIES = {
 }
 # A line above a table that says what it holds, and the titles of the edges of its steps.
 _ABOVE = re.compile(r"(?im)^\W*(measurement type\W+\w+|ppfd\b|(spectral )?(ir)?radiance\s*[(\[].*[)\]]\W*$)")
-_EDGES = r"(?<![a-z])(low(er)?|start|min)(?![a-z])", r"(?<![a-z])(upp(er)?|end|max)(?![a-z])"
+_EDGES = re.compile(r"(?i)[^\t]*(lower|low|start|min)(?![a-z])[^\t]*\t[^\t]*(upper|end|max)(?![a-z]).*\t")
 _POWER = re.compile(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", re.IGNORECASE)
 
 
@@ -94,8 +94,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
         holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
         table, titles = table[:, holds], [titles[i] for i in holds]
-        edges = zip(_EDGES, titles, strict=False)
-        if len(titles) > 2 and all(_WAVE.search(title) and re.search(edge, title.lower()) for edge, title in edges):
+        if _WAVE.search(titles[0]) and _EDGES.match("\t".join(titles)):
             table, titles = np.column_stack([table[:, :2].mean(axis=1), table[:, 2:]]), [titles[0], *titles[2:]]
             middles = ("wavelengths are the middles of the steps that the file states",)
         spread = _deviations(titles)
@@ -616,8 +615,7 @@ def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
     if len(waves) != 1 or len(cells) != len(titles) or _value(cells[waves[0]], delimiter) is None:
         return 0, []
     named = {i for i, cell in enumerate(cells) if titles[i].lower() in _NAMES or _value(cell, delimiter) is None}
-    before = {i for i in range(waves[0]) if titles[i].strip()}  # without a title the rows are counted
-    return waves[0], sorted(named | before) if named else []
+    return waves[0], sorted(named | {i for i in range(waves[0]) if titles[i].strip()}) if named else []
 
 
 def below_records(file: SpectraFile) -> list[FieldSpectrum]:
