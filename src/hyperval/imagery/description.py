@@ -329,10 +329,6 @@ def _gain_file(path: Path, bands: int) -> Scale:
 
     Source: JPL, AVIRIS Distribution Document 030217: two columns, factor and channel; spectra divided by the
     factors are radiances in micro-watts/cm^2/nm/sr.
-
-    Raises
-    ------
-    InputError : not one positive number for each band, or channels that do not count from 1.
     """
     text = checked_file(path, what="gain file", most=_MAX_GAIN_BYTES).read_text("latin-1")
     _, table, first = number_table(text, path)

@@ -322,10 +322,6 @@ def _titles(header: list[str], count: int, where: str) -> list[str]:
     >>> _titles(["wavelength (nm),grass, dry,soil"], 3, "a.csv")
     Traceback (most recent call last):
     hyperval.errors.InputError: a.csv: 4 titles for 3 columns...
-
-    Raises
-    ------
-    InputError : the last line has titles, of wavelengths first, and not as many as there are columns.
     """
     if not header:
         return [""] * count
@@ -511,12 +507,7 @@ SVC_SCALE = 1e-10
 
 
 def _below(file: SpectraFile, mark: str, sign: str, titles: int = 0) -> tuple[dict[str, str], list[str], Array, int]:
-    """What the lines above a mark state by key, the lines of titles below it, the numbers, and the line of the first.
-
-    Raises
-    ------
-    InputError : no such line, text among the numbers, a last line that is cut off, or an entry of .sig that is none.
-    """
+    """What the lines above a mark state by key, the lines of titles below it, the numbers, and the line of the first."""
     lines, path = file.text.splitlines(), file.path
     begin = next((i for i, line in enumerate(lines) if "".join(line.split()).lower() == mark.lower()), -1)
     refuse(begin < 0, "instrument.data", path, mark=mark)
