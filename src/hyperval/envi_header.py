@@ -91,12 +91,14 @@ class EnviHeader:
         names = self.strings("band names") or ()
         return names if len(names) == self.bands else ()
 
-    def numbers(self, key: str, count: int | None = None) -> Array | None:
+    def numbers(self, key: str, count: int | None = None, *, each: bool = True) -> Array | None:
         """A comma-separated entry as finite numbers, None when it is absent or empty.
+
+        ``each``: there must be ``count`` of them; else one may stand for all.
 
         Raises
         ------
-        InputError : an item is no number or not finite, or there are not ``count`` of them.
+        InputError : an item is no number or not finite, or another number of them.
         """
         parts = self.strings(key)
         if parts is None:
@@ -109,13 +111,14 @@ class EnviHeader:
         for i in np.flatnonzero(~np.isfinite(out)):
             kind = "finite" if np.isinf(out[i]) or "nan" in parts[i].lower() else "a number"
             raise refusal("header.item", self.where(key), item=i + 1, key=key, kind=kind, text=parts[i][:40])
-        refuse(count not in (None, out.size), "header.count", self.where(key), key=key, size=out.size, count=count)
+        unlike = count not in (None, out.size) and (each or out.size > 1)
+        refuse(unlike, "header.count", self.where(key), key=key, size=out.size, count=count)
         return out
 
     def number(self, key: str) -> float | None:
         """A single number, None when the entry is absent; NaN and infinity are passed on."""
         value = self.text(key)
-        number = None if value is None else number_of(_bare(value))
+        number = None if value is None else number_of(_bare(value).rstrip(", "))
         wrong = number != number and "nan" not in str(value).lower()
         refuse(wrong, "header.number", self.where(key), key=key, text=str(value)[:40])
         return number

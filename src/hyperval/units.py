@@ -30,7 +30,7 @@ _SYMBOLS = {
     "cm": ("area", -2, "centimeter centimeters centimetre centimetres"),
     "um": ("wavelength", -6, "micron microns micrometer micrometers micrometre micrometres"),
     "nm": ("wavelength", -9, "nanometer nanometers nanometre nanometres"),
-    "angstrom": ("wavelength", -10, "angstroms"),
+    "angstrom": ("wavelength", -10, "angstroms ångström ångstrom angström"),
     "sr": ("angle", 0, "steradian steradians ster str"),
 }
 _SPELLED = {word: symbol for symbol, (*_, words) in _SYMBOLS.items() for word in (symbol, *words.split())}
@@ -100,6 +100,17 @@ def in_nm(unit: str | None) -> float | None:
     [1000.0, 1000000000.0, None, None]
     """
     return _known(unit or "", "wavelength")
+
+
+def wavelength_unit_named(text: str) -> str | None:
+    """The only unit of wavelengths among the words of a text; None without one, or with several.
+
+    >>> [wavelength_unit_named(text) for text in ("nanometers (nm)", "Wavelength, microns", "nm or um", "cm-1")]
+    ['nm', 'um', None, None]
+    """
+    plain = re.sub(r"[\[(]\s*[AÅ\u212b]\s*[\])]", " angstrom ", text).translate(_SIGNS).lower()
+    units = {"nm", "um", "angstrom"} & {_SPELLED.get(word) for word in re.findall(r"[a-zåö]+", plain)}
+    return units.pop() if len(units) == 1 else None
 
 
 def is_radiance(unit: str | None) -> bool:

@@ -181,21 +181,14 @@ class InterpolatedTerms:
             x = np.atleast_1d(np.asarray(columns[name], dtype=float))
             x = x if self.star else inside(f"atmosphere.{name}", nodes, x)
             parts.append(node_weights(nodes, x, smooth_rule(name)))
-        joint = _star(parts) if self.star else reduce(_crossed, parts)
+        if self.star:  # the run at all first nodes has what the others leave of 1
+            rest = [part[:, 1:] for part in parts]
+            joint = np.column_stack([1.0 - np.sum([part.sum(axis=1) for part in rest], axis=0), *rest])
+        else:
+            joint = reduce(lambda a, b: (a[:, :, None] * b[:, None, :]).reshape(len(a), -1), parts)
         terms: dict[str, Any] = {name: joint @ values for name, values in self.values.items()}
         terms |= {name: _lit(np.exp(x)) for name, x in terms.items() if name not in AS_THEY_ARE}
         return replace(self.pattern, **terms | {n: np.minimum(terms[n], 1.0) for n in _AT_MOST_ONE if n in terms})
-
-
-def _crossed(a: Array, b: Array) -> Array:
-    return (a[:, :, None] * b[:, None, :]).reshape(a.shape[0], -1)
-
-
-def _star(parts: Sequence[Array]) -> Array:
-    """Weights of the runs of a star: the middle has what the others leave of 1."""
-    rest = [w[:, 1:] for w in parts]
-    middle = 1.0 - np.sum([w.sum(axis=1) for w in rest], axis=0)
-    return np.concatenate([middle[:, None], *rest], axis=1)
 
 
 def interpolated_terms(

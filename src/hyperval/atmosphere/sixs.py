@@ -197,12 +197,10 @@ def _library_folder(cache_folder: str) -> str | None:
     The package does not bring the Fortran run-time library.  SciPy's and NumPy's do, under names of
     their own, sometimes in two builds of which one may not suit: each is tried by starting 6S.
     """
-    if not sixs_path().is_file() or _works(None):
-        return None
-    for library in fortran_libraries():
-        folder = _linked(library, Path(cache_folder))
-        if _works(str(folder)):
-            return str(folder)
+    for library in (None, *fortran_libraries()):
+        folder = None if library is None else str(_linked(library, Path(cache_folder)))
+        if _works(folder):
+            return folder
     raise refusal("sixs.library", sixs_path(), name=_LIBRARY)
 
 
@@ -401,7 +399,9 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     node = {("reflectance_rayleigh" if name == "reflectance" else name): values for name, values in clear.items()}
     if state.aerosol_optical_depth == 0.0:
         return node
-    card = _aerosol_card(state.aerosol)
+    mix = _mix(state.aerosol)
+    shares = "" if mix is None else f"4\n{mix.dust:.6f} {mix.water_soluble:.6f} {mix.oceanic:.6f} {mix.soot:.6f}"
+    card = shares or "5"
     used, share, total, below = trusted_stand_ins(state, height)
     aerosols = [(card, round(d, 6), round(d * f, 6)) for d, f in zip(used, share, strict=True)]
 
@@ -574,11 +574,6 @@ def _answers(kind: str, runs: Sequence[Run], folder: Path, read: Callable[[str, 
 
     asked = [(text, content_digest({"nm": nm})) for text, nm in runs]
     return cached(folder, kind, {"binary": sixs_fingerprint(), "scheme": SCHEME, "runs": asked}, compute)
-
-
-def _aerosol_card(aerosol: AerosolMix | str) -> str:
-    mix = _mix(aerosol)
-    return "5" if mix is None else f"4\n{mix.dust:.6f} {mix.water_soluble:.6f} {mix.oceanic:.6f} {mix.soot:.6f}"
 
 
 def _mix(aerosol: AerosolMix | str) -> AerosolMix | None:

@@ -48,7 +48,6 @@ CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 
 SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
 MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
-UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, where they are stored in larger ones
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
 _FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda|band_?cent", re.IGNORECASE)
@@ -82,7 +81,7 @@ class Store:
 
     def __init__(self, path: Path, opener: Callable[..., Any], *arguments: Any) -> None:
         self.path, self.opener, self.arguments = path, opener, arguments
-        self.lock, self.unpacking = threading.Lock(), threading.Lock()
+        self.lock = threading.Lock()
         self.held = threading.local()  # the lines that each thread read last
         self._opened: Any = None
         self._users = 0
@@ -181,7 +180,7 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Numbers]]:
     if value.dtype.names and value.size == 1:
         for field_name in value.dtype.names:
             yield from _fields(f"{name}/{field_name}", np.asarray(value[field_name].flat[0]))
-    elif value.dtype.kind in "iufbU":
+    elif value.dtype.kind in "iufbcU":
         yield name, value
 
 
@@ -269,7 +268,7 @@ class ArrayRaster(Raster):
         held = getattr(here, "slab", None)
         if held is None or first < held[0] or first + count > held[0] + held[1]:
             here.slab = held = None  # the memory of the one before is given back first
-            block = max(1, *(self._block(piece)["l"] for piece in self.pieces))
+            block = max(self._block(piece, "l", 1) for piece in self.pieces)
             lines = count
             if first == 0 or 0 <= first - getattr(here, "end", -block) <= block:  # one after the other
                 lines = max(count, min((first // block + 1) * block - first, self.lines - first))
@@ -281,7 +280,7 @@ class ArrayRaster(Raster):
         """First line, number of lines and reader of at least ``count`` lines, ``lines`` of them where they fit."""
         size = self.samples * self.bands * self.dtype.itemsize
         fit = max(count, SLAB_BYTES // size)
-        if fit < lines <= UNPACKED_BYTES // size:
+        if fit < lines:
             with suppress(OSError):  # no room for the file: each block is unpacked several times, only slower
                 return first, lines, self._unpacked(first, lines)
         lines = min(lines, fit)
@@ -300,13 +299,14 @@ class ArrayRaster(Raster):
             return out.transpose(1, 0, 2)
 
         weakref.finalize(read, file.close)
-        for bands in self._band_blocks():
-            with self.store.unpacking:  # one thread at a time reads a file of arrays: no other holds what it reads
-                values = self._box(bands, slice(first, first + lines), slice(0, self.samples))
-                for line in range(lines):
-                    file.seek((line * self.bands + bands.start) * row)
-                    file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
-                del values
+        step = min(self._block(piece, "b", piece.size("b")) for piece in self.pieces)
+        for band in range(0, self.bands, step):
+            bands = slice(band, min(band + step, self.bands))
+            values = self._box(bands, slice(first, first + lines), slice(0, self.samples))
+            for line in range(lines):
+                file.seek((line * self.bands + band) * row)
+                file.write(np.ascontiguousarray(values[:, line], self.dtype).data)
+            del values
         return read
 
     def read_some_bands(self, first: int, count: int, bands: Sequence[int]) -> Numbers:
@@ -315,24 +315,13 @@ class ArrayRaster(Raster):
         with self.kept_open():
             return np.concatenate([self._box(slice(band, band + 1), *part) for band in bands])
 
-    def _band_blocks(self) -> Iterator[slice]:
-        """The bands, those of one block of a piece together."""
-        first = 0
-        for piece in self.pieces:
-            step, end = self._block(piece)["b"], first + piece.size("b")
-            yield from (slice(start, min(start + step, end)) for start in range(first, end, step))
-            first = end
-
-    def _block(self, piece: Piece) -> dict[str, int]:
-        """Size of the blocks that a piece is stored in along each axis; a line where it is not stored in blocks."""
+    def _block(self, piece: Piece, axis: str, whole: int) -> int:
+        """Size along an axis of the blocks that a piece is stored in; ``whole`` where it is not stored in blocks."""
         with self.store.kept_open() as opened:
             array = opened[piece.terms[0].name]
-            chunks = (
-                array.chunks if isinstance(array, h5py.Dataset) else getattr(array, "encoding", {}).get("chunksizes")
-            )
-        if not chunks:
-            return {"l": 1, "s": self.samples, "b": piece.size("b")}
-        return {axis: chunks[piece.axes.index(axis)] if axis in piece.axes else 1 for axis in AXES}
+            of_tree = getattr(array, "encoding", {}).get("chunksizes")
+            chunks = array.chunks if isinstance(array, h5py.Dataset) else of_tree
+        return int(chunks[piece.axes.index(axis)]) if chunks and axis in piece.axes else whole
 
     def _box(self, bands: slice, lines: slice, samples: slice) -> Numbers:
         parts, first = [], 0
@@ -703,14 +692,24 @@ def open_matrix(
     ...     file["dn"].attrs.update(scale_factor=2e-4, add_offset=0.1, _FillValue=np.int16(-9999))
     ...     file.close()
     ...     about = open_matrix(path, "HDF5").description
-    >>> about.scale.gain, about.scale.offset, about.ignore_value
-    (0.0002, 0.1, -9999.0)
+    >>> about.scale.gain, about.scale.offset, about.ignore_value, *about.notes
+    (0.0002, 0.1, -9999.0, 'axes are taken as lines, samples, bands: neither wavelengths nor a map tell them')
     >>> held = {"Data": np.ones((2, 3, 4)), "Easting": [7.5, 8.5, 9.5], "Northing": [11.5, 10.5]}  # MUUFL Gulfport
     >>> info = dict(p="UTM", image=[1, 1], x=7.0, y=12.0, dx=1.0, dy=1.0, zone=16.0, hemi="North", datum="WGS-84")
     >>> with TemporaryDirectory() as folder:
     ...     scipy.io.savemat(path := Path(folder) / "hsi.mat", {"hsi": held | {"info": {"map_info": info}}})
     ...     (opened := open_matrix(path, "MATLAB 5")).transform.to_gdal(), opened.crs.to_epsg()
     ((7.0, 1.0, 0.0, 12.0, 0.0, -1.0), 32616)
+
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "cube.mat", {"data": np.ones((2, 3, 4)), "map": np.ones((2, 3))})
+    ...     open_matrix(path, "MATLAB 5").description.notes
+    ()
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "fft.mat", {"data": np.full((2, 3, 4), 1j)})
+    ...     open_matrix(path, "MATLAB 5")
+    Traceback (most recent call last):
+    hyperval.errors.InputError: ...fft.mat: 'data' holds complex128...
 
     Raises
     ------
@@ -757,6 +756,9 @@ def open_matrix(
     bands = None if wave is None else ListedBands(wave, width, header.text("wavelength units"))
     unit, title = (" ".join(texts_of(held.get(key))) for key in ("units", "long_name"))
     quantity, scaled, notes = quantity_of(unit, name.rpartition("/")[2], title)
+    maps = [part in shapes.values() for part in (shapes[name][:2], shapes[name][1:])]
+    told = plane or waves & {*shape} or maps[0] != maps[1]
+    notes += () if told else ("axes are taken as lines, samples, bands: neither wavelengths nor a map tell them",)
     scale = Scale(*packing(held), f"scale of the array {name!r}")
     about = Description(f"array {name!r} of a {kind} file", bands, scale, quantity, scaled, stated(held), notes=notes)
     place = None if east is None or north is None else _even_grid(east, north), crs_of(header)

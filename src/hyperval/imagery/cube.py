@@ -140,9 +140,8 @@ class Cube:
 
     def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
         """The lines ``first_line`` to ``first_line + count - 1``."""
-        stored = self.raster.read_bands(first_line, count).transpose(1, 2, 0)
-        values, valid = self._physical(stored, np.dtype(dtype))
-        return Block(first_line, values, valid)
+        stored, valid = self.read_stored(first_line, count, self.axis.good)
+        return Block(first_line, self._scaled(stored.transpose(1, 2, 0), np.dtype(dtype)), valid)
 
     def read_some_bands(self, first_line: int, count: int, bands: Sequence[int]) -> npt.NDArray[np.float32]:
         """(count, samples, n) values of a few bands of the axis, as for a picture; NaN for ignored values."""
@@ -245,19 +244,14 @@ class Cube:
                 raise refusal("cube.mask", dtype=mask.dtype, shape=mask.shape, cube=self.shape)
             rows, cols = np.nonzero(mask)
         stored = self.raster.read_pixels(rows.astype(np.intp, copy=False), cols.astype(np.intp, copy=False))
-        return self._physical(stored, np.dtype(np.float64))
+        stored = stored[:, self.stored_band] if self._reordered else stored
+        return self._scaled(stored, np.dtype(np.float64)), self._usable(stored.T, self.axis.good)
 
     @property
     def _reordered(self) -> bool:
         """Whether the bands of the axis are not all of the stored bands in their order."""
         order = self.stored_band
         return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
-
-    def _physical(self, stored: npt.NDArray[Any], dtype: np.dtype) -> tuple[npt.NDArray[Any], Mask]:
-        """Values (..., B) in the bands of the axis, and which pixels (...) are valid."""
-        if self._reordered:
-            stored = stored[..., self.stored_band]
-        return self._scaled(stored, dtype), self._usable(np.moveaxis(stored, -1, 0), self.axis.good)
 
     def _scaled(
         self, stored: npt.NDArray[Any], dtype: np.dtype, bands: list[int] | slice = slice(None)

@@ -8,7 +8,7 @@ wavelengths, which unit and which scale an image has, and which stored number me
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from datetime import UTC, date, datetime, time
@@ -25,7 +25,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import needed, package_table, reader, refusal, refuse
 from hyperval.paths import checked_file
-from hyperval.spectra.axis import SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
+from hyperval.spectra.axis import SUNLIT_NM, SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
 from hyperval.storage import number_of
@@ -35,7 +35,6 @@ Bands = SpectralAxis | Literal["numbers"] | None
 
 _SEEN_LINES, _SEEN_SAMPLES = 16, 64
 MAX_READ_BYTES = 16 << 20  # of single pixels' lines at once
-_SUNLIT_NM = 3000.0  # beyond which what surfaces emit is no longer little beside what they reflect
 LEAST_FWHM_NM = 0.05  # the finest imaging spectrometers, for fluorescence, have 0.1 to 0.3
 _UNIT = r"(nm|nanomet\w*|[uµμ]m|micromet\w*|microns?)"
 _SPREAD = r"(?:(?:\+\s*/?\s*-|±)\s*[0-9.]+\s*)?"  # half a width, as ITRES writes it
@@ -226,7 +225,7 @@ class Description:
         order = np.argsort(centre, kind="stable")
         if moved := int(np.sum(order != np.arange(order.size))):
             notes.append(f"{moved} bands were moved to sort the wavelengths")
-        if centre.min() > _SUNLIT_NM:
+        if centre.min() > SUNLIT_NM:
             notes.append(f"warning: no band below {centre.min():g} nm: the model has reflected sunlight, no emission")
         if width is None:
             width, apart = _spacing_by_detector(centre)
@@ -272,14 +271,12 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     """What an ENVI header states as a scale of a quantity."""
     of_reflectance = quantity == "reflectance" and "data reflectance gain values" in header.entries
     kind = "data reflectance" if of_reflectance else "data"
-    gain, offset = (header.numbers(f"{kind} {name} values", header.bands) for name in ("gain", "offset"))
-    factor = header.number("reflectance scale factor")
+    gain, offset = (header.numbers(f"{kind} {of} values", header.bands, each=False) for of in ("gain", "offset"))
+    factor = header.number(key := "reflectance scale factor")
     refuse(gain is not None and np.any(gain == 0), "scale.zero", header.where(f"{kind} gain values"))
-    if factor is not None and not (np.isfinite(factor) and factor > 0):
-        raise refusal("scale.factor", header.where("reflectance scale factor"), factor=factor)
+    refuse(factor is not None and not 0.0 < factor < np.inf, "scale.factor", header.where(key), factor=factor)
     name = f"{kind} gain/offset values" if gain is not None or offset is not None else ""
     two, second = factor not in (None, 1.0) and (name or quantity == "radiance"), name or "a radiance"
-    key = "reflectance scale factor"
     refuse(two, "scale.two", header.where(key), first=f"{key!r}", second=second)
     if factor is not None and quantity == "reflectance" and not name:
         return [Scale(1.0 / factor, 0.0, f"stored values / {factor:g} (reflectance scale factor)")]
@@ -332,10 +329,6 @@ def _gain_file(path: Path, bands: int) -> Scale:
 
     Source: JPL, AVIRIS Distribution Document 030217: two columns, factor and channel; spectra divided by the
     factors are radiances in micro-watts/cm^2/nm/sr.
-
-    Raises
-    ------
-    InputError : not one positive number for each band, or channels that do not count from 1.
     """
     text = checked_file(path, what="gain file", most=_MAX_GAIN_BYTES).read_text("latin-1")
     _, table, first = number_table(text, path)
@@ -409,8 +402,7 @@ class Raster:
             for here in self._together(rows, cols):
                 top, first = int(rows[here].min()), int(cols[here].min())
                 window = slice(top, int(rows[here].max()) + 1), slice(first, int(cols[here].max()) + 1)
-                for bands in self._band_blocks():
-                    out[here, bands] = self._box(bands, *window)[:, rows[here] - top, cols[here] - first].T
+                out[here] = self._box(slice(0, self.bands), *window)[:, rows[here] - top, cols[here] - first].T
         return out
 
     def some_pixels(self) -> npt.NDArray[Any]:
@@ -424,10 +416,6 @@ class Raster:
         ordered, most = rows[order], max(1, MAX_READ_BYTES // (self.samples * self.bands * self.dtype.itemsize))
         edges = np.flatnonzero((np.diff(ordered) > 1) | (np.diff(ordered // most) > 0)) + 1
         return [part for part in np.split(order, edges) if part.size]
-
-    def _band_blocks(self) -> Iterable[slice]:
-        """The bands that are best read together."""
-        return (slice(0, self.bands),)
 
     def _read(self, first: int, count: int, buffer: npt.NDArray[Any] | None) -> npt.NDArray[Any]:
         return self._box(slice(0, self.bands), slice(first, first + count), slice(0, self.samples))
@@ -443,9 +431,9 @@ def some_lines(lines: int, count: int) -> Index:
 
 
 def crs_of_wkt(wkt: str | None) -> CRS | None:
-    """The system of a WKT, ESRI's among them; None where there is none that is understood."""
+    """The system of a WKT, ESRI's among them, or a code; None where there is none that is understood."""
     try:
-        return CRS.from_wkt(wkt, morph_from_esri_dialect=True) if wkt else None
+        return CRS.from_user_input(wkt, morph_from_esri_dialect=True) if wkt else None
     except CRSError:
         return None
 
@@ -494,10 +482,7 @@ def filled(stored: npt.NDArray[Any], ignore: float | None = None) -> Mask:
     fill = np.asarray(last == 0 if len(stored) < _LEAST_FILLED else last <= 0)
     if len(stored) >= _LEAST_FILLED and ignore is None and stored.dtype.kind in "iu" and stored.dtype.itemsize > 1:
         fill |= last == np.iinfo(stored.dtype).max
-    for band in (0, len(stored) // 2):  # few pixels are alike in three bands; only those are looked at in full
-        if not fill.any():
-            return fill
-        fill &= stored[band] == last
+    fill &= (stored[0] == last) & (stored[len(stored) // 2] == last)  # as few pixels are; they are looked at in full
     fill[fill] = (stored[:, fill] == last[fill]).all(axis=0)
     return fill
 

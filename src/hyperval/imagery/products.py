@@ -20,7 +20,6 @@ import h5py
 import numpy as np
 from affine import Affine
 from rasterio.crs import CRS
-from rasterio.errors import CRSError
 
 from hyperval.data import Array
 from hyperval.envi_header import EnviHeader
@@ -308,10 +307,7 @@ def _crs(tree: ProductTree) -> CRS | None:
     zone = re.search(r"HE5_GCTP_UTM.*?ZoneCode=(-?[0-9]+)", tree.text(tree.layout.struct_metadata) or "", re.DOTALL)
     if zone is not None and not numbers:  # south of the equator it is negative
         numbers = [str((32600 if int(zone[1]) > 0 else 32700) + abs(int(zone[1])))]
-    try:
-        return CRS.from_epsg(int(numbers[-1])) if numbers else crs_of_wkt(wkt)
-    except CRSError:
-        return None
+    return crs_of_wkt(f"EPSG:{numbers[-1]}" if numbers else wkt)
 
 
 def _time(tree: ProductTree) -> str:

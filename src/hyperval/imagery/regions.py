@@ -273,10 +273,6 @@ def _checked_part(part: Part, shape: tuple[int, int], where: str) -> Part:
     """A part of a region of an image (lines, samples); pixels (line, sample) as their places among all of the image.
 
     Of a geometry that leaves the image only the numbers are looked at.
-
-    Raises
-    ------
-    InputError : coordinates that are none, or pixels that the image does not have.
     """
     if isinstance(part, BaseGeometry):
         xy = shapely.get_coordinates(part)
@@ -295,10 +291,6 @@ def _drawn(name: str, parts: Iterable[Part], shape: tuple[int, int], path: Path,
     """The region of the pixels whose centres its parts hold, and what is to be said of it.
 
     ``touched`` : of all pixels that its polygons touch.  What leaves the image (lines, samples) is cut off and counted.
-
-    Raises
-    ------
-    InputError : nothing of it lies in the image, or as :func:`_checked_part`.
     """
     where = f"{path}: region {name!r}"
     parts = [_checked_part(part, shape, where) for part in parts]
@@ -386,18 +378,14 @@ def _xml_parts(definitions: list[ElementTree.Element], grid: ImageGrid, where: s
         refuse(source is None and not in_pixels, "region.system", where, name=system[:60])
         grid = replace(grid, coordinates="pixel" if in_pixels else None)
         for child in (child for child in definition if child.tag != "CoordSysStr"):
-            made: list[dict[str, Any]] = [{"type": child.tag}]
+            made: list[dict[str, Any]] = [] if child.tag in _AREAS else [{"type": child.tag}]
             if child.tag in _POINTS:
                 made = [{"type": "MultiPoint", "coordinates": _xml_pairs(child, where)}]
-            elif child.tag in _AREAS:
-                made = [_xml_polygon(polygon, where) for polygon in child.iter("Polygon")]
+            for polygon in child.iter("Polygon"):
+                outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
+                refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
+                made.append({"type": "Polygon", "coordinates": [_xml_pairs(r, where) for r in (*outer, *inner)]})
             yield from (grid.place(geometry_of(one, where), source, where) for one in made)
-
-
-def _xml_polygon(polygon: ElementTree.Element, where: str) -> dict[str, Any]:
-    outer, inner = polygon.findall("Exterior/LinearRing"), polygon.findall("Interior/LinearRing")
-    refuse(len(outer) != 1, "roi.rings", where, count=len(outer))
-    return {"type": "Polygon", "coordinates": [_xml_pairs(ring, where) for ring in (*outer, *inner)]}
 
 
 def _xml_pairs(element: ElementTree.Element, where: str) -> Array:
@@ -600,10 +588,6 @@ def _named(features: Iterable[Feature], stated: CRS | None, grid: ImageGrid, whe
     >>> drawn = _named([(None, {}, "a"), (half, {}, "b")], None, grid, "")
     >>> [(name, list(parts)[1:]) for name, parts in drawn]
     [('b', ['warning: is of a file of 2 features, of which 1 have no geometry'])]
-
-    Raises
-    ------
-    UsageError : the attribute that is to name them is not there.
     """
     columns = REGION_COLUMNS if grid.name_field is None else (grid.name_field.lower(),)
     listed = list(features)

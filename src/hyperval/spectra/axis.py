@@ -16,9 +16,10 @@ from scipy.special import ndtr
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, to_internal
+from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, to_internal, wavelength_unit_named
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
+SUNLIT_NM = 3000.0  # up to which reflected sunlight is most; numbers beyond it that nobody calls nm may be wavenumbers
 
 # (from nm, to nm, gas)
 ABSORPTION_BANDS_NM: tuple[tuple[float, float, str], ...] = (
@@ -125,12 +126,13 @@ def wavelengths_in_nm(
     UsageError : file and caller contradict each other, nobody states a unit, or they are implausible in it.
     """
     text = (stated or "").strip(" \t\"'")
-    text = "" if text.lower() in _UNSTATED else text
+    text = "" if text.lower() in _UNSTATED else text if in_nm(text) else wavelength_unit_named(text) or text
     refuse(text and in_nm(text) is None, "wavelengths.unit", where, unit=text)
     unlike = text and by_user is not None and to_internal(by_user, "wavelength") != in_nm(text)
     refuse(unlike, "wavelengths.units", where, stated=text, given=by_user)
     unit, ends = text or by_user or only_wavelength_unit(values), {"least": values.min(), "most": values.max()}
     unit = needed(unit, "wavelengths.unstated", where, **ends)
+    refuse(not (text or by_user) and ends["most"] > SUNLIT_NM, "wavelengths.doubtful", where, **ends)
     nm, (low, high) = values * to_internal(unit, "wavelength"), PLAUSIBLE_NM
     refuse(not plausible(nm), "wavelengths.implausible", where, **ends, unit=unit, low=low, high=high)
     note = f"the file states no wavelength unit: {ends['least']:g} to {ends['most']:g} can only be {unit}"

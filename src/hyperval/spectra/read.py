@@ -74,7 +74,7 @@ def read_spectrum(
     if wavelengths is None:
         chosen = _chosen(_records(path, columns, quantity), record, str(path))
     else:
-        chosen = text.usgs_record(path, checked_file(wavelengths, what="wavelength file"))
+        chosen = text.usgs_records(SpectraFile(path), wavelengths)[0]
     return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 
@@ -155,6 +155,7 @@ FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile
     ("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
     ("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
     ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f), text.row_records),
+    ("", lambda f: not f.columns and text.columns_below(f)[1], text.below_records),
     ("text, a spectrum a column; ENVI ASCII plot", lambda f: True, text.text_records),
 )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hyperval.data import Array, Index
-from hyperval.errors import refusal, refuse
+from hyperval.errors import refuse
 from hyperval.spectra.axis import wavelengths_in_nm
 from hyperval.storage import decoded, number_of
 from hyperval.units import to_internal
@@ -22,7 +22,6 @@ MAX_ROWS = 100_000
 PLAUSIBLE_REFLECTANCE = 1.5  # median above this: not a fraction
 DELETED = -1e30  # libraries mark deleted channels by -1.23e34
 FILLS = (-999.0, -9999.0, -32768.0, -99999.0)  # what others write for it
-_SUNLIT_NM = 3000.0  # numbers beyond it that nobody calls nm may be wavenumbers, or angstrom
 MAX_JOINS = 4  # backward jumps of the wavelength: more is not a set of detectors
 _TEXT = bytes([9, 10, 11, 12, 13, *range(32, 127), *range(128, 256)])  # printable, of any 8-bit code; tabulators, ends
 
@@ -167,8 +166,6 @@ def finished(
     lit = quantity == "reflectance" and record.quantity in ("radiance", "irradiance")
     refuse(other, "spectrum.lit" if lit else "spectrum.other", where, found=record.quantity, wanted=quantity)
     nm, _, notes = wavelengths_in_nm(record.wavelength_nm, record.wavelength_unit, wavelength_unit, where)
-    doubtful = notes and record.wavelength_nm.max() > _SUNLIT_NM and (nm.min() >= 1000.0 or nm[0] > nm[-1])
-    refuse(doubtful, "wavelengths.doubtful", where, least=nm.min(), most=nm.max())
     record, factor = replace(record, wavelength_nm=nm, wavelength_unit="nm", notes=(*record.notes, *notes)), 1.0
     record = _ordered(_without_gaps(record))
     if quantity != "other":
@@ -191,8 +188,7 @@ def finished(
 def _check_reflectance(record: FieldSpectrum, factor: float) -> None:
     """Refuse marks of missing values, and what is no fraction."""
     marks = np.isin(record.values, FILLS)
-    if marks.any():
-        raise refusal("spectrum.fill", record.source, count=marks.sum(), mark=record.values[marks][0])
+    refuse(marks.any(), "spectrum.fill", record.source, count=marks.sum(), mark=record.values[marks][:1])
     middle = float(np.median(record.values)) * factor
     name = "scaled:10000" if middle > 150.0 else "percent"
     facts = {"of": record.name, "middle": middle, "name": name}

@@ -22,7 +22,7 @@ from hyperval.errors import refusal, refuse
 from hyperval.paths import checked_file, csv_rows
 from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum, SpectraFile
 from hyperval.storage import decoded
-from hyperval.units import only_wavelength_unit, power_unit
+from hyperval.units import only_wavelength_unit, power_unit, wavelength_unit_named
 
 MAX_TITLE = 1000
 _PLOT = "ENVI ASCII Plot File"  # whose titles stand one a line
@@ -35,6 +35,7 @@ _NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^
 is_number = _NUMBER.match  # a text, and nothing else
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 _WHOLE = re.compile(r"^[-+]?[0-9]+$")
+_OF_UNIT = re.compile(r"^(\s*[0-9]+(?:\.[0-9]+)?) ?[nuµ]m(?=[\t,;])")  # a wavelength with its unit, as of LI-COR
 _END = re.compile(r"^>+\s*End\b|^\[END\]")  # of the numbers, in files of Ocean Optics and TriOS
 _PER_SR = r"(?<![a-z])rrs(?![a-z])|[\[(] *(1 */ *sr|sr *\^? *[-−]1) *[\])]", "sr-1"
 _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
@@ -49,21 +50,19 @@ _WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<
 # What titles say of values that are no reflectance.
 _QUANTITIES = {
     "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])|^(?!.*irrad).*\.asd\.rad$",  # the last as ViewSpec exports it
-    "irradiance": r"(?<![a-z])irradiance|irrad.*\.asd\.rad$",
+    "irradiance": r"(?<![a-z])(irradiance|ppfd)|irrad.*\.asd\.rad$",
     "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
     "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
     "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
     r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed)",
 }
+# A line above a table that says what it holds, and the titles of the edges of its steps.
+_ABOVE = re.compile(r"(?im)^\W*(measurement type\W+\w+|ppfd\b|(spectral )?(ir)?radiance\s*[(\[].*[)\]]\W*$)")
+_EDGES = re.compile(r"(?i)[^\t]*(lower|low|start|min)(?![a-z])[^\t]*\t[^\t]*(upper|end|max)(?![a-z]).*\t")
 _POWER = re.compile(r"(?<![a-z])[mnuµμ]?W(?![a-z])[^()\[\],;]*(\([^()]*\))?", re.IGNORECASE)
-_WAVELENGTH_UNITS = {
-    "nm": re.compile(r"(?<![a-z])nm(?![a-z])|nanomet", re.IGNORECASE),
-    "um": re.compile(r"(?<![a-z])[uµμ]m(?![a-z])|micron|micromet", re.IGNORECASE),
-    "angstrom": re.compile(r"[aå]ngstr[oö]m|[\[(]\s*(?-i:[AÅ\u212b])\s*[\])]", re.IGNORECASE),
-}
 
 
-def text_records(file: SpectraFile) -> list[FieldSpectrum]:
+def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectrum]:
     """Spectra of a text file: the first column is the wavelength, the others values.
 
     A column that is the standard deviation of another belongs to it; one that is called n and holds one whole number
@@ -80,8 +79,8 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
     Traceback (most recent call last):
     hyperval.errors.InputError: a.csv: 'std (%)' states another unit than the mean that it belongs to...
     """
-    path, columns = file.path, file.columns
-    header, table, first_line = number_table(file.text, path)
+    path, columns, middles = file.path, file.columns, tuple[str, ...]()
+    header, table, first_line = number_table(text or file.text, path)
     where, whole = str(path), "\n".join(header)
     titles = _titles(header, table.shape[1], where)
     if columns is not None:
@@ -95,6 +94,9 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
         counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
         holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
         table, titles = table[:, holds], [titles[i] for i in holds]
+        if _WAVE.search(titles[0]) and _EDGES.match("\t".join(titles)):
+            table, titles = np.column_stack([table[:, :2].mean(axis=1), table[:, 2:]]), [titles[0], *titles[2:]]
+            middles = ("wavelengths are the middles of the steps that the file states",)
         spread = _deviations(titles)
     refuse(table.shape[1] < 2, "text.single", f"{path}:{first_line}")
     nm = table[:, 0]
@@ -102,6 +104,7 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
     check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
     replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
     unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
+    above = match.group() if (match := _ABOVE.search(whole)) else ""
     counted = [i for i in range(2, len(titles)) if title_words(titles[i])[0] in ("n", "count", "number", "replicates")]
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
@@ -115,13 +118,15 @@ def text_records(file: SpectraFile) -> list[FieldSpectrum]:
         if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
         has, beside = np.isfinite(nm), table[:, spread[i]] if i in spread else None
-        unmeasured, says = beside is not None and not beside.any(), y_units or titles[i]
+        unmeasured = beside is not None and not beside.any()
+        says = y_units or (titles[i] if quantity_in(titles[i]) or percent_in(titles[i]) else above or titles[i])
         factor, value_unit = percent_in(titles[spread.get(i, 0)]), power_unit_in(says) or percent_in(says)
         unlike = i in spread and factor not in (None, value_unit or "fraction")
         refuse(unlike, "text.spread", where, title=titles[spread.get(i, 0)])
         alone = columns is None and (words := title_words(titles[i]))[1] and (not words[0] or len(titles) == 2)
         quantity = "a standard deviation" if alone else quantity_in(says)
-        told = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n, "notes": zero * unmeasured}
+        told = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n}
+        told["notes"] = middles + zero * unmeasured
         told["standard_deviation"] = None if beside is None or unmeasured else beside[has]
         records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **told))
     if len(records) == 1:
@@ -173,11 +178,11 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
         file says.
     """
     header, rows = list[str](), list[list[float]]()
-    start, stated, ended = 0, None, False
+    start, stated, ended, filled, width = 0, None, False, 0, MAX_ROWS
     for number, line in enumerate(text.splitlines(), start=first):
         if not line.strip().strip(" \t,;"):
             continue
-        cells, where = _cells(line), f"{path}:{number}"
+        cells, where = _cells(_OF_UNIT.sub(r"\1", line)), f"{path}:{number}"
         numbers = cells[0] and all(_NUMBER.match(c) for c in cells if c)
         if not rows and not (numbers and (len(cells) > 1 or not header or is_number(line.strip()))):
             header.append(line.strip())
@@ -187,17 +192,18 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
             continue
         refuse(not numbers or ended, "text.row", where, text=line.strip()[:60])
         if len(rows) == 1 and len(rows[0]) == 1 < len(cells) and rows[0][0].is_integer():
-            stated, rows, start = str(int(rows[0][0])), [], 0
-        cells = _without_end(cells, len(rows[0]) if rows else _titled(header))
-        columns = len(rows[0]) if rows else len(cells)
-        refuse(len(cells) != columns, "text.width", where, found=len(cells), wanted=columns)
+            stated, rows, start, filled, width = str(int(rows[0][0])), [], 0, 0, MAX_ROWS
+        wanted = sorted((filled, len(cells), width))[1]
+        filled, width = max(filled, len(_without_end(cells))), min(width, len(cells))
+        refuse(filled > width, "text.width", where, found=len(cells), wanted=wanted)
         refuse(len(rows) >= MAX_ROWS, "text.large", where, rows=MAX_ROWS)
         start = start or number
         rows.append([float(c.replace("d", "e").replace("D", "e") or "nan") for c in cells])
     if not rows and any(line[0] in ",;" for line in header):  # an empty first column
         return number_table(re.sub("(?m)^[ \t,;]+", "", text), path, first)
     refuse(not rows, "text.empty", path)
-    table = np.array(rows)
+    width = max(filled, min(width, _titled(header)))  # empty cells at the end of a row are columns where titles say so
+    table = np.array([row[:width] for row in rows])
     check_stated(table[:, 0], str(path), stated)
     return header, table, start
 
@@ -269,9 +275,8 @@ def wavelength_unit_in(title: str, header: str, where: str) -> str | None:
     states = r"^\W*(X Units?|X ?Axis mode|Wave(length|number) units?)\s*[:=]|^\W*(wave\s*number|cm\W*1\b)"
     lines = [title, *(line for line in header.splitlines() if re.match(states, line, re.IGNORECASE))]
     for line in lines:
-        units = [unit for unit, pattern in _WAVELENGTH_UNITS.items() if pattern.search(line)]
-        if len(units) == 1:
-            return units[0]
+        if unit := wavelength_unit_named(line):
+            return unit
         refuse(_WAVENUMBER.search(line), "text.wavenumbers", where, text=line[:60])
     return None
 
@@ -317,10 +322,6 @@ def _titles(header: list[str], count: int, where: str) -> list[str]:
     >>> _titles(["wavelength (nm),grass, dry,soil"], 3, "a.csv")
     Traceback (most recent call last):
     hyperval.errors.InputError: a.csv: 4 titles for 3 columns...
-
-    Raises
-    ------
-    InputError : the last line has titles, of wavelengths first, and not as many as there are columns.
     """
     if not header:
         return [""] * count
@@ -335,7 +336,7 @@ def _titles(header: list[str], count: int, where: str) -> list[str]:
         if any(above):
             return [f"{a} {u}".strip() for a, u in zip(above, units, strict=True)]
         by_name = next((t for t in split if t[0].lower().removeprefix("file ") in _NAMES), titles)
-        of_axis = any(pattern.search(titles[0]) for pattern in (_WAVE, *_WAVELENGTH_UNITS.values()))
+        of_axis = _WAVE.search(titles[0]) or wavelength_unit_named(titles[0])
         is_title = of_axis or any(quantity_in(t) or percent_in(t) or title_words(t)[1] for t in titles[1:])
         return titles if is_title else by_name  # rows of metadata above a table may end with any
     if waves := [t for t in split if _WAVE.match(t[0])]:
@@ -355,7 +356,8 @@ def _split_titles(line: str, count: int) -> list[str]:
     """The parts of a line that are as many as there are columns; others may follow behind an entry, "UT: , 18.3"."""
     line = line.removeprefix("/fields=").lstrip(_REMARK)
     two, one, best = re.sub(r"\s{2,}", "\t", line), " ".join(line.split()), list[str]()
-    for delimiter, text in ((";", line), ("\t", line), (",", line), ("\t", two), (" ", one)):
+    unit = re.sub(r"^([^,]*),(?=\s*([nuµμ]m|nanomet\w*|micro\w*)\s*,)", r"\1", line, flags=re.IGNORECASE)
+    for delimiter, text in ((";", line), ("\t", line), (",", line), (",", unit), ("\t", two), (" ", one)):
         parts = _without_end(_parts_of(text, delimiter), count)
         if len(parts) == count and not (best and delimiter == " "):
             return parts
@@ -446,15 +448,14 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     names = columns[named] if named is not None else [f"row {i}" for i in range(1, len(rows) + 1)]
     records, of_axis = [], titles[0] if first and (_WAVE.search(titles[0]) or _WAVENUMBER.search(titles[0])) else ""
     for name, (where, cells) in zip(names, rows, strict=True):
-        numbers = cells[first:] if delimiter == "," else [cell.replace(",", ".") for cell in cells[first:]]
         about = {"wavelength units": of_axis} | dict(zip(lower, cells, strict=False))
+        numbers = [_value(cell, delimiter) for cell in cells[first:]]
         records.append(_of_row(name, about, titles[first:], numbers, where))
     return records
 
 
-def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str], where: str) -> FieldSpectrum:
+def _of_row(name: str, about: dict[str, str], titles: list[str], numbers: list[Any], where: str) -> FieldSpectrum:
     """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
-    numbers = [_value(cell) for cell in cells]
     if None in numbers:
         raise refusal("text.cell", where, title=titles[numbers.index(None)])
     values, suffix = np.array(numbers, dtype=float), _WAVELENGTH.match(titles[0])
@@ -463,7 +464,7 @@ def _of_row(name: str, about: dict[str, str], titles: list[str], cells: list[str
     doubtful = said == "percent" and (most := np.nanmax(values, initial=0.0)) <= 1.5
     doubt = f"the file says percent, and the values reach {most:.3g}" if doubtful else None
     known: dict[str, Any] = {"wavelength_unit": unit, "unit": None if doubt else said, "source": where, "doubt": doubt}
-    quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "")))
+    quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "ppfd" * ("ppfd" in about))))
     return FieldSpectrum(name, _wavelengths(titles), values, quantity=quantity, **known)
 
 
@@ -494,9 +495,9 @@ def _without_end(cells: list[str], least: int = 0) -> list[str]:
     return cells
 
 
-def _value(cell: str) -> float | None:
+def _value(cell: str, delimiter: str = ",") -> float | None:
     """The number in a cell, NaN where it is empty or says so; None where it holds no number."""
-    text = "nan" if cell.lower() in ("", "na") else cell
+    text = "nan" if cell.lower() in ("", "na") else cell.strip() if delimiter == "," else cell.strip().replace(",", ".")
     return float(text.lower().replace("d", "e")) if is_number(text) else None
 
 
@@ -506,12 +507,7 @@ SVC_SCALE = 1e-10
 
 
 def _below(file: SpectraFile, mark: str, sign: str, titles: int = 0) -> tuple[dict[str, str], list[str], Array, int]:
-    """What the lines above a mark state by key, the lines of titles below it, the numbers, and the line of the first.
-
-    Raises
-    ------
-    InputError : no such line, text among the numbers, a last line that is cut off, or an entry of .sig that is none.
-    """
+    """What the lines above a mark state by key, the lines of titles below it, the numbers, and the line of the first."""
     lines, path = file.text.splitlines(), file.path
     begin = next((i for i, line in enumerate(lines) if "".join(line.split()).lower() == mark.lower()), -1)
     refuse(begin < 0, "instrument.data", path, mark=mark)
@@ -594,24 +590,55 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     return [FieldSpectrum(path.stem, nm, values, quantity=wanted, wavelength_unit="nm", unit=unit)]
 
 
+def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
+    """Of a table with a wavelength a row, the columns of that and of what names its spectra; these are none of others.
+
+    >>> file = SpectraFile(Path("a.csv"))
+    >>> vars(file)["text"] = (
+    ...     ";site;plot;wavelength;refl [%];by\\n0;A;1;400;5,5;x\\n1;A;1;500;6;x\\n\\n2;A;2;400;7;y\\n3;A;2;500;8;y\\n")
+    >>> [(r.name, r.wavelength_nm.tolist(), r.values.tolist(), r.unit) for r in below_records(file)]
+    [('A 1 x', [400.0, 500.0], [5.5, 6.0], 'percent'), ('A 2 y', [400.0, 500.0], [7.0, 8.0], 'percent')]
+    """
+    delimiter = _delimiter(file.text.partition("\n")[0])
+    head = [cells for _, cells in islice(csv_rows(file.text, file.path, delimiter), 2)]
+    titles, cells = head if len(head) == 2 else ([], [])
+    waves = [i for i, title in enumerate(titles) if _WAVE.search(title)]
+    if len(waves) != 1 or len(cells) != len(titles) or _value(cells[waves[0]], delimiter) is None:
+        return 0, []
+    named = {i for i, cell in enumerate(cells) if titles[i].lower() in _NAMES or _value(cell, delimiter) is None}
+    return waves[0], sorted(named | {i for i in range(waves[0]) if titles[i].strip()}) if named else []
+
+
+def below_records(file: SpectraFile) -> list[FieldSpectrum]:
+    """The spectra of a table that has them below each other, each row with a name, a wavelength and a value."""
+    (wave, named), delimiter = columns_below(file), _delimiter(file.text.partition("\n")[0])
+    rows, parts = csv_rows(file.text, file.path, delimiter), dict[str, list[str]]()
+    titles = [title.replace(delimiter, " ") for title in next(rows)[1]]
+    kept = [wave, *(i for i in range(wave + 1, len(titles)) if i not in named)]
+    for where, cells in ((f"{file.path}:{number}", cells) for number, cells in rows if any(cells)):
+        refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
+        wrong = [titles[i] for i in kept if _value(cells[i], delimiter) is None]
+        refuse(wrong, "text.cell", where, title=(*wrong, "")[0])
+        name, *head = " ".join(cells[i] for i in named), delimiter.join(titles[i] for i in kept)
+        parts.setdefault(name, head).append(delimiter.join(cells[i] for i in kept))
+    made = [(name, r) for name, lines in parts.items() for r in text_records(file, "\n".join(lines))]
+    return [replace(r, name=name if len(parts) == len(made) else f"{name} {r.name}") for name, r in made]
+
+
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
-def usgs_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """The spectrum of a file of one column, at the wavelengths that lie beside it."""
-    grid = checked_file(wavelengths_beside(file.path) or "", what="wavelength file")
-    return [replace(usgs_record(file.path, grid), notes=(f"wavelengths from {grid.name}, which lies beside it",))]
-
-
-def usgs_record(path: Path, grid: Path) -> FieldSpectrum:
-    """A spectrum of a library that keeps values and wavelengths in files of one column each."""
+def usgs_records(file: SpectraFile, stated: Path | str | None = None) -> list[FieldSpectrum]:
+    """The spectrum of a file of one column, at the wavelengths of another, which is stated or lies beside it."""
+    path, grid = file.path, checked_file(stated or wavelengths_beside(file.path) or "", what="wavelength file")
     (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     unit = wavelength_unit_in(" ".join(above), "", str(grid))
     told: dict[str, Any] = {"source": str(path), "wavelength_unit": unit}
-    return FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], **told)
+    told["notes"] = () if stated else (f"wavelengths from {grid.name}, which lies beside it",)
+    return [FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], **told)]
 
 
 def wavelengths_beside(path: Path) -> Path | None:
