@@ -27,7 +27,7 @@ MAX_NODES = 40_000  # keys and values
 MOST_MISTAKES = 20  # that are listed
 # A value that begins so is one that the user has still to give: "FILL_IN: what it is".
 FILL_IN = "FILL_IN"
-# Keys of the version before that are gone, for one version: what stands in their place.
+# Keys that are gone, for one version, with the key above where the name stands elsewhere: what stands in their place.
 GONE = {
     "surroundings_altitude_km": "surroundings are as high as the site: ground_altitude_km",
     **dict.fromkeys(("filter_statistics", "scene_fraction"), "filters are made on the background alone: leave it out"),
@@ -36,6 +36,11 @@ GONE = {
     "groups_nm": "correlation_nm, or 'correlation: arms' for the arms of the sensor",
     "distribution": "errors are normal: the standard uncertainty alone; of a uniform error, its half width over root 3",
     "totals": "each input has its own share of the variance: leave it out",
+    "bit_error_per": "bit_error_rate is that of each bit: of a rate per word, the rate / bits",
+    "lsb_electrons": "full_well_electrons, which is lsb_electrons x 2^bits",
+    "known_discrepancies": "a check that a sensor does not pass stays as it is; say why under 'notes'",
+    "outputs.calibration_error": "sensor_changes.calibration_error_percent: 0 among the settings leaves C_R out",
+    "unmixing.draws": "the prediction draws 400 objects, as by default: leave it out",
     "precision": "covariances are always summed in float64, as 'exact' did: leave it out",
 }
 
@@ -371,7 +376,7 @@ def mistakes_in(
         elif kind in _EXPECTED:
             expected.setdefault(at, []).append(_EXPECTED[kind].format(**item.get("ctx", {})))
         elif kind == "extra_forbidden":  # what is looked for takes long beside what is listed
-            yield at, _unknown_key(str(at[-1]), model if number < MOST_MISTAKES else None)
+            yield at, _unknown_key(at, model if number < MOST_MISTAKES else None)
         elif kind == "string_pattern_mismatch":
             letters = re.findall(r"\w-\w|[^]]", item["ctx"]["pattern"].rpartition("[")[2].rpartition("]")[0])
             yield at, f"expected a name of {' '.join(letters)}, a letter or digit first"
@@ -383,12 +388,15 @@ def mistakes_in(
         yield at, f"expected {', or '.join(dict.fromkeys(nouns))}"
 
 
-def _unknown_key(key: str, model: type[BaseModel] | None) -> str:
+def _unknown_key(place: Location, model: type[BaseModel] | None) -> str:
+    key, *above = [part for part in reversed(place) if isinstance(part, str)]
+    if gone := GONE.get(key) or GONE.get(".".join([*above[:1], key])):
+        return f"this key is gone; {gone}"
     schema = model.model_json_schema() if model else {}
     every = [k for each in (schema, *schema.get("$defs", {}).values()) for k in each.get("properties", {})]
     near = next(iter(difflib.get_close_matches(key, every, n=1)), "")
     hint = " here; it belongs elsewhere" if near == key else near and f"; did you mean {near!r}?"
-    return f"this key is gone; {GONE[key]}" if key in GONE else f"unknown key{hint}"
+    return f"unknown key{hint}"
 
 
 def fitting(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

@@ -79,13 +79,11 @@ def two_arms(**second) -> Sensor:
     return sensor_of(bands=bands, arms=[arm(), arm(name="b", range_nm=[1000, 1500], **second)])
 
 
-def test_three_ways_to_say_the_least_significant_bit_and_the_full_scale():
+def test_two_ways_to_say_the_least_significant_bit_and_the_full_scale():
     by_well = noise_of()
     assert by_well.lsb_electrons == pytest.approx(np.full(5, 1e5 / 4096))
     assert by_well.full_scale == pytest.approx(1e5 / by_well.electrons_per_radiance)
     assert by_well.full_scale_fraction(1.5 * by_well.full_scale) == pytest.approx(np.full(5, 1.5))
-    given = noise_of(full_well_electrons=None, lsb_electrons={**Q, "value": 7.0})
-    assert given.lsb_electrons == pytest.approx(np.full(5, 7.0))
     by_radiance = noise_of(full_well_electrons=None, saturation_radiance={**Q, "value": 30.0})
     assert by_radiance.lsb_electrons == pytest.approx(30.0 * by_radiance.electrons_per_radiance / 4096)
     assert by_radiance.full_scale == pytest.approx(np.full(5, 30.0))
@@ -103,12 +101,11 @@ def test_noise_terms_of_a_file():
 
 
 def test_arms_that_differ_in_bits_and_bit_errors():
-    m = two_arms(bits=14, bit_error_rate={**Q, "value": 1e-6}, bit_error_per="word").noise()
+    m = two_arms(bits=14, bit_error_rate={**Q, "value": 1e-6}).noise()
     assert m.lsb_electrons[[0, -1]] == pytest.approx([1e5 / 4096, 1e5 / 16384])
     b = m.breakdown(np.full(10, 5.0))
     assert b.bit_errors[0] == 0
-    # Per word of 14 bits: LSB^2 B_e (4^14 - 1) / (3 * 14).
-    expected = (1e5 / 16384) ** 2 * 1e-6 * (4.0**14 - 1) / 42 / m.electrons_per_radiance[-1] ** 2
+    expected = (1e5 / 16384) ** 2 * 1e-6 * (4.0**14 - 1) / 3 / m.electrons_per_radiance[-1] ** 2
     assert b.bit_errors[-1] == pytest.approx(expected, rel=1e-12)
 
 
@@ -157,7 +154,7 @@ def test_library_follows_the_published_file(name, file, electrons, data_dir):
     # Through electrons it is the noise formula where c is 0: no (a, b, c) in it.
     clear, zero = c == 0, np.zeros(np.sum(c == 0))
     assert (name == "aviris-c") == (clear.sum() < 18)
-    through = NoiseModel(1 / a[clear] ** 2, fixed[clear], 1.0, zero, 1, 0.0, "bit", zero)
+    through = NoiseModel(1 / a[clear] ** 2, fixed[clear], 1.0, zero, 1, 0.0, zero)
     for level in (0.01, 1.0, 20.0):
         snr = level / np.abs(a * np.sqrt(b + level))[clear]
         assert through.snr(np.full(zero.size, level)) == pytest.approx(snr, rel=1e-6)
