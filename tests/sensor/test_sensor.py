@@ -119,10 +119,12 @@ def test_shift_of_one_arm_moves_its_bands_alone():
 
 
 def test_smile_is_a_polynomial_across_the_track():
-    s = sensor_of(spectral_calibration=[{"shift_nm": 0.2, "smile_nm": [0.1, 0.4], "columns": 101, **Q}])
+    s = load_sensor(Path(__file__).with_name("smile.yaml"))
 
     def shift(column: float | None) -> float:
-        return float(s.true_axis(s.axis, SensorOperation(column=column)).centre_nm[0] - 400.0)
+        moved = s.true_axis(s.axis, SensorOperation(column=column)).centre_nm - s.axis.centre_nm
+        assert not moved[s.axis.centre_nm > 1000].any()
+        return float(moved[0])
 
     # At the ends x = -1 and 1: 0.2 -+ 0.1 + 0.4; in the middle 0.2; at 3/4 x = 0.5: 0.2 + 0.05 + 0.1.
     assert [shift(c) for c in (0, 100, 50, 75, None)] == pytest.approx([0.5, 0.7, 0.2, 0.35, 0.2])
