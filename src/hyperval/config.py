@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
@@ -16,7 +16,7 @@ from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
-from hyperval.errors import UsageError, needed, reader, refusal, refuse
+from hyperval.errors import UsageError, as_typed, needed, reader, refusal, refuse
 from hyperval.storage import content_of, installed_file, write_text
 from hyperval.units import to_internal
 
@@ -169,6 +169,23 @@ RadianceUnit = Annotated[str, _unit_of("radiance")]
 WavelengthUnit = Annotated[str, _unit_of("wavelength")]
 
 M = TypeVar("M", bound=BaseModel)
+
+
+class KindOfFile(NamedTuple):
+    """A kind of file, the key that it alone has at its top, and the command that takes it."""
+
+    name: str
+    key: str
+    command: str
+
+
+KINDS = (
+    KindOfFile("campaign", "collection", "validate FILE -o DIR"),
+    KindOfFile("scenario", "scene", "predict FILE -o DIR"),
+    KindOfFile("study", "outputs", "study FILE -o DIR"),
+    KindOfFile("scene of a simulation", "layout", "simulate FILE -o DIR"),
+    KindOfFile("sensor", "calibration_error_percent", "sensor check FILE"),
+)
 Location = tuple[str | int, ...]
 
 
@@ -340,15 +357,45 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
     if to_fill_in := placeholders(data, lines, name):
         raise unfilled(to_fill_in)
     try:
-        return model.model_validate(data)
+        loaded = model.model_validate(data)
+        mistakes = list(misread(data, loaded.model_dump(by_alias=True)))
     except ValidationError as error:
-        problems: list[tuple[int, str]] = []
-        for location, text in mistakes_in(error.errors(include_url=False), model):
-            line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
-            where = f"{name}:{line}" if lines else name
-            problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, location)), text)))))
+        own = next((kind for kind in KINDS if kind.key in model.model_fields), None)
+        other = next((kind for kind in KINDS if kind != own and kind.key in data), None)
+        if own and other:
+            words = (name if word == "FILE" else word for word in other.command.split())
+            raise refusal("file.kind", name, kind=other.name, own=own.name, command=as_typed(*words)) from error
+        mistakes = list(mistakes_in(error.errors(include_url=False), model))
+    problems: list[tuple[int, str]] = []
+    for location, text in mistakes:
+        line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
+        where = f"{name}:{line}" if lines else name
+        problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, location)), text)))))
+    if problems:
         listed, more = [text for _, text in sorted(problems)], len(problems) - MOST_MISTAKES
-        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])])) from error
+        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])]))
+    return loaded
+
+
+def misread(data: Any, read: Any, location: Location = ()) -> Iterator[tuple[Location, str]]:
+    """Where pydantic took true for a number, another value for true or false, or digits with underscores for a number.
+
+    >>> data, read = {"zenith": True, "seed": "1_000", "bits": "12"}, {"zenith": 1.0, "seed": 1000, "bits": 12}
+    >>> for _, words in misread([data, "no"], [read, False]):
+    ...     print(words)
+    expected a number, not true
+    expected a number, not '1_000'
+    expected true or false, not 'no'
+    """
+    if isinstance(read, bool):
+        if not isinstance(data, bool):
+            yield location, f"expected true or false, not {data!r}"
+    elif isinstance(read, int | float) and (isinstance(data, bool) or (isinstance(data, str) and "_" in data)):
+        yield location, f"expected a number, not {str(data).lower() if isinstance(data, bool) else repr(data)}"
+    elif isinstance(data, dict | list) and isinstance(read, dict if isinstance(data, dict) else list | tuple):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            if isinstance(data, list) or key in read:
+                yield from misread(value, read[key], (*location, key))
 
 
 def mistakes_in(

@@ -12,9 +12,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.config import FileModel, Model, OneOf, file_of, load_model, load_yaml, shipped, twice, unknown
+from hyperval.config import FileModel, Model, OneOf, file_of, load_model, shipped, twice, unknown
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
-from hyperval.errors import as_typed, reader, refuse
+from hyperval.errors import reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import with_settings
 
@@ -556,9 +556,6 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     """
     library = builtin_scenarios()
     path = file_of(name_or_path, library, "scenario")
-    data, _ = load_yaml(path)
-    is_campaign = "collection" in data and "scene" not in data
-    refuse(is_campaign, "scenario.campaign", path, whole=f"all of it: {as_typed('validate', path, '-o', 'DIR')}")
     scenario = load_model(Scenario, path)
     if path in library.values():  # it has no files of its own: those that are set in it are the user's
         scenario._folder = None

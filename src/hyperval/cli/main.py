@@ -573,9 +573,10 @@ def sensor_new(
 ) -> int:
     """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
     path = output or Path(f"{name}.yaml")
-    text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")])
+    then = as_typed("sensor", "check", path, "-o", f"{name}-check")
+    text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")], then)
     hyperval.config.write_draft(path, "sensor", text)
-    note(f"{path}: replace every FILL_IN, then: {as_typed('sensor', 'check', path)}")
+    note(f"{path}: replace every FILL_IN, then: {then}")
     return 0
 
 

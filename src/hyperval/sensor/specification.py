@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from hyperval.config import Model, OneOf, file_of, load_model, shipped, unknown
 from hyperval.data import Array, Index
-from hyperval.errors import UsageError, reader, refusal, refuse
+from hyperval.errors import UsageError, as_typed, reader, refusal, refuse
 from hyperval.sensor.noise import (
     NoiseModel,
     aperture_throughput,
@@ -463,6 +463,15 @@ class Sensor:
         key = "noise", repr(operation)
         if key not in kept:
             kept[key] = self.noise(axis, operation)
+            g, nm = kept[key].electrons_per_radiance, (self.axis if axis is None else axis).centre_nm
+            if (dark := np.flatnonzero(~(g > 0.0))).size:  # which `sensor check` judges
+                raise refusal(
+                    "sensor.no_light",
+                    name=self.name,
+                    electrons=g[dark[0]],
+                    nm=nm[dark[0]],
+                    check=as_typed("sensor", "check", self.name),
+                )
         model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
@@ -547,13 +556,14 @@ class Sensor:
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
-def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
+def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",), then: str = "hyperval sensor check") -> str:
     """The text of a sensor file with everything still to be filled in.
 
     Parameters
     ----------
     name : short name of the sensor
     arms : names of its spectrometers, in rising wavelength
+    then : the command that checks it
 
     Raises
     ------
@@ -565,7 +575,7 @@ def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
         refuse(not _NAME.fullmatch(text), "sensor.name", text=text)
     refuse(not arms or len(set(arms)) != len(arms), "sensor.arms")
     template = (resources.files("hyperval.sensor") / "new_sensor.yaml.j2").read_text("utf-8")
-    return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms))
+    return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms, then=then))
 
 
 @lru_cache(maxsize=1)

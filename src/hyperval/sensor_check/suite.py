@@ -106,7 +106,8 @@ def _shown(value: Any) -> str:
     if isinstance(value, list) and len(value) > 8:
         return f"{len(value)} rows: {_shown(value[0])} to {_shown(value[-1])}"
     if isinstance(value, list):
-        return "(" + ", ".join(map(_shown, value)) + ")"
+        listed = ", ".join(map(_shown, value))
+        return listed if isinstance(value[0], list) else f"({listed})"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
