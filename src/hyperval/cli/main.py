@@ -87,15 +87,20 @@ def finished(code: int, output: Path | None) -> int:
 
 
 def say_verdicts(output: Path) -> None:
-    """A line for each campaign of a finished run, then one for each reason of an error or a skipped comparison.
-
-    Errors are said under --quiet too.
-    """
+    """A line for each campaign of a finished run, then its reasons, then how many criteria were met."""
     outcomes = hyperval.results.Outcome
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
     for name, some in hyperval.results.grouped(rows, lambda row: row.campaign).items():
         if any(row.outcome is not outcomes.SKIPPED for row in some):  # else the reason, below, says all
             note(f"{name}: {hyperval.report.first_screen(some).words}")
+    say_reasons(rows)
+    if rows:
+        note(hyperval.report.last_line(rows))
+
+
+def say_reasons(rows: Sequence[hyperval.results.Result]) -> None:
+    """A line for each reason of an error, under --quiet too, or of what was skipped."""
+    outcomes = hyperval.results.Outcome
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
         listed = (row for row in rows if row.outcome is outcome and row.reason)
         # Those that differ in measured numbers alone are one.
@@ -104,8 +109,6 @@ def say_verdicts(output: Path) -> None:
             names = ", ".join(dict.fromkeys(row.campaign for row in alike))
             line = f"{names}: {outcome}: {alike[0].reason}" + (f" (and {more} more like it)" if more else "")
             print(line, file=sys.stderr) if outcome is outcomes.ERROR else note(line)
-    if rows:
-        note(hyperval.report.last_line(rows))
 
 
 def note(text: str) -> None:
@@ -433,6 +436,7 @@ def benchmark(
     refuse(wrong := [one for one in scores or () if not all(one.partition("="))], "scores.form", value=wrong)
     maps, files = dict(one.split("=", 1) for one in scores or ()), extend or []
     code = scoreboard.benchmark(campaigns, output, extensions=files, scores=maps, seed=seed, scheduler=scheduler)
+    say_reasons(list(hyperval.run.read_rows(output)))
     return finished(code, output)
 
 
