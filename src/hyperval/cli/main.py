@@ -367,7 +367,7 @@ def init(
     unit: Annotated[str | None, Option(help="Unit of the radiance, where the image does not say.")] = None,
     sensor: Annotated[str | None, Option(help="Sensor of the library, or a sensor file.")] = None,
     time: Annotated[str | None, Option(help="Acquisition time, UTC: 2012-09-20T16:31:00Z.")] = None,
-    altitude_km: Annotated[float | None, Option(help="Sensor altitude above sea level [km].")] = None,
+    altitude_km: Annotated[float | None, Option(min=0.0, help="Sensor altitude above sea level [km].")] = None,
     pixel_size_m: Annotated[float | None, Option(help="Ground size of a pixel, without a map position.")] = None,
     key: Key = None,
     scale: Annotated[float | None, Option(help="What multiplies the stored values, if none is stated.")] = None,
