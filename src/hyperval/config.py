@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import difflib
 import re
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
 import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
@@ -16,7 +17,7 @@ from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
-from hyperval.errors import UsageError, as_typed, needed, reader, refusal, refuse
+from hyperval.errors import UsageError, needed, package_table, reader, refusal, refuse
 from hyperval.storage import content_of, installed_file, write_text
 from hyperval.units import to_internal
 
@@ -170,22 +171,6 @@ WavelengthUnit = Annotated[str, _unit_of("wavelength")]
 
 M = TypeVar("M", bound=BaseModel)
 
-
-class KindOfFile(NamedTuple):
-    """A kind of file, the key that it alone has at its top, and the command that takes it."""
-
-    name: str
-    key: str
-    command: str
-
-
-KINDS = (
-    KindOfFile("campaign", "collection", "validate FILE -o DIR"),
-    KindOfFile("scenario", "scene", "predict FILE -o DIR"),
-    KindOfFile("study", "outputs", "study FILE -o DIR"),
-    KindOfFile("scene of a simulation", "layout", "simulate FILE -o DIR"),
-    KindOfFile("sensor", "calibration_error_percent", "sensor check FILE"),
-)
 Location = tuple[str | int, ...]
 
 
@@ -341,7 +326,8 @@ def placeholders(data: Any, lines: dict[Location, int], name: str) -> list[Place
 def unfilled(entries: list[Placeholder]) -> UsageError:
     """The error that names every value to be filled in."""
     listed = [f"{p.where}: {p.key}: {p.what}" for p in entries]
-    return UsageError("\n  ".join([f"{len(entries)} values are still to be filled in", *listed]))
+    count = f"{len(entries)} values are" if len(entries) > 1 else "1 value is"
+    return UsageError("\n  ".join([f"{count} still to be filled in", *listed]))
 
 
 def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -> M:
@@ -360,11 +346,7 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         loaded = model.model_validate(data)
         mistakes = list(misread(data, loaded.model_dump(by_alias=True)))
     except ValidationError as error:
-        own = next((kind for kind in KINDS if kind.key in model.model_fields), None)
-        other = next((kind for kind in KINDS if kind != own and kind.key in data), None)
-        if own and other:
-            words = (name if word == "FILE" else word for word in other.command.split())
-            raise refusal("file.kind", name, kind=other.name, own=own.name, command=as_typed(*words)) from error
+        refuse_other_kind(model, data, name)
         mistakes = list(mistakes_in(error.errors(include_url=False), model))
     problems: list[tuple[int, str]] = []
     for location, text in mistakes:
@@ -375,6 +357,19 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         listed, more = [text for _, text in sorted(problems)], len(problems) - MOST_MISTAKES
         raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])]))
     return loaded
+
+
+def refuse_other_kind(model: type[BaseModel], data: Any, where: object) -> None:
+    """Raise UsageError for the content of a file of another kind, with the command that takes it."""
+
+    def kind_of(keys: Iterable[str]) -> tuple[str, str] | None:
+        marks = package_table("own_files.yaml")["yaml"].items()
+        return next(((kind, by) for mark, (kind, by) in marks if any(re.match(mark, f"{key}:") for key in keys)), None)
+
+    own, other = kind_of(model.model_fields), kind_of(data)
+    if own and other and kind_of(data.keys() & model.model_fields.keys()) is None:
+        command = other[1].format(file=shlex.quote(str(where)))
+        raise refusal("file.kind", where, kind=other[0], own=own[0], command=command)
 
 
 def misread(data: Any, read: Any, location: Location = ()) -> Iterator[tuple[Location, str]]:

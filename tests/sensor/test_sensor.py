@@ -74,6 +74,11 @@ def noise_of(**changes) -> NoiseModel:
     return sensor_of(arms=[arm(**changes)]).noise()
 
 
+def test_a_sensor_that_no_light_reaches_is_not_predicted_with():
+    with pytest.raises(UsageError, match=r"counts 0 electrons per radiance at 400 nm"):
+        sensor_of(arms=[arm(integration_time_s={"value": 0.0, **Q})]).operated_noise(None, None, None, {})
+
+
 def two_arms(**second) -> Sensor:
     bands = {"regular": {"first_nm": 500, "step_nm": 100, "count": 10, "fwhm_nm": 10}, **Q}
     return sensor_of(bands=bands, arms=[arm(), arm(name="b", range_nm=[1000, 1500], **second)])

@@ -22,7 +22,18 @@ from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
-from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
+from hyperval.config import (
+    FILL_IN,
+    Location,
+    Model,
+    Placeholder,
+    load_yaml,
+    placeholders,
+    refuse_other_kind,
+    texts_of,
+    unfilled,
+    validate,
+)
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
 from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
 from hyperval.results import grouped
@@ -362,6 +373,7 @@ def read_jobs(path: Path) -> list[Job]:
     UsageError : no YAML, or runs that are none.
     """
     data, lines = load_yaml(path)
+    refuse_other_kind(Campaign, data, path)
     return [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
 
 

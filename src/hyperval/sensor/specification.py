@@ -19,7 +19,7 @@ from pydantic import Field, model_validator
 
 from hyperval.config import Model, OneOf, file_of, load_model, shipped, unknown
 from hyperval.data import Array, Index
-from hyperval.errors import UsageError, as_typed, reader, refusal, refuse
+from hyperval.errors import UsageError, reader, refusal, refuse
 from hyperval.sensor.noise import (
     NoiseModel,
     aperture_throughput,
@@ -462,16 +462,11 @@ class Sensor:
         """Noise as the sensor is run and changed (3.13-3.20), bands binned; ``kept``: that of each way to run it."""
         key = "noise", repr(operation)
         if key not in kept:
-            kept[key] = self.noise(axis, operation)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                kept[key] = self.noise(axis, operation)
             g, nm = kept[key].electrons_per_radiance, (self.axis if axis is None else axis).centre_nm
-            if (dark := np.flatnonzero(~(g > 0.0))).size:  # which `sensor check` judges
-                raise refusal(
-                    "sensor.no_light",
-                    name=self.name,
-                    electrons=g[dark[0]],
-                    nm=nm[dark[0]],
-                    check=as_typed("sensor", "check", self.name),
-                )
+            if (dark := np.flatnonzero(~(g > 0.0))).size:
+                raise refusal("sensor.no_light", name=self.name, electrons=g[dark[0]], nm=nm[dark[0]])
         model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
