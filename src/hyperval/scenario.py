@@ -74,6 +74,9 @@ class SpectrumSource(OneOf):
     }  # fmt: skip
 
 
+CorrelationLength = Annotated[float | None, Field(ge=0.001, description="correlation length; None: fully correlated")]
+
+
 class CovarianceSource(OneOf):
     """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
 
@@ -84,18 +87,15 @@ class CovarianceSource(OneOf):
     record: str | None = Field(None, description="with library: name of the class")
     measured: str | None = None
     relative_sd: float | None = Field(
-        None, title="relative standard deviation", ge=0, description="as a part of the mean [1]; 0: none"
+        None, title="relative standard deviation", ge=0, le=10, description="as a part of the mean [1]; 0: none"
     )
-    correlation_nm: float | None = Field(None, gt=0, description="with relative_sd; None: fully correlated")
-    band_sd: float = Field(0.0, ge=0, description="with relative_sd: independent part of each band [1]")
+    correlation_nm: CorrelationLength = None
+    band_sd: float = Field(0.0, ge=0, le=10, description="with relative_sd: independent part of each band [1]")
 
     refused: ClassVar = {"record belongs to a library": lambda s: s.record is not None and s.library is None}
 
 
 Spread = Annotated[float, Field(gt=0)]
-
-
-CorrelationLength = Annotated[float | None, Field(gt=0, description="correlation length; None: fully correlated")]
 
 
 class SpectralForm(OneOf):
@@ -323,7 +323,7 @@ class Fill(OneOf):
     together = ("mean", "sd")
     fixed: Fraction | None = Field(None, title="fill fraction", description="the same in every pixel")
     mean: Fraction | None = Field(None, title="mean fill fraction", description="with sd: a beta distribution")
-    sd: float | None = Field(None, title="standard deviation of the fill fraction", gt=0, lt=0.5)
+    sd: float | None = Field(None, title="standard deviation of the fill fraction", ge=1e-6, lt=0.5)
     geometry: Geometry | None = None
     truth: Literal[True] | None = Field(
         None, description="true: those of the collection's truth, which a finer image or abundances tell by pixel"

@@ -74,9 +74,12 @@ def noise_of(**changes) -> NoiseModel:
     return sensor_of(arms=[arm(**changes)]).noise()
 
 
-def test_a_sensor_that_no_light_reaches_is_not_predicted_with():
-    with pytest.raises(UsageError, match=r"counts 0 electrons per radiance at 400 nm"):
-        sensor_of(arms=[arm(integration_time_s={"value": 0.0, **Q})]).operated_noise(None, None, None, {})
+@pytest.mark.parametrize(
+    ("name", "value"), [("integration_time_s", 0.0), ("bit_error_rate", -1.0), ("full_well_electrons", 1e308)]
+)
+def test_a_sensor_without_signal_or_with_boundless_noise_is_not_predicted_with(name, value):
+    with pytest.raises(UsageError, match=r"no signal, or noise beyond any number, at 400 nm"):
+        sensor_of(arms=[arm(**{name: {"value": value, **Q}})]).operated_noise(None, None, None, {})
 
 
 def two_arms(**second) -> Sensor:

@@ -388,7 +388,7 @@ class SensorSpecification(OneOf):
     bands: Bands
     arms: tuple[Arm, ...] = ()
     measured_noise: MeasuredNoise | None = None
-    detector_gain: float = Field(1.0, ge=0, description="g_d of (3.16)")
+    detector_gain: float = Field(1.0, ge=0, le=1000, description="g_d of (3.16)")
     psf: Blur | None = None
     spectral_calibration: tuple[SpectralShift, ...] = ()
     calibration_error_percent: Quantity
@@ -462,11 +462,11 @@ class Sensor:
         """Noise as the sensor is run and changed (3.13-3.20), bands binned; ``kept``: that of each way to run it."""
         key = "noise", repr(operation)
         if key not in kept:
-            with np.errstate(divide="ignore", invalid="ignore"):
+            with np.errstate(all="ignore"):  # numbers of the file that `sensor check` judges
                 kept[key] = self.noise(axis, operation)
-            g, nm = kept[key].electrons_per_radiance, (self.axis if axis is None else axis).centre_nm
-            if (dark := np.flatnonzero(~(g > 0.0))).size:
-                raise refusal("sensor.no_light", name=self.name, electrons=g[dark[0]], nm=nm[dark[0]])
+                wrong = np.flatnonzero(~(kept[key].snr(np.ones_like(kept[key].fixed_noise)) > 0.0))
+            nm = (self.axis if axis is None else axis).centre_nm[wrong[:1]]
+            refuse(wrong.size, "sensor.no_signal", name=self.name, nm=nm)
         model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
