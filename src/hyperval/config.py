@@ -249,8 +249,8 @@ def file_of(name_or_path: str | Path, library: Mapping[str, Path], kind: str) ->
 
 
 @reader
-def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
-    """Read a YAML file strictly.
+def load_yaml(path: Path, of: type[BaseModel] | None = None) -> tuple[Any, dict[Location, int]]:
+    """Read a YAML file strictly; the file of another kind than ``of`` is refused with the command that takes it.
 
     Returns the plain data and the line number (1-based) of every key and list item.
 
@@ -268,7 +268,20 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
     data, lines = parse_yaml(text, str(path))
     refuse(not isinstance(data, dict), "yaml.keys", f"{path}:1")
+    own, other, known = (
+        (_kind_of(keys) for keys in (of.model_fields, data, data.keys() & {*of.model_fields})) if of else [None] * 3
+    )
+    if own and other and not known:
+        raise refusal(
+            "file.kind", path, kind=other[0], own=own[0], command=other[1].format(file=shlex.quote(str(path)))
+        )
     return data, lines
+
+
+def _kind_of(keys: Iterable[str]) -> list[str] | None:
+    """What a file with these keys is, and the command that takes it."""
+    marks = package_table("own_files.yaml")["yaml"].items()
+    return next((told for mark, told in marks if any(re.match(mark, f"{key}:") for key in keys)), None)
 
 
 def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
@@ -346,7 +359,6 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         loaded = model.model_validate(data)
         mistakes = list(misread(data, loaded.model_dump(by_alias=True)))
     except ValidationError as error:
-        refuse_other_kind(model, data, name)
         mistakes = list(mistakes_in(error.errors(include_url=False), model))
     problems: list[tuple[int, str]] = []
     for location, text in mistakes:
@@ -359,34 +371,19 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
     return loaded
 
 
-def refuse_other_kind(model: type[BaseModel], data: Any, where: object) -> None:
-    """Raise UsageError for the content of a file of another kind, with the command that takes it."""
-
-    def kind_of(keys: Iterable[str]) -> tuple[str, str] | None:
-        marks = package_table("own_files.yaml")["yaml"].items()
-        return next(((kind, by) for mark, (kind, by) in marks if any(re.match(mark, f"{key}:") for key in keys)), None)
-
-    own, other = kind_of(model.model_fields), kind_of(data)
-    if own and other and kind_of(data.keys() & model.model_fields.keys()) is None:
-        command = other[1].format(file=shlex.quote(str(where)))
-        raise refusal("file.kind", where, kind=other[0], own=own[0], command=command)
-
-
 def misread(data: Any, read: Any, location: Location = ()) -> Iterator[tuple[Location, str]]:
     """Where pydantic took true for a number, another value for true or false, or digits with underscores for a number.
 
     >>> data, read = {"zenith": True, "seed": "1_000", "bits": "12"}, {"zenith": 1.0, "seed": 1000, "bits": 12}
     >>> for _, words in misread([data, "no"], [read, False]):
     ...     print(words)
-    expected a number, not true
+    expected a number, not True
     expected a number, not '1_000'
     expected true or false, not 'no'
     """
-    if isinstance(read, bool):
-        if not isinstance(data, bool):
-            yield location, f"expected true or false, not {data!r}"
-    elif isinstance(read, int | float) and (isinstance(data, bool) or (isinstance(data, str) and "_" in data)):
-        yield location, f"expected a number, not {str(data).lower() if isinstance(data, bool) else repr(data)}"
+    is_odd = isinstance(read, bool) != isinstance(data, bool) or (isinstance(data, str) and "_" in data)
+    if isinstance(read, int | float) and is_odd:
+        yield location, f"expected {'true or false' if isinstance(read, bool) else 'a number'}, not {data!r}"
     elif isinstance(data, dict | list) and isinstance(read, dict if isinstance(data, dict) else list | tuple):
         for key, value in data.items() if isinstance(data, dict) else enumerate(data):
             if isinstance(data, list) or key in read:
@@ -480,7 +477,7 @@ def write_draft(path: Path, kind: str, text: str) -> None:
 @reader
 def load_model(model: type[M], path: Path) -> M:
     """Read ``path`` as strict YAML and validate it as ``model``."""
-    data, lines = load_yaml(path)
+    data, lines = load_yaml(path, model)
     loaded = validate(model, data, lines, str(path))
     if isinstance(loaded, FileModel):
         loaded._folder = Path(path).resolve().parent

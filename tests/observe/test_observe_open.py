@@ -313,10 +313,6 @@ def test_what_no_shipped_campaign_has_is_taken(request, fixture, change):
     world = request.getfixturevalue(fixture)
     world.squares("drawn.geojson", p1=(4, 6, 3), p2=(20, 20, 2), other=(30, 30, 4))
     world.text("lawn.csv", "wavelength,first,second\n" + "".join(f"{1e-3 * w},1,2\n" for w in range(400, 1701)))
-    head = "Site:\tX\nLat:\t40\nLon:\t-109\nAlt:\t1270\n\nYear:\t2020\nDOY(U):\t160\nUTC:\t18:30\nDOY(L):\t160\n"
-    rows = "P:\t869\nT:\t290\nWV:\t0.5\nO3:\t280\nAOD:\t0.1\nAng:\t0.5\n"
-    bands = "".join(f"{nm}\t0.02\n" for nm in (500, 600, 700))
-    world.text("day.output", f"{head}Local:\t11:30\n{rows}Type:\tR\n{bands}\n{rows}{bands}")
     if world.values.ndim == 3:
         image = xr.DataArray(world.values, dims=("line", "sample", "wavelength"), attrs={"units": "1"})
         waves = xr.DataArray(AXIS.centre_nm, dims="wavelength", attrs={"units": "nm"})

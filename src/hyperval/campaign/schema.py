@@ -22,18 +22,7 @@ from hyperval.atmosphere.state import pressure_at, standard_profile
 from hyperval.attribute.schema import AttributionOptions
 from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
-from hyperval.config import (
-    FILL_IN,
-    Location,
-    Model,
-    Placeholder,
-    load_yaml,
-    placeholders,
-    refuse_other_kind,
-    texts_of,
-    unfilled,
-    validate,
-)
+from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
 from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
 from hyperval.results import grouped
@@ -372,8 +361,7 @@ def read_jobs(path: Path) -> list[Job]:
     InputError : no such file.
     UsageError : no YAML, or runs that are none.
     """
-    data, lines = load_yaml(path)
-    refuse_other_kind(Campaign, data, path)
+    data, lines = load_yaml(path, Campaign)
     return [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
 
 

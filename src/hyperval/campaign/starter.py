@@ -383,12 +383,12 @@ class Draft:
         text, sources = str(self.content), self.sources
         if FILL_IN in str(cube := self.collection["cube"]):
             return  # of which nothing is drafted yet
-        given = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor", "unit": "--unit",
-                 "pixel_size_m": "--pixel-size-m"}  # fmt: skip
-        keys = dict.fromkeys(given, "atmosphere") | {"unit": "unit", "pixel_size_m": "pixel_size_m"}
-        unread = [given[k] for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
+        keys = dict.fromkeys(("time_utc", "altitude_km", "sensor"), "atmosphere")
+        keys |= {"unit": "unit", "pixel_size_m": "pixel_size_m"}
+        unread = [k for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
         if unread:
-            self.guess("unread", names=", ".join(unread), quantity=self.quantity)
+            options = (f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread)
+            self.guess("unread", names=", ".join(options), quantity=self.quantity)
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
         if idle:

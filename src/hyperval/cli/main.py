@@ -88,10 +88,9 @@ def finished(code: int, output: Path | None) -> int:
 
 def say_verdicts(output: Path) -> None:
     """A line for each campaign of a finished run, then its reasons, then how many criteria were met."""
-    outcomes = hyperval.results.Outcome
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
     for name, some in hyperval.results.grouped(rows, lambda row: row.campaign).items():
-        if any(row.outcome is not outcomes.SKIPPED for row in some):  # else the reason, below, says all
+        if any(row.outcome is not hyperval.results.Outcome.SKIPPED for row in some):  # else the reason, below, says all
             note(f"{name}: {hyperval.report.first_screen(some).words}")
     say_reasons(rows)
     if rows:
@@ -721,7 +720,8 @@ def _stopped(error: Exception) -> int:
     if settings.debug:
         traceback.print_exc()
     elif isinstance(error, OSError) and error.errno in _PLACES and error.filename:
-        what = f"{os.fsdecode(error.filename)[:300]}: {error.strerror}\n  to fix it: name another file or folder"
+        place = os.fsdecode(error.filename2 or error.filename)[:300]
+        what = f"{place}: {error.strerror}\n  to fix it: name another file or folder"
         code = UsageError.exit_code
     elif isinstance(error, OSError) and error.errno in _FULL:
         what = f"{error}\n  to fix it: free space there, or name another folder with --output; "

@@ -276,17 +276,14 @@ def _between(at_borders: Array) -> Array:
     return at_borders[..., :-1] - at_borders[..., 1:]
 
 
-_SHARP = 1e-9  # sigma of a Gaussian [pixels] that blurs nothing
-
-
 def _step(z: Array, s: float) -> Array:
     """A step convolved with a Gaussian of sigma ``s`` [pixels]."""
-    return np.asarray(ndtr(z / s) if s > _SHARP else (z >= 0.0).astype(float))
+    return np.asarray(ndtr(z / s) if s > 1e-9 else (z >= 0.0).astype(float))
 
 
 def _ramp(z: Array, s: float) -> Array:
     """Integral of :func:`_step` from minus infinity to ``z``: z Phi(z/s) + s phi(z/s)."""
-    if s <= _SHARP:
+    if s <= 1e-9:  # [pixels], which blurs nothing
         return np.asarray(np.maximum(z, 0.0))
     u = z / s
     return np.asarray(s * (u * ndtr(u) + np.exp(-0.5 * u**2) / np.sqrt(2.0 * np.pi)))

@@ -192,7 +192,7 @@ def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFr
         values = None if item.name in (plot.x, plot.y, plot.family) else item.listed
         if values is not None and len(values) > 1:
             fixed[item.name] = plain_value(values[len(values) // 2])
-            table = table[table[item.name] == fixed[item.name]]
+            table = table[table[item.name].isin([fixed[item.name]])]
     return table, fixed, f"; at {words_of(fixed)}" if fixed else ""
 
 
