@@ -208,7 +208,8 @@ class Result:
         >>> limits = {"limit_low": -0.1, "limit_high": 0.1}
         >>> Result("", "radiance", "", "", "bias_ratio", 0.0, lower=-0.2, upper=0.2, **limits).shortfall
         2.0
-        >>> Result("", "radiance", "", "", "median_abs_difference_ratio", 0.1, upper=0.2, limit_high=0.0).shortfall
+        >>> name = "median_abs_difference_ratio_windows"
+        >>> Result("", "radiance", "", "", name, 0.1, lower=0.05, upper=0.2, limit_high=0.0).shortfall
         inf
         """
         metric, low, high = metric_of(self.metric), self.limit_low, self.limit_high
