@@ -232,6 +232,8 @@ def test_a_name_too_long_for_a_file_is_a_mistake_of_the_user(tmp_path, capsys, m
     assert cli.run(["check", "--sensors", "casi-1500", "--junit", "n" * 300 + ".xml"]) == 2
     assert "name another file or folder" in capsys.readouterr().err
     assert cli.run(["sensor", "new", "x", "-o", f"{__file__}/x.yaml"]) == 2  # in what is a file
+    assert cli.run(["schema", "campaign", "-o", str(tmp_path)]) == 2
+    assert f"\nhyperval: {tmp_path}: Is a directory" in capsys.readouterr().err
 
 
 # Words for internal errors.

@@ -464,7 +464,6 @@ class Unmixing(Model):
         min_length=1,
         description="all bands alike (method fcls), or by the inverse covariance of the background (fcls-weighted)",
     )
-    draws: int = Field(400, ge=50, le=5000, description="objects drawn for the prediction")
     seed: int = Field(0, ge=0)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
-from hyperval.errors import UsageError, needed, reader, refusal, refuse
+from hyperval.errors import UsageError, needed, package_table, reader, refusal, refuse
 from hyperval.storage import content_of, installed_file, write_text
 from hyperval.units import to_internal
 
@@ -27,7 +28,7 @@ MAX_NODES = 40_000  # keys and values
 MOST_MISTAKES = 20  # that are listed
 # A value that begins so is one that the user has still to give: "FILL_IN: what it is".
 FILL_IN = "FILL_IN"
-# Keys of the version before that are gone, for one version: what stands in their place.
+# Keys that are gone, for one version, with the key above where the name stands elsewhere: what stands in their place.
 GONE = {
     "surroundings_altitude_km": "surroundings are as high as the site: ground_altitude_km",
     **dict.fromkeys(("filter_statistics", "scene_fraction"), "filters are made on the background alone: leave it out"),
@@ -36,6 +37,11 @@ GONE = {
     "groups_nm": "correlation_nm, or 'correlation: arms' for the arms of the sensor",
     "distribution": "errors are normal: the standard uncertainty alone; of a uniform error, its half width over root 3",
     "totals": "each input has its own share of the variance: leave it out",
+    "bit_error_per": "bit_error_rate is that of each bit: of a rate per word, the rate / bits",
+    "lsb_electrons": "full_well_electrons, which is lsb_electrons x 2^bits",
+    "known_discrepancies": "a check that a sensor does not pass stays as it is; say why under 'notes'",
+    "outputs.calibration_error": "sensor_changes.calibration_error_percent: 0 among the settings leaves C_R out",
+    "unmixing.draws": "the prediction draws 400 objects, as by default: leave it out",
     "precision": "covariances are always summed in float64, as 'exact' did: leave it out",
 }
 
@@ -164,6 +170,7 @@ RadianceUnit = Annotated[str, _unit_of("radiance")]
 WavelengthUnit = Annotated[str, _unit_of("wavelength")]
 
 M = TypeVar("M", bound=BaseModel)
+
 Location = tuple[str | int, ...]
 
 
@@ -242,8 +249,8 @@ def file_of(name_or_path: str | Path, library: Mapping[str, Path], kind: str) ->
 
 
 @reader
-def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
-    """Read a YAML file strictly.
+def load_yaml(path: Path, of: type[BaseModel] | None = None) -> tuple[Any, dict[Location, int]]:
+    """Read a YAML file strictly; the file of another kind than ``of`` is refused with the command that takes it.
 
     Returns the plain data and the line number (1-based) of every key and list item.
 
@@ -261,7 +268,20 @@ def load_yaml(path: Path) -> tuple[Any, dict[Location, int]]:
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
     data, lines = parse_yaml(text, str(path))
     refuse(not isinstance(data, dict), "yaml.keys", f"{path}:1")
+    own, other, known = (
+        (_kind_of(keys) for keys in (of.model_fields, data, data.keys() & {*of.model_fields})) if of else [None] * 3
+    )
+    if own and other and not known:
+        raise refusal(
+            "file.kind", path, kind=other[0], own=own[0], command=other[1].format(file=shlex.quote(str(path)))
+        )
     return data, lines
+
+
+def _kind_of(keys: Iterable[str]) -> list[str] | None:
+    """What a file with these keys is, and the command that takes it."""
+    marks = package_table("own_files.yaml")["yaml"].items()
+    return next((told for mark, told in marks if any(re.match(mark, f"{key}:") for key in keys)), None)
 
 
 def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
@@ -319,7 +339,8 @@ def placeholders(data: Any, lines: dict[Location, int], name: str) -> list[Place
 def unfilled(entries: list[Placeholder]) -> UsageError:
     """The error that names every value to be filled in."""
     listed = [f"{p.where}: {p.key}: {p.what}" for p in entries]
-    return UsageError("\n  ".join([f"{len(entries)} values are still to be filled in", *listed]))
+    count = f"{len(entries)} values are" if len(entries) > 1 else "1 value is"
+    return UsageError("\n  ".join([f"{count} still to be filled in", *listed]))
 
 
 def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -> M:
@@ -335,15 +356,38 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
     if to_fill_in := placeholders(data, lines, name):
         raise unfilled(to_fill_in)
     try:
-        return model.model_validate(data)
+        loaded = model.model_validate(data)
+        mistakes = list(misread(data, loaded.model_dump(by_alias=True)))
     except ValidationError as error:
-        problems: list[tuple[int, str]] = []
-        for location, text in mistakes_in(error.errors(include_url=False), model):
-            line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
-            where = f"{name}:{line}" if lines else name
-            problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, location)), text)))))
+        mistakes = list(mistakes_in(error.errors(include_url=False), model))
+    problems: list[tuple[int, str]] = []
+    for location, text in mistakes:
+        line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
+        where = f"{name}:{line}" if lines else name
+        problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, location)), text)))))
+    if problems:
         listed, more = [text for _, text in sorted(problems)], len(problems) - MOST_MISTAKES
-        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])])) from error
+        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])]))
+    return loaded
+
+
+def misread(data: Any, read: Any, location: Location = ()) -> Iterator[tuple[Location, str]]:
+    """Where pydantic took true for a number, another value for true or false, or digits with underscores for a number.
+
+    >>> data, read = {"zenith": True, "seed": "1_000", "bits": "12"}, {"zenith": 1.0, "seed": 1000, "bits": 12}
+    >>> for _, words in misread([data, "no"], [read, False]):
+    ...     print(words)
+    expected a number, not True
+    expected a number, not '1_000'
+    expected true or false, not 'no'
+    """
+    is_odd = isinstance(read, bool) != isinstance(data, bool) or (isinstance(data, str) and "_" in data)
+    if isinstance(read, int | float) and is_odd:
+        yield location, f"expected {'true or false' if isinstance(read, bool) else 'a number'}, not {data!r}"
+    elif isinstance(data, dict | list) and isinstance(read, dict if isinstance(data, dict) else list | tuple):
+        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+            if isinstance(data, list) or key in read:
+                yield from misread(value, read[key], (*location, key))
 
 
 def mistakes_in(
@@ -371,7 +415,7 @@ def mistakes_in(
         elif kind in _EXPECTED:
             expected.setdefault(at, []).append(_EXPECTED[kind].format(**item.get("ctx", {})))
         elif kind == "extra_forbidden":  # what is looked for takes long beside what is listed
-            yield at, _unknown_key(str(at[-1]), model if number < MOST_MISTAKES else None)
+            yield at, _unknown_key(at, model if number < MOST_MISTAKES else None)
         elif kind == "string_pattern_mismatch":
             letters = re.findall(r"\w-\w|[^]]", item["ctx"]["pattern"].rpartition("[")[2].rpartition("]")[0])
             yield at, f"expected a name of {' '.join(letters)}, a letter or digit first"
@@ -383,12 +427,15 @@ def mistakes_in(
         yield at, f"expected {', or '.join(dict.fromkeys(nouns))}"
 
 
-def _unknown_key(key: str, model: type[BaseModel] | None) -> str:
+def _unknown_key(place: Location, model: type[BaseModel] | None) -> str:
+    key, *above = [part for part in reversed(place) if isinstance(part, str)]
+    if gone := GONE.get(key) or GONE.get(".".join([*above[:1], key])):
+        return f"this key is gone; {gone}"
     schema = model.model_json_schema() if model else {}
     every = [k for each in (schema, *schema.get("$defs", {}).values()) for k in each.get("properties", {})]
     near = next(iter(difflib.get_close_matches(key, every, n=1)), "")
     hint = " here; it belongs elsewhere" if near == key else near and f"; did you mean {near!r}?"
-    return f"this key is gone; {GONE[key]}" if key in GONE else f"unknown key{hint}"
+    return f"unknown key{hint}"
 
 
 def fitting(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -430,7 +477,7 @@ def write_draft(path: Path, kind: str, text: str) -> None:
 @reader
 def load_model(model: type[M], path: Path) -> M:
     """Read ``path`` as strict YAML and validate it as ``model``."""
-    data, lines = load_yaml(path)
+    data, lines = load_yaml(path, model)
     loaded = validate(model, data, lines, str(path))
     if isinstance(loaded, FileModel):
         loaded._folder = Path(path).resolve().parent

@@ -208,6 +208,9 @@ class Result:
         >>> limits = {"limit_low": -0.1, "limit_high": 0.1}
         >>> Result("", "radiance", "", "", "bias_ratio", 0.0, lower=-0.2, upper=0.2, **limits).shortfall
         2.0
+        >>> name = "median_abs_difference_ratio_windows"
+        >>> Result("", "radiance", "", "", name, 0.1, lower=0.05, upper=0.2, limit_high=0.0).shortfall
+        inf
         """
         metric, low, high = metric_of(self.metric), self.limit_low, self.limit_high
         if metric.kind is Kind.TEST:
@@ -215,7 +218,7 @@ class Result:
         if metric.kind is not Kind.QUANTITY:
             return math.nan
         if not low > -math.inf and metric.low > -math.inf and metric.high == math.inf:
-            return (self.upper - self.value) / (high - metric.low)
+            return (self.upper - self.value) / (high - metric.low) if high > metric.low else math.inf
         if metric.agreement == 1.0 and low > 0.0 and self.lower > 0.0:
             return math.log(self.upper / self.lower) / math.log(high / low)
         return (self.upper - self.lower) / (high - low)

@@ -12,9 +12,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hyperval.atmosphere import AtmosphericState
-from hyperval.config import FileModel, Model, OneOf, file_of, load_model, load_yaml, shipped, twice, unknown
+from hyperval.config import FileModel, Model, OneOf, file_of, load_model, shipped, twice, unknown
 from hyperval.data import LINEAR_DETECTORS, MOST_COMPONENTS, NUMERICAL_DETECTORS
-from hyperval.errors import as_typed, reader, refuse
+from hyperval.errors import reader
 from hyperval.sensor.specification import SensorChanges, SensorOperation
 from hyperval.settings import with_settings
 
@@ -74,6 +74,9 @@ class SpectrumSource(OneOf):
     }  # fmt: skip
 
 
+CorrelationLength = Annotated[float | None, Field(ge=0.001, description="correlation length; None: fully correlated")]
+
+
 class CovarianceSource(OneOf):
     """Spread from pixel to pixel: built in, measured, none, or a relative one with a correlation length."""
 
@@ -84,18 +87,15 @@ class CovarianceSource(OneOf):
     record: str | None = Field(None, description="with library: name of the class")
     measured: str | None = None
     relative_sd: float | None = Field(
-        None, title="relative standard deviation", ge=0, description="as a part of the mean [1]; 0: none"
+        None, title="relative standard deviation", ge=0, le=10, description="as a part of the mean [1]; 0: none"
     )
-    correlation_nm: float | None = Field(None, gt=0, description="with relative_sd; None: fully correlated")
-    band_sd: float = Field(0.0, ge=0, description="with relative_sd: independent part of each band [1]")
+    correlation_nm: CorrelationLength = None
+    band_sd: float = Field(0.0, ge=0, le=10, description="with relative_sd: independent part of each band [1]")
 
     refused: ClassVar = {"record belongs to a library": lambda s: s.record is not None and s.library is None}
 
 
 Spread = Annotated[float, Field(gt=0)]
-
-
-CorrelationLength = Annotated[float | None, Field(gt=0, description="correlation length; None: fully correlated")]
 
 
 class SpectralForm(OneOf):
@@ -323,7 +323,7 @@ class Fill(OneOf):
     together = ("mean", "sd")
     fixed: Fraction | None = Field(None, title="fill fraction", description="the same in every pixel")
     mean: Fraction | None = Field(None, title="mean fill fraction", description="with sd: a beta distribution")
-    sd: float | None = Field(None, title="standard deviation of the fill fraction", gt=0, lt=0.5)
+    sd: float | None = Field(None, title="standard deviation of the fill fraction", ge=1e-6, lt=0.5)
     geometry: Geometry | None = None
     truth: Literal[True] | None = Field(
         None, description="true: those of the collection's truth, which a finer image or abundances tell by pixel"
@@ -556,9 +556,6 @@ def load_scenario(name_or_path: str | Path) -> Scenario:
     """
     library = builtin_scenarios()
     path = file_of(name_or_path, library, "scenario")
-    data, _ = load_yaml(path)
-    is_campaign = "collection" in data and "scene" not in data
-    refuse(is_campaign, "scenario.campaign", path, whole=f"all of it: {as_typed('validate', path, '-o', 'DIR')}")
     scenario = load_model(Scenario, path)
     if path in library.values():  # it has no files of its own: those that are set in it are the user's
         scenario._folder = None

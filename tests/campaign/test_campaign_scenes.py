@@ -83,9 +83,9 @@ def test_what_would_not_fit_into_memory_is_refused_before_it_is_read(tmp_path, s
     assert open_raster(written(tmp_path / "a.v73.mat", scene[0])).bands == BANDS
 
 
-def is_met(cube: Path, folder: Path) -> bool:
+def is_met(cube: Path, folder: Path, *more: str) -> bool:
     """Whether ``init`` and ``validate`` alone take a scene to a report whose criteria are met, or inconclusive."""
-    assert cli.run(["init", "--cube", str(cube), "-o", str(folder)]) == 0
+    assert cli.run(["init", "--cube", str(cube), "-o", str(folder), *more]) == 0
     path = folder / "campaign.yaml"
     assert cli.run(["validate", "--dry-run", str(path)]) == 0
     assert cli.run(["validate", str(path), "-o", str(folder / "out")]) in (0, 5)
@@ -115,6 +115,7 @@ def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
     one = np.where(np.indices(scene[1].shape)[0] < 10, scene[1], 0).astype(bool)
     nan, nm = tmp_path / "nan.mat", np.linspace(450.0, 900.0, BANDS)
     assert is_met(written(nan, data / 2e3, gt=one, valid=1 - one, wavelengths=nm), tmp_path / "new")  # of one object
+    assert is_met(nan, tmp_path / "known", "--quantity", "reflectance")  # whose wavelengths are known
     assert "by the words" not in (tmp_path / "new" / "campaign.yaml").read_text()  # nothing says counts
     most = ["init", "--cube", str(written(tmp_path / "most.mat", data, map=1 - one)), "-o", str(tmp_path / "most")]
     options = "radiance", "reflectance --scale 1", "counts"  # the second is no reflectance
@@ -124,7 +125,11 @@ def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
 
 def test_without_a_map_anomalies_are_looked_for(tmp_path, scene):
     cube, folder = written(tmp_path / "scene.npy", scene[0]), tmp_path / "new"
-    assert cli.run(["init", "--cube", str(cube), "-o", str(folder), "--spectra", str(tmp_path)]) == 0
+    assert (
+        cli.run(["init", "--cube", str(cube), "-o", str(folder), "--spectra", str(tmp_path), "--time", "2020-01-01"])
+        == 0
+    )
+    assert "not used for this counts image: --time" in (folder / "campaign.yaml").read_text()
     assert "detectors: [rx]" in (folder / "campaign.yaml").read_text().split(f"not used: {tmp_path.name};")[1]
     assert cli.run(["observe", str(folder / "campaign.yaml"), "-o", str(folder / "out")]) == 0
 

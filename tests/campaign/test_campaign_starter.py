@@ -175,6 +175,8 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_pa
     assert "then also needed: --spectra, --time, --altitude-km, --sensor" in capsys.readouterr().err  # all at once
     told = ["init", "--cube", str(cube), "-o", str(folder), "--unit"]
     assert [cli.run([*told, unit]) for unit in ("W/m2-sr-um", UNIT)] == [2, 0]
+    for wrong in (["--time", "yesterday"], ["--sensor", "no"], ["--altitude-km", "-1"]):
+        assert cli.run([*told, UNIT, *wrong, "-o", str(small.folder / "no")]) == 2
     assert "--spectra" in (folder / "campaign.yaml").read_text()
     before = (folder / "campaign.yaml").read_bytes()  # what is there is not replaced
     assert (cli.run([*told, UNIT]), (folder / "campaign.yaml").read_bytes()) == (2, before)

@@ -32,7 +32,7 @@ def function_of(metric: Metric):
 
 
 # Rows that say that something could not be made: they have no number.
-MARKS = {"comparison", "benchmark", "rank", "baseline", "runs", "known_discrepancy", "sensor_check"}
+MARKS = {"comparison", "benchmark", "rank", "baseline", "runs", "sensor_check"}
 
 
 def anchors(page: str) -> set[str]:

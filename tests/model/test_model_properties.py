@@ -5,6 +5,7 @@ not move fails.
 """
 
 import re
+import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,9 @@ def folder(tmp_path_factory) -> Path:
     }  # fmt: skip
     (here / "sensor.yaml").write_text(yaml.safe_dump(sensor))
     write_table(sky(), here / "sky.nc")
+    shutil.copy(Path(__file__).parents[1] / "sensor" / "smile.yaml", here)
+    readings = "".join(f"{w},{20 + w / 100},{22 + w / 100},{21 + w / 90}\n" for w in range(350, 2500, 10))
+    (here / "readings.csv").write_text("wavelength,one,two,three\n" + readings)
     soil, away = builtin_class("soil", AXIS), np.linspace(0.01, 0.04, len(AXIS))
     wide = soil.covariance + 1e-5 * np.eye(len(AXIS))
     parts = Components(np.array([0.8, 0.2]), np.array([-0.2 * away, 0.8 * away]), np.array([wide, 0.4 * wide]), 12.0)
@@ -269,6 +273,25 @@ def paths_of(variant: str, scenario: Scenario, *, of_file: bool) -> list[str]:
     sorts = {(find(stated, p).field if of_file else re.sub(r"\[.*\]", "*", p)): p for p in reversed(paths)}
     anew = ["scene.classes.[soil].spectrum.constant", "processing.seed", "processing.samples"]
     return [*sorts.values(), *(anew if of_file else [])]
+
+
+@pytest.fixture(scope="module")
+def stated(folder) -> dict[Key, np.ndarray]:
+    return with_errors(load_scenario(folder / "base.yaml"))
+
+
+def with_errors(scenario: Scenario) -> dict[Key, np.ndarray]:
+    p = predict(scenario)
+    return numbers(p) | {("error", name): np.diag(e.error_covariance) for name, e in p.radiance.items()}
+
+
+MOVED = yaml.safe_load(Path(__file__).with_name("moved.yaml").read_text())
+
+
+@pytest.mark.parametrize("entries", [pytest.param(e, marks=[pytest.mark.slow] * ("atmosphere" in e)) for e in MOVED])
+def test_an_entry_that_no_shipped_scenario_has_moves_the_prediction(folder, stated, entries):
+    moved = with_errors(with_settings(load_scenario(folder / "base.yaml"), entries))
+    assert any(k not in stated or not np.array_equal(v, stated[k], equal_nan=True) for k, v in moved.items())
 
 
 @EACH

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import xarray as xr
 import yaml
 from affine import Affine
 from rasterio.crs import CRS
 from scipy import ndimage
 from small_world import AXIS, LINES, PLANTED, SAMPLES, near_targets
 
-from hyperval.collection import CollectionSection
+from hyperval.collection import Classification, CollectionSection
 from hyperval.errors import InputError, UsageError
 from hyperval.imagery import write_cube
 from hyperval.observe import open_place
@@ -302,6 +303,26 @@ def changed(settings: Any, change: Any) -> Any:
     if not (isinstance(settings, dict) and isinstance(change, dict) and change):
         return change
     return settings | {key: changed(settings.get(key), value) for key, value in change.items()}
+
+
+TAKEN = yaml.safe_load(Path(__file__).with_name("taken.yaml").read_text())
+
+
+@pytest.mark.parametrize(("fixture", "change"), [(name, case) for name, cases in TAKEN.items() for case in cases])
+def test_what_no_shipped_campaign_has_is_taken(request, fixture, change):
+    world = request.getfixturevalue(fixture)
+    world.squares("drawn.geojson", p1=(4, 6, 3), p2=(20, 20, 2), other=(30, 30, 4))
+    world.text("lawn.csv", "wavelength,first,second\n" + "".join(f"{1e-3 * w},1,2\n" for w in range(400, 1701)))
+    if world.values.ndim == 3:
+        image = xr.DataArray(world.values, dims=("line", "sample", "wavelength"), attrs={"units": "1"})
+        waves = xr.DataArray(AXIS.centre_nm, dims="wavelength", attrs={"units": "nm"})
+        xr.Dataset({"first": image, "second": image}, {"wavelength": waves}).to_netcdf(world.folder / "cube.nc")
+        places = np.stack(np.indices((LINES, SAMPLES))[::-1] * 1e-5 + 42.0, axis=-1)
+        write_cube(world.folder / "places.img", places, data_type=5)
+    task = change.pop("classification", None)
+    for part, entries in change.items():
+        setattr(world, part, changed(getattr(world, part), entries))
+    assert world.observe(classification=task and Classification.model_validate(task)).observation.axis
 
 
 @pytest.mark.parametrize(

@@ -160,12 +160,8 @@ TEMPLATE = (Path(__file__).parent / "half-hour.yaml").read_text("utf-8")
 
 def test_a_campaign_over_a_day(day, monkeypatch):
     (day / "half-hour.yaml").write_text(TEMPLATE)
-    gate = {"product": "toa_reflectance", "metric": "bias_ratio", "within": [-0.02, 0.02], "reason": "as agreed"}
-    hours = {"scenario": "half-hour.yaml", "radcalnet": "day.input"}
-    campaign = {
-        "schema": 1, "name": "day", "title": "t", "description": "d", "scenarios": [hours], "comparisons": [gate],
-        "collection": {"radcalnet": {"path": "day.output", "subject": "sand {time}", "shared_inputs": True}},
-    }  # fmt: skip
+    campaign = yaml.safe_load(Path(__file__).with_name("day.yaml").read_text("utf-8"))
+    (hours,) = campaign["scenarios"]
     path, states = day / "campaign.yaml", []
     path.write_text(yaml.safe_dump(campaign))
     assert summary(dry_run([path])) == ["day: ready"]

@@ -1,6 +1,7 @@
 """Fills of pixels by a finer image or by abundances: closed forms, and a scene simulated at a tenth of a pixel."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from hyperval.errors import UsageError
 from hyperval.imagery import open_raster
 from hyperval.model import fill_distribution, pixel_fills, pixels_of_object
 from hyperval.observe import FinerGrid, Place, fills_of, object_of_fills, registration_shifts, window_fills
-from hyperval.scenario import Geometry, Scenario
+from hyperval.scenario import Geometry, Scenario, load_scenario
 from hyperval.spectra import SIGMA_PER_FWHM
 
 WINDOW = (0, 0), (12, 10)
@@ -86,9 +87,7 @@ def test_targets_of_a_finer_map_have_area_pixels_and_fills(finer):
 
 
 def scenario(fill: dict) -> Scenario:
-    target = {"name": "plank", "host": "court", "spectrum": {"constant": 0.5}, "fill": fill}
-    classes = [{"name": "court", "fraction": 1.0, "spectrum": {"constant": 0.2}, "covariance": {"relative_sd": 0.05}}]
-    return Scenario.model_validate({"schema": 1, "name": "s", "scene": {"classes": classes, "targets": [target]}})
+    return load_scenario(Path(__file__).with_name("plank.yaml")).with_values({"scene.targets.plank.fill": fill})
 
 
 def test_a_scenario_takes_the_fills_of_the_truth(finer):

@@ -101,6 +101,8 @@ def test_the_recipe_of_the_page_adds_its_row(make_small, tmp_path, no_drawing):
 def test_what_cannot_run_is_skipped_with_the_reason(small, tmp_path, no_drawing):
     small.data["detection"]["local_window"] = {"outer_pixels": 21, "inner_pixels": 5}
     del small.data["scenarios"], small.data["comparisons"]  # cube, truth and detectors are enough
+    np.memmap(small.collection / "small_rad.img", "<i2", "r+")[: 72 * 16] = 0  # a line without data
+    small.edit("small_rad.hdr", lambda text: f"{text}data ignore value = 0\n")
     assert run(small.write(), "-o", tmp_path / "out") == 0
     rows = {(r["method"], r["metric"]): r for r in rows_of(tmp_path / "out") if r["subject"] == "all objects"}
     for name in ("osp", "sam"):
@@ -191,6 +193,12 @@ def test_a_broken_campaign_is_an_error_row_beside_the_others(make_small, tmp_pat
     rows = rows_of(tmp_path / "out")
     assert [r["outcome"] for r in rows if r["campaign"] == "bad"] == ["error"]
     assert any(r["campaign"] == "small" and r["metric"] == "auc" for r in rows)
+
+
+def test_where_nothing_could_be_ranked_the_exit_code_is_5_and_the_reason_is_said(no_data, tmp_path, capsys):
+    file = ROOT / "campaigns" / "hysu-2018" / "campaign.yaml"
+    assert cli.run(["benchmark", str(file), "-o", str(tmp_path / "out")]) == 5
+    assert "hysu-2018: skipped: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -74,18 +74,24 @@ def noise_of(**changes) -> NoiseModel:
     return sensor_of(arms=[arm(**changes)]).noise()
 
 
+@pytest.mark.parametrize(
+    ("name", "value"), [("integration_time_s", 0.0), ("bit_error_rate", -1.0), ("full_well_electrons", 1e308)]
+)
+def test_a_sensor_without_signal_or_with_boundless_noise_is_not_predicted_with(name, value):
+    with pytest.raises(UsageError, match=r"no signal, or noise beyond any number, at 400 nm"):
+        sensor_of(arms=[arm(**{name: {"value": value, **Q}})]).operated_noise(None, None, None, {})
+
+
 def two_arms(**second) -> Sensor:
     bands = {"regular": {"first_nm": 500, "step_nm": 100, "count": 10, "fwhm_nm": 10}, **Q}
     return sensor_of(bands=bands, arms=[arm(), arm(name="b", range_nm=[1000, 1500], **second)])
 
 
-def test_three_ways_to_say_the_least_significant_bit_and_the_full_scale():
+def test_two_ways_to_say_the_least_significant_bit_and_the_full_scale():
     by_well = noise_of()
     assert by_well.lsb_electrons == pytest.approx(np.full(5, 1e5 / 4096))
     assert by_well.full_scale == pytest.approx(1e5 / by_well.electrons_per_radiance)
     assert by_well.full_scale_fraction(1.5 * by_well.full_scale) == pytest.approx(np.full(5, 1.5))
-    given = noise_of(full_well_electrons=None, lsb_electrons={**Q, "value": 7.0})
-    assert given.lsb_electrons == pytest.approx(np.full(5, 7.0))
     by_radiance = noise_of(full_well_electrons=None, saturation_radiance={**Q, "value": 30.0})
     assert by_radiance.lsb_electrons == pytest.approx(30.0 * by_radiance.electrons_per_radiance / 4096)
     assert by_radiance.full_scale == pytest.approx(np.full(5, 30.0))
@@ -103,12 +109,11 @@ def test_noise_terms_of_a_file():
 
 
 def test_arms_that_differ_in_bits_and_bit_errors():
-    m = two_arms(bits=14, bit_error_rate={**Q, "value": 1e-6}, bit_error_per="word").noise()
+    m = two_arms(bits=14, bit_error_rate={**Q, "value": 1e-6}).noise()
     assert m.lsb_electrons[[0, -1]] == pytest.approx([1e5 / 4096, 1e5 / 16384])
     b = m.breakdown(np.full(10, 5.0))
     assert b.bit_errors[0] == 0
-    # Per word of 14 bits: LSB^2 B_e (4^14 - 1) / (3 * 14).
-    expected = (1e5 / 16384) ** 2 * 1e-6 * (4.0**14 - 1) / 42 / m.electrons_per_radiance[-1] ** 2
+    expected = (1e5 / 16384) ** 2 * 1e-6 * (4.0**14 - 1) / 3 / m.electrons_per_radiance[-1] ** 2
     assert b.bit_errors[-1] == pytest.approx(expected, rel=1e-12)
 
 
@@ -122,10 +127,12 @@ def test_shift_of_one_arm_moves_its_bands_alone():
 
 
 def test_smile_is_a_polynomial_across_the_track():
-    s = sensor_of(spectral_calibration=[{"shift_nm": 0.2, "smile_nm": [0.1, 0.4], "columns": 101, **Q}])
+    s = load_sensor(Path(__file__).with_name("smile.yaml"))
 
     def shift(column: float | None) -> float:
-        return float(s.true_axis(s.axis, SensorOperation(column=column)).centre_nm[0] - 400.0)
+        moved = s.true_axis(s.axis, SensorOperation(column=column)).centre_nm - s.axis.centre_nm
+        assert not moved[s.axis.centre_nm > 1000].any()
+        return float(moved[0])
 
     # At the ends x = -1 and 1: 0.2 -+ 0.1 + 0.4; in the middle 0.2; at 3/4 x = 0.5: 0.2 + 0.05 + 0.1.
     assert [shift(c) for c in (0, 100, 50, 75, None)] == pytest.approx([0.5, 0.7, 0.2, 0.35, 0.2])
@@ -157,7 +164,7 @@ def test_library_follows_the_published_file(name, file, electrons, data_dir):
     # Through electrons it is the noise formula where c is 0: no (a, b, c) in it.
     clear, zero = c == 0, np.zeros(np.sum(c == 0))
     assert (name == "aviris-c") == (clear.sum() < 18)
-    through = NoiseModel(1 / a[clear] ** 2, fixed[clear], 1.0, zero, 1, 0.0, "bit", zero)
+    through = NoiseModel(1 / a[clear] ** 2, fixed[clear], 1.0, zero, 1, 0.0, zero)
     for level in (0.01, 1.0, 20.0):
         snr = level / np.abs(a * np.sqrt(b + level))[clear]
         assert through.snr(np.full(zero.size, level)) == pytest.approx(snr, rel=1e-6)

@@ -11,7 +11,7 @@ from solver_nodes import run_solver_at
 
 from hyperval.errors import UsageError
 from hyperval.model import predict
-from hyperval.results import Outcome, Role
+from hyperval.results import Outcome
 from hyperval.sensor import ReferenceScene, Sensor, load_sensor
 from hyperval.sensor_check import SensorCheck, check_sensor, movable, scene_radiance, sunlit_radiance
 from hyperval.spectra import SpectralAxis, band_average
@@ -51,7 +51,6 @@ def published(snr: float, at: float = 550, says: str = "value", **reference: Any
 SWAPPED = bands(lambda rows: [*rows[:10], rows[11], rows[10], *rows[12:]])
 NO_LIGHT = {"arm_throughput": {"convention": "value", "cm2_sr": 1e-320, **Q}}
 SHORT_TABLE = {"arm_quantum_efficiency": {"table": [[425, 0.4], [800, 0.4]], **Q}}
-STALE = {"known_discrepancies": [{"check": "snr/lowest_snr", "reason": "it was too low once"}]}
 EMPTY_ARM = {**good_sensor()["arms"][0], "name": "SWIR", "range_nm": [1000, 2500]}
 # Noise |a sqrt(b + L) + c| that vanishes at one radiance: beyond it the SNR falls.
 ZERO_CROSSING = {"arms": [], "published_snr": [], "measured_noise": measured_sensor(c=-0.02)["measured_noise"]}
@@ -84,7 +83,6 @@ FILE_DEFECTS: dict[str, tuple[dict[str, Any], str]] = {
     "small well in the scenes": (quantity("full_well_electrons", 1e5), "scenario/highest_part_of_full_scale"),
     "SNR that falls with light": (ZERO_CROSSING, "monotone/lowest_relative_growth_of_snr"),
     "SNR not met": (published(400), "published_snr/computed_over_published"),
-    "stale discrepancy": (STALE, "file/known_discrepancy"),
 }  # fmt: skip
 
 
@@ -251,21 +249,11 @@ def test_how_published_ratios_are_judged(entry, status):
     assert [r.outcome for r in table.where(metric="computed_over_published")] == [status]
 
 
-def test_a_known_discrepancy_informs_with_its_reason():
-    known = [{"check": "published_snr/computed_over_published/550 nm", "reason": "the sheet averages two frames"}]
-    check = run(changed(good_sensor(), **published(450), known_discrepancies=known))
-    (row,) = check.table.where(product="published_snr")
-    assert (row.outcome, row.role) == (Outcome.DISAGREES, Role.INFORM)
-    assert row.reason.startswith("as known: the sheet averages two frames")
-    assert check.table.exit_code() == 0
-
-
 def test_snr_moves_with_the_root_of_the_throughput_where_photons_rule():
     quiet = {
         "arm_throughput": {"convention": "value", "cm2_sr": 3.9e-7, "source": "assumed: for tests"},
         **quantity("fixed_noise_electrons", 0),
-        **quantity("lsb_electrons", 0.001),
-        "arm_full_well_electrons": None,
+        "arm_bits": 32,
         "calibration_error_percent": {"value": 0.0, **Q},
     }
     check = check_sensor(sensor_of(changed(good_sensor(), **quiet)), vary=0.2, engine=stand_in_atmosphere)

@@ -43,7 +43,7 @@ def noise_model(**changes: Any) -> NoiseModel:
     of_bands = {
         "electrons_per_radiance": 5000.0, "fixed_noise": 60.0, "calibration_percent": 0.5, "lsb_electrons": 25.0,
     }  # fmt: skip
-    values: dict[str, Any] = {"detector_gain": 1.0, "bits": 14, "bit_error_rate": 0.0, "bit_error_per": "bit"}
+    values: dict[str, Any] = {"detector_gain": 1.0, "bits": 14, "bit_error_rate": 0.0}
     values |= {name: np.full(BANDS, changes.pop(name, value)) for name, value in of_bands.items()}
     return NoiseModel(**(values | changes))
 

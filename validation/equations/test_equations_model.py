@@ -44,7 +44,7 @@ AXIS = SpectralAxis(np.linspace(450.0, 900.0, B), np.full(B, 10.0))
 
 
 def some_noise(scale: float) -> NoiseModel:
-    return NoiseModel(scale * 4e3 * np.ones(B), 30.0 * np.ones(B), 1.0, np.full(B, 5.0), 12, 0.0, "bit",
+    return NoiseModel(scale * 4e3 * np.ones(B), 30.0 * np.ones(B), 1.0, np.full(B, 5.0), 12, 0.0,
                       np.full(B, 0.5 * scale))  # fmt: skip
 
 

@@ -89,11 +89,6 @@ def test_3_19_by_flipping_bits():
     assert abs(batch.mean() - expected) < 5 * batch.std(ddof=1) / np.sqrt(200)
 
 
-def test_3_19_per_word_is_the_printed_form():
-    # One of N bits wrong with probability B_e: the mean of 4^n over n = 0..3 is 85/4.
-    assert bit_error_variance(1.0, 4, 1e-3, "word") == pytest.approx(1e-3 * (1 + 4 + 16 + 64) / 4)
-
-
 def test_3_20_by_hand():
     assert signal_to_noise(6.0, 0.01935 + 0.0009) == pytest.approx(6 / np.sqrt(0.02025))
 
@@ -103,7 +98,7 @@ def physical(**changes):
     values = {
         "electrons_per_radiance": np.array([1000.0]), "detector_gain": 1.5, "fixed_noise": np.array([60.0]),
         "lsb_electrons": np.array([30.0]), "bits": np.array([12]), "bit_error_rate": np.array([1e-9]),
-        "bit_error_per": "bit", "calibration_percent": np.array([0.5]),
+        "calibration_percent": np.array([0.5]),
     }  # fmt: skip
     return NoiseModel(**{**values, **changes})
 

@@ -26,7 +26,7 @@ def model(**changes: object) -> NoiseModel:
     values: dict[str, object] = {
         "electrons_per_radiance": np.array([1000.0, 2000.0, 1500.0, 500.0]), "fixed_noise": np.full(4, 40.0),
         "detector_gain": 1.0, "lsb_electrons": np.full(4, 60.0), "bits": 12, "bit_error_rate": 0.0,
-        "bit_error_per": "bit", "calibration_percent": np.full(4, 0.5),
+        "calibration_percent": np.full(4, 0.5),
     }  # fmt: skip
     return NoiseModel(**{**values, **changes})  # type: ignore[arg-type]
 

@@ -203,7 +203,7 @@ def _noise(check: SensorCheck) -> Iterator[Result]:
     floor = 1e-9 * parts.total  # the others are zero, or what rounding leaves
     variances = {f"noise_{term}": part for term, part in vars(parts).items() if np.any(np.abs(part) > floor)}
     if noise.constant is None:
-        wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE, bit_error_per="bit").breakdown(level)
+        wrong = replace(noise, bit_error_rate=BIT_ERROR_RATE).breakdown(level)
         variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
     spectra = {name: np.sqrt(np.abs(variance)) for name, variance in variances.items()}
     spectra["electrons_per_radiance"] = noise.electrons_per_radiance  # (3.13)

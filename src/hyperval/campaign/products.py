@@ -318,7 +318,7 @@ def predicted_side(
         truths = truths or [{} for _ in side.scenarios]
         for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
             inputs = scenario, side.origins(scenario), truth, prediction
-            areas |= model.predicted_areas(*inputs, unmixed, how.draws, how.seed)
+            areas |= model.predicted_areas(*inputs, unmixed, seed=how.seed)
     whole = joined_prediction(side, side.scenarios, predictions)
     errors = whole.classification
     if task is not None:

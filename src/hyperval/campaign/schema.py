@@ -361,7 +361,7 @@ def read_jobs(path: Path) -> list[Job]:
     InputError : no such file.
     UsageError : no YAML, or runs that are none.
     """
-    data, lines = load_yaml(path)
+    data, lines = load_yaml(path, Campaign)
     return [_named_in(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
 
 

@@ -25,7 +25,7 @@ from hyperval.campaign.products import centre_of
 from hyperval.collection import CollectionSection
 from hyperval.config import FILL_IN, Location, parse_yaml, validate
 from hyperval.data import Mask
-from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse
+from hyperval.errors import HypervalError, InputError, UsageError, package_table, refusal, refuse, told_of
 from hyperval.imagery import Raster, TargetObject, all_pixels, groups_by_size, guard, objects, open_raster, read_regions
 from hyperval.observe import Place, open_place
 from hyperval.paths import checked_store, head_of
@@ -150,6 +150,9 @@ class Draft:
     def complete(self) -> list[str]:
         """Write all that can be known or guessed; the guesses in words."""
         sources, about = self.sources, self.raster.description
+        for option, read, value in (("--time", parse_utc, sources.time_utc), ("--sensor", load_sensor, sources.sensor)):
+            with told_of(option):
+                _ = value and read(value)
         numbered = about.listed() is None
         silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
         stated = "counts" if silent else about.quantity or told_quantity(self.raster)
@@ -182,6 +185,8 @@ class Draft:
             self.guess("no image", further=further or "nothing")
         elif numbered or (quantity == "counts" and sources.quantity is None):
             self._by_objects("no wavelengths" if numbered else "no quantity")
+        elif not (sources.regions or sources.spectra or sources.targets) and self._object_masks()[0][1:]:
+            self._by_objects("no spectra")
         else:
             self._by_wavelength()
         self._unused()
@@ -374,10 +379,16 @@ class Draft:
         return next((matches[0] for matches in fits if len(matches) == 1), None)
 
     def _unused(self) -> None:
-        """Say which files of spectra stand nowhere in the campaign, and which folders hold none."""
-        text = str(self.content)
+        """Say which options and files of spectra stand nowhere in the campaign, and which folders hold none."""
+        text, sources = str(self.content), self.sources
         if FILL_IN in str(cube := self.collection["cube"]):
             return  # of which nothing is drafted yet
+        keys = dict.fromkeys(("time_utc", "altitude_km", "sensor"), "atmosphere")
+        keys |= {"unit": "unit", "pixel_size_m": "pixel_size_m"}
+        unread = [k for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
+        if unread:
+            options = (f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread)
+            self.guess("unread", names=", ".join(options), quantity=self.quantity)
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
         if idle:
@@ -429,7 +440,7 @@ class Draft:
                 stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
                 if clock and not re.search("[Zz+-]", clock[1]):
                     self.guess("time")
-        state |= {key: value for key, value in stated.items() if value}
+        state |= {key: value for key, value in stated.items() if value is not None}
         sensor_file = Path(sources.sensor or "")
         sensor = self.reference(sensor_file) if sensor_file.is_file() else sources.sensor or self._library_sensor(place)
         return {"atmosphere": state, "sensor": sensor, "uncertainty": {**usual["uncertainty"]}}

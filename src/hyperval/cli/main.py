@@ -87,15 +87,19 @@ def finished(code: int, output: Path | None) -> int:
 
 
 def say_verdicts(output: Path) -> None:
-    """A line for each campaign of a finished run, then one for each reason of an error or a skipped comparison.
-
-    Errors are said under --quiet too.
-    """
-    outcomes = hyperval.results.Outcome
+    """A line for each campaign of a finished run, then its reasons, then how many criteria were met."""
     rows = list(hyperval.run.read_rows(output, every=False)) if hyperval.run.is_run(output) else []
     for name, some in hyperval.results.grouped(rows, lambda row: row.campaign).items():
-        if any(row.outcome is not outcomes.SKIPPED for row in some):  # else the reason, below, says all
+        if any(row.outcome is not hyperval.results.Outcome.SKIPPED for row in some):  # else the reason, below, says all
             note(f"{name}: {hyperval.report.first_screen(some).words}")
+    say_reasons(rows)
+    if rows:
+        note(hyperval.report.last_line(rows))
+
+
+def say_reasons(rows: Sequence[hyperval.results.Result]) -> None:
+    """A line for each reason of an error, under --quiet too, or of what was skipped."""
+    outcomes = hyperval.results.Outcome
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
         listed = (row for row in rows if row.outcome is outcome and row.reason)
         # Those that differ in measured numbers alone are one.
@@ -104,8 +108,6 @@ def say_verdicts(output: Path) -> None:
             names = ", ".join(dict.fromkeys(row.campaign for row in alike))
             line = f"{names}: {outcome}: {alike[0].reason}" + (f" (and {more} more like it)" if more else "")
             print(line, file=sys.stderr) if outcome is outcomes.ERROR else note(line)
-    if rows:
-        note(hyperval.report.last_line(rows))
 
 
 def note(text: str) -> None:
@@ -364,7 +366,7 @@ def init(
     unit: Annotated[str | None, Option(help="Unit of the radiance, where the image does not say.")] = None,
     sensor: Annotated[str | None, Option(help="Sensor of the library, or a sensor file.")] = None,
     time: Annotated[str | None, Option(help="Acquisition time, UTC: 2012-09-20T16:31:00Z.")] = None,
-    altitude_km: Annotated[float | None, Option(help="Sensor altitude above sea level [km].")] = None,
+    altitude_km: Annotated[float | None, Option(min=0.0, help="Sensor altitude above sea level [km].")] = None,
     pixel_size_m: Annotated[float | None, Option(help="Ground size of a pixel, without a map position.")] = None,
     key: Key = None,
     scale: Annotated[float | None, Option(help="What multiplies the stored values, if none is stated.")] = None,
@@ -433,6 +435,7 @@ def benchmark(
     refuse(wrong := [one for one in scores or () if not all(one.partition("="))], "scores.form", value=wrong)
     maps, files = dict(one.split("=", 1) for one in scores or ()), extend or []
     code = scoreboard.benchmark(campaigns, output, extensions=files, scores=maps, seed=seed, scheduler=scheduler)
+    say_reasons(list(hyperval.run.read_rows(output)))
     return finished(code, output)
 
 
@@ -573,9 +576,10 @@ def sensor_new(
 ) -> int:
     """Write a sensor file, NAME.yaml by default, to be filled in from a data sheet."""
     path = output or Path(f"{name}.yaml")
-    text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")])
+    then = as_typed("sensor", "check", path, "-o", f"{name}-check")
+    text = hyperval.sensor.new_sensor_file(name, [arm.strip() for arm in arms.split(",")], then)
     hyperval.config.write_draft(path, "sensor", text)
-    note(f"{path}: replace every FILL_IN, then: {as_typed('sensor', 'check', path)}")
+    note(f"{path}: replace every FILL_IN, then: {then}")
     return 0
 
 
@@ -716,7 +720,8 @@ def _stopped(error: Exception) -> int:
     if settings.debug:
         traceback.print_exc()
     elif isinstance(error, OSError) and error.errno in _PLACES and error.filename:
-        what = f"{os.fsdecode(error.filename)[:300]}: {error.strerror}\n  to fix it: name another file or folder"
+        place = os.fsdecode(error.filename2 or error.filename)[:300]
+        what = f"{place}: {error.strerror}\n  to fix it: name another file or folder"
         code = UsageError.exit_code
     elif isinstance(error, OSError) and error.errno in _FULL:
         what = f"{error}\n  to fix it: free space there, or name another folder with --output; "

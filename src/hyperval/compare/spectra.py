@@ -972,7 +972,7 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     >>> nothing, limits = Products(SpectralAxis([410.0], 10.0)), {"limit_low": 0.5, "limit_high": 2.0}
     >>> alarms = Result("", "scores", "", "cem", "pfa_ratio@1e-2", 0.26, lower=0.105, upper=0.57, n=4773, **limits)
     >>> would_decide(alarms, nothing, nothing)
-    'a count of 6878 in place of 4773; or an interval 1.2 times narrower'
+    '6878 pixels in place of 4773; or an interval 1.2 times narrower'
     >>> limits = {"limit_low": 0.75, "limit_high": 1.25}
     >>> area = Result("", "abundance", "", "", "area_ratio", 1.1032, lower=0.891, upper=1.3154, n=16, **limits)
     >>> would_decide(area, nothing, nothing), round((1.3154 - 1.1032) / (1.25 - 1.1032), 3)
@@ -998,7 +998,8 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     if wanted <= 0.0:
         return "another collection: the value is at the limit of its range"
     if not budget:
-        more = f"a count of {math.ceil(item.n / wanted**2)} in place of {item.n}; or " if item.n else ""
+        counted = "objects" if item.method.endswith("/object") else "pixels"
+        more = f"{math.ceil(item.n / wanted**2)} {counted} in place of {item.n}; or " if item.n else ""
         return f"{more * (item.product != 'abundance')}an interval {1.0 / wanted:.3g} times narrower"
     same = [p for s, p in getattr(predicted, item.product).items() if side or s == item.subject]
     # Field spectra of several subjects have no one uncertainty.

@@ -228,6 +228,7 @@ class Description:
         if centre.min() > SUNLIT_NM:
             notes.append(f"warning: no band below {centre.min():g} nm: the model has reflected sunlight, no emission")
         if width is None:
+            refuse(centre.size < 2, "axis.single", places["wavelength"])
             width, apart = _spacing_by_detector(centre)
             notes.append(spacing_note("the file lists no fwhm", np.sort(centre[apart])))
         return SpectralAxis(centre[order], width[order], good[order]), has[order], tuple(notes)

@@ -212,11 +212,11 @@ class Evaluation(Keeps):
         level = self.once(("radiance", subject), lambda: self.light.level(self.at.mean[:, number : number + 1])[:, 0])
         return self.of_truths(level)
 
-    def snr(self, subject: str, calibration: bool = True) -> Array:
-        """SNR of a class, panel or site in each truth (U, B) (3.20) [1]; with C_R or without."""
+    def snr(self, subject: str) -> Array:
+        """SNR of a class, panel or site in each truth (U, B) (3.20) [1]."""
         noise, number = needed(self.light.noise, "scenario.noise"), self.world.surface(subject)
         level = self.light.level(self.at.mean[:, number : number + 1])
-        snr = self.once(("snr", subject, calibration), lambda: noise.snr(level, calibration=calibration)[:, 0])
+        snr = self.once(("snr", subject), lambda: noise.snr(level)[:, 0])
         return self.of_truths(snr)
 
     def of_truths(self, values: Array) -> Array:

@@ -259,12 +259,12 @@ def _between(at_borders: Array) -> Array:
 
 def _step(z: Array, s: float) -> Array:
     """A step convolved with a Gaussian of sigma ``s`` [pixels]."""
-    return np.asarray(ndtr(z / s) if s else (z >= 0.0).astype(float))
+    return np.asarray(ndtr(z / s) if s > 1e-9 else (z >= 0.0).astype(float))
 
 
 def _ramp(z: Array, s: float) -> Array:
     """Integral of :func:`_step` from minus infinity to ``z``: z Phi(z/s) + s phi(z/s)."""
-    if s == 0:
+    if s <= 1e-9:  # [pixels], which blurs nothing
         return np.asarray(np.maximum(z, 0.0))
     u = z / s
     return np.asarray(s * (u * ndtr(u) + np.exp(-0.5 * u**2) / np.sqrt(2.0 * np.pi)))

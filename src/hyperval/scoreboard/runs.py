@@ -538,7 +538,8 @@ def peer_rows(observed: Observed, detection: Detection | None) -> list[Result]:
     rows: list[Result] = []
     version = f"a peer: SPy {spectral.__version__}, same bands, spectra and background"
     for (target, subjects), (name, peer) in product(_subjects(place, detection), PEERS.items()):
-        scores = np.asarray(peer(image, spectra[target], background), dtype=np.float64)
+        with np.errstate(invalid="ignore"):  # 0/0 of what holds no data, which stands at the mean
+            scores = np.asarray(peer(image, spectra[target], background), dtype=np.float64)
         scores[~valid] = np.nan
         noise = scores[alarms]
         for subject, objects in subjects.items():
@@ -736,7 +737,7 @@ def benchmark(
 
     Returns
     -------
-    The exit code of the first campaign that ended in an error, else 0: a benchmark judges nothing.
+    The exit code of the first campaign that ended in an error, else 5 where no detector was ranked, else 0.
 
     Raises
     ------
@@ -757,7 +758,7 @@ def benchmark(
         drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
         rows = ResultTable(row for d in done for row in d.table)
         Run(rows, record).write(folder, benchmark_page(done, figures), drawings)
-    return next((d.exit_code for d in done if d.exit_code is not None), 0)
+    return next((d.exit_code for d in done if d.exit_code is not None), 0 if any(d.here for d in done) else 5)
 
 
 _MOST_SUBJECTS = 30

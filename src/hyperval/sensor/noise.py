@@ -8,7 +8,6 @@ detector; that response gives the fill f of (3.10).  Frequencies are in cycles p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -143,18 +142,14 @@ def quantisation_variance(lsb: npt.ArrayLike) -> Array:
     return np.asarray(np.asarray(lsb, dtype=float) ** 2 / 12.0)
 
 
-def bit_error_variance(
-    lsb: npt.ArrayLike, bits: npt.ArrayLike, error_rate: npt.ArrayLike, per: Literal["bit", "word"] = "bit"
-) -> Array:
+def bit_error_variance(lsb: npt.ArrayLike, bits: npt.ArrayLike, error_rate: npt.ArrayLike) -> Array:
     """Variance by bits received wrong (3.19), in the square of the unit of ``lsb``.
 
     A flipped bit n moves the value by 2^n LSB, so that with the rate B_e per bit the mean square is
-    LSB^2 B_e (4^N - 1) / 3.  The printed form divides by N: that holds where B_e is the probability
-    that a word has one wrong bit (``per="word"``).
+    LSB^2 B_e (4^N - 1) / 3.  The printed form divides by N: its B_e is the probability that a word has one wrong bit.
     """
     n = np.asarray(bits, dtype=float)
-    total = np.asarray(lsb, dtype=float) ** 2 * np.asarray(error_rate) * (4.0**n - 1.0) / 3.0
-    return np.asarray(total / n if per == "word" else total)  # (3.19)
+    return np.asarray(np.asarray(lsb, dtype=float) ** 2 * np.asarray(error_rate) * (4.0**n - 1.0) / 3.0)  # (3.19)
 
 
 def measured_noise_variance(radiance: npt.ArrayLike, a: npt.ArrayLike, b: npt.ArrayLike, c: npt.ArrayLike) -> Array:
@@ -208,7 +203,7 @@ class NoiseModel:
     detector_gain : g_d [1]
     lsb_electrons : (B,) size of the least significant bit [electrons]; 0 = no quantisation
     bits : word length; (B,) where the arms differ
-    bit_error_rate, bit_error_per : B_e and what it counts; the rate is (B,) where the arms differ
+    bit_error_rate : B_e of each bit; (B,) where the arms differ
     calibration_percent : (B,) C_R [%]
     constant : (B,) c [radiance] where NEdL = |a sqrt(b + L) + c| is what is known of the noise, whose G is then 1/a^2
         and sigma_f sqrt(b)/a; None of a sensor that counts electrons
@@ -227,7 +222,6 @@ class NoiseModel:
     lsb_electrons: Array
     bits: int | npt.NDArray[np.int_]
     bit_error_rate: float | Array
-    bit_error_per: Literal["bit", "word"]
     calibration_percent: Array
     constant: Array | None = None
     full_scale: Array | None = None
@@ -254,7 +248,7 @@ class NoiseModel:
         if self.constant is not None and np.any(self.constant):
             a, b = 1.0 / np.sqrt(g), self.fixed_noise**2 / g
             fit = analogue * gd2 * measured_noise_variance(level, a, b, self.constant) - shot - fixed
-        flipped = bit_error_variance(lsb, self.bits, self.bit_error_rate, self.bit_error_per)  # (3.19)
+        flipped = bit_error_variance(lsb, self.bits, self.bit_error_rate)  # (3.19)
         calibration = calibration_variance(level, self.calibration_percent)  # (3.17)
         return NoiseBreakdown(
             shot, fixed, digital * quantisation_variance(lsb), digital * flipped,  # (3.18)

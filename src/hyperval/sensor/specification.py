@@ -225,13 +225,6 @@ class PublishedSnr(OneOf):
     source: Source
 
 
-class KnownDiscrepancy(Model):
-    """A check that this sensor is known not to pass, and why: it is then informational."""
-
-    check: str = Field(min_length=3, description="product/metric or product/metric/subject, as in results.csv")
-    reason: str = Field(min_length=10, description="why it does not pass, and why that stands")
-
-
 class SensorChanges(Model):
     """What differs from the sensor file; each term is that of (3.13)-(3.19)."""
 
@@ -351,7 +344,7 @@ def _groups(values: npt.ArrayLike, count: int) -> Array:
 class Arm(OneOf):
     """One spectrometer: its range and everything of (3.13)-(3.19) that belongs to it."""
 
-    one_of = ("full_well_electrons", "saturation_radiance", "lsb_electrons")
+    one_of = ("full_well_electrons", "saturation_radiance")
     name: str
     range_nm: tuple[float, float]
     throughput: Throughput
@@ -364,9 +357,9 @@ class Arm(OneOf):
     bits_source: Source | None = Field(None, description="where the number of bits is from")
     full_well_electrons: Quantity | None = Field(None, description="electrons at full scale; LSB = this / 2^bits")
     saturation_radiance: Quantity | None = Field(None, description="radiance at full scale [uW cm-2 sr-1 nm-1]")
-    lsb_electrons: Quantity | None = None
-    bit_error_rate: Quantity = Quantity(value=0.0, table=None, source="assumed: error-free recording")
-    bit_error_per: Literal["bit", "word"] = "bit"
+    bit_error_rate: Quantity = Field(
+        Quantity(value=0.0, table=None, source="assumed: error-free recording"), description="of each bit (3.19)"
+    )
 
 
 _FACTORS_OF_GAIN = ("optical_transmittance", "quantum_efficiency", "integration_time_s", "degradation")  # (3.13)
@@ -395,12 +388,11 @@ class SensorSpecification(OneOf):
     bands: Bands
     arms: tuple[Arm, ...] = ()
     measured_noise: MeasuredNoise | None = None
-    detector_gain: float = Field(1.0, ge=0, description="g_d of (3.16)")
+    detector_gain: float = Field(1.0, ge=0, le=1000, description="g_d of (3.16)")
     psf: Blur | None = None
     spectral_calibration: tuple[SpectralShift, ...] = ()
     calibration_error_percent: Quantity
     published_snr: tuple[PublishedSnr, ...] = Field((), description="what `hyperval sensor check` compares with")
-    known_discrepancies: tuple[KnownDiscrepancy, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -470,7 +462,11 @@ class Sensor:
         """Noise as the sensor is run and changed (3.13-3.20), bands binned; ``kept``: that of each way to run it."""
         key = "noise", repr(operation)
         if key not in kept:
-            kept[key] = self.noise(axis, operation)
+            with np.errstate(all="ignore"):  # numbers of the file that `sensor check` judges
+                kept[key] = self.noise(axis, operation)
+                wrong = np.flatnonzero(~(kept[key].snr(np.ones_like(kept[key].fixed_noise)) > 0.0))
+            nm = (self.axis if axis is None else axis).centre_nm[wrong[:1]]
+            refuse(wrong.size, "sensor.no_signal", name=self.name, nm=nm)
         model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
@@ -511,10 +507,8 @@ class Sensor:
         a, c = np.exp(np.interp(w, nm, np.log(a))), np.interp(w, nm, c)
         b = np.exp(np.interp(w, nm, np.log(np.maximum(b, 1e-12))))
         full = noise.saturation_radiance.at(w) if noise.saturation_radiance else None
-        return NoiseModel(
-            1.0 / a**2, np.sqrt(b) / a, self.specification.detector_gain, np.zeros(w.size), 1, 0.0, "bit",
-            calibration, c, full,
-        )  # fmt: skip
+        gain = self.specification.detector_gain
+        return NoiseModel(1.0 / a**2, np.sqrt(b) / a, gain, np.zeros(w.size), 1, 0.0, calibration, c, full)
 
     def _noise(self, on: SpectralAxis, calibration: Array) -> NoiseModel:
         spec, w, arms = self.specification, on.centre_nm, self.arm_index(on.centre_nm)
@@ -527,21 +521,20 @@ class Sensor:
             optics = {key: self._at(key, w, arm) for key in _FACTORS_OF_GAIN}
             return electrons_per_radiance(w, on.fwhm_nm, throughput_cm2_sr=self._at("throughput", w, arm), **optics)
 
-        # Arms that count errors by word are brought to errors by bit when others count by bit.
-        same = len({arm.bit_error_per for arm in spec.arms}) == 1
-        words = [1 if same or arm.bit_error_per == "bit" else arm.bits for arm in spec.arms]
         g, bits = by_arm(gain), by_arm(lambda arm: arm.bits)
-        rate = by_arm(lambda arm: self._at("bit_error_rate", w, arm)) / np.array(words)[arms]
-        step: Any = 0.5**bits  # as a part of full scale
-        ways = {"lsb_electrons": 1.0, "full_well_electrons": step, "saturation_radiance": g * step}
-        stated = {arm.name: next(way for way in ways if getattr(arm, way) is not None) for arm in spec.arms}
-        lsb = by_arm(lambda arm: self._at(stated[arm.name], w, arm) * ways[stated[arm.name]])
+        rate = by_arm(lambda arm: self._at("bit_error_rate", w, arm))
+        full = by_arm(
+            lambda arm: (
+                self._at("saturation_radiance", w, arm) * g
+                if arm.full_well_electrons is None
+                else self._at("full_well_electrons", w, arm)
+            )
+        )
         return NoiseModel(
-            g, by_arm(lambda arm: self._at("fixed_noise_electrons", w, arm)), spec.detector_gain, lsb,
+            g, by_arm(lambda arm: self._at("fixed_noise_electrons", w, arm)), spec.detector_gain, full * 0.5**bits,
             int(bits[0]) if np.all(bits == bits[0]) else bits,
             float(rate[0]) if np.all(rate == rate[0]) else rate,
-            spec.arms[0].bit_error_per if same else "bit",
-            calibration, None, lsb * 2.0**bits / g,
+            calibration, None, full / g,
         )  # fmt: skip
 
     def arm_index(self, wavelength_nm: Array) -> Index:
@@ -558,13 +551,14 @@ class Sensor:
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 
 
-def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
+def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",), then: str = "hyperval sensor check") -> str:
     """The text of a sensor file with everything still to be filled in.
 
     Parameters
     ----------
     name : short name of the sensor
     arms : names of its spectrometers, in rising wavelength
+    then : the command that checks it
 
     Raises
     ------
@@ -576,7 +570,7 @@ def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",)) -> str:
         refuse(not _NAME.fullmatch(text), "sensor.name", text=text)
     refuse(not arms or len(set(arms)) != len(arms), "sensor.arms")
     template = (resources.files("hyperval.sensor") / "new_sensor.yaml.j2").read_text("utf-8")
-    return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms))
+    return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms, then=then))
 
 
 @lru_cache(maxsize=1)

@@ -54,7 +54,7 @@ STEP = 1.25  # by which time, aperture and C_R are raised
 
 
 _ENDINGS = UNITS | {"_radiance": "uW cm-2 sr-1 nm-1"}
-_NO_NUMBERS = ("source", "schema_version", "notes", "title", "name", "known_discrepancies")
+_NO_NUMBERS = ("source", "schema_version", "notes", "title", "name")
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def numbers(specification: SensorSpecification) -> list[SensorNumber]:
     >>> from hyperval.sensor.specification import load_sensor
     >>> lacking = (n for n in numbers(load_sensor("casi-1500").specification) if n.source.endswith("not state it"))
     >>> [n.name.removeprefix("VNIR.") for n in lacking]
-    ['bands.spacing', 'throughput.obscuration', 'degradation', 'bit_error_rate', 'bit_error_per', 'detector_gain']
+    ['bands.spacing', 'throughput.obscuration', 'degradation', 'bit_error_rate', 'detector_gain']
     """
     used, stated = (specification.model_dump(mode="json", exclude_none=True, exclude_unset=u) for u in (False, True))
     return list(_numbers(used, stated, "", ""))
@@ -106,7 +106,8 @@ def _shown(value: Any) -> str:
     if isinstance(value, list) and len(value) > 8:
         return f"{len(value)} rows: {_shown(value[0])} to {_shown(value[-1])}"
     if isinstance(value, list):
-        return "(" + ", ".join(map(_shown, value)) + ")"
+        listed = ", ".join(map(_shown, value))
+        return listed if isinstance(value[0], list) else f"({listed})"
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -245,8 +246,6 @@ class SensorCheck:
     engine : stands in for the atmosphere engine
     table : one row for every check
     usable : False where bands or throughput are so wrong that nothing else is computed
-    known : discrepancies that the file states, check -> reason
-    shown : those of them that a check has shown
     """
 
     sensor: Sensor
@@ -254,8 +253,6 @@ class SensorCheck:
     engine: Engine | None = None
     table: ResultTable = field(default_factory=ResultTable)
     usable: bool = True
-    known: Mapping[str, str] = field(default_factory=dict)
-    shown: set[str] = field(default_factory=set)
 
     @property
     def axis(self) -> SpectralAxis:
@@ -414,7 +411,7 @@ class Check:
         return Outcome.AGREES if inside else Outcome.DISAGREES
 
     def rows(self, check: SensorCheck) -> Iterator[Result]:
-        """Its rows of one sensor; what fails as the file says that it does informs."""
+        """Its rows of one sensor."""
         measured = list(globals()[self.measure](check, *([self.of] if self.of else [])))
         for found in measured or ([Found(outcome=Outcome.NONE)] if self.absent else []):
             outcome = self.outcome(found.value) if found.outcome is None else found.outcome
@@ -425,11 +422,6 @@ class Check:
             reason = self.reason.format(found.words) if measured else self.absent
             if outcome is Outcome.AGREES and not self.remarks:
                 reason = ""
-            names = (f"{self.product}/{self.metric}/{found.subject}", f"{self.product}/{self.metric}")
-            expected = next((name for name in names if name in check.known), None)
-            if outcome is Outcome.DISAGREES and expected is not None:
-                check.shown.add(expected)
-                role, reason = Role.INFORM, f"as known: {check.known[expected]} ({reason})"
             low, high = (math.nan, math.nan) if informs or broken else (self.low, self.high)
             yield Result(
                 f"sensor {check.sensor.name}", self.product, found.subject, METHOD, self.metric, float(found.value),
@@ -471,8 +463,7 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
     InputError : no such file.
     """
     loaded = sensor if isinstance(sensor, Sensor) else load_sensor(sensor)
-    expected = {item.check: item.reason for item in loaded.specification.known_discrepancies}
-    check, failed = SensorCheck(loaded, vary, engine, known=expected), 0
+    check, failed = SensorCheck(loaded, vary, engine), 0
     for line in CHECKS:
         if not check.usable and line.stage > failed:
             break
@@ -807,8 +798,3 @@ def swings(check: SensorCheck, of: str) -> Values:
     for swing in check.swings if words or of == "snr" else ():
         for sign, change in zip("-+", getattr(swing, of), strict=True):
             yield Found(change, f"{swing.name} {sign}{100 * check.vary:g} %", words or swing.source)
-
-
-def stale(check: SensorCheck) -> Values:
-    """Stated discrepancies that no check has shown."""
-    yield from (Found(0.0, name) for name in check.known if name not in check.shown)

@@ -150,9 +150,7 @@ class Detector:
         n, bits = self.noise, int(self.noise.bits)
         lsb = np.where(self.lsb > 0.0, self.lsb, 1.0).astype(np.float32)
         number = np.minimum(np.rint(radiance / lsb), np.float32(2**bits - 1))  # (3.18), up to full scale
-        # An error rate per word is spread over the bits of the word.
-        rate = float(n.bit_error_rate) / (bits if n.bit_error_per == "word" else 1)
-        if rate > 0.0:
+        if (rate := float(n.bit_error_rate)) > 0.0:
             flips = rng.binomial(number.size * bits, rate)
             where = rng.integers(0, number.size, flips)
             weight = 1 << rng.integers(0, bits, flips)

@@ -166,8 +166,8 @@ class SceneFile(Model):
     acquired_utc: str = Field("", description="written into the header")
     atmosphere: AtmosphericState
     sensor: str = Field(description="name of a sensor of the library, or a sensor file")
-    psf_fwhm_pixels: float = Field(gt=0.0, le=4.0)
-    counts_per_radiance: float = Field(1000.0, gt=0.0, description="stored integers per uW cm-2 sr-1 nm-1")
+    psf_fwhm_pixels: float = Field(ge=0.01, le=4.0)
+    counts_per_radiance: float = Field(1000.0, gt=0.0, le=1e6, description="stored integers per uW cm-2 sr-1 nm-1")
     layout: list[PaintedArea] = Field(min_length=1)
     panels: list[Panel] = Field([])
     targets: list[TargetGroup] = Field([])

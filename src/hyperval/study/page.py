@@ -186,13 +186,21 @@ def _figure(study: StudyFile, plot: Plot, view: Panels, against: tuple[str, str]
 
 
 def _shown(study: StudyFile, table: pd.DataFrame, plot: Plot) -> tuple[pd.DataFrame, dict[str, Any], str]:
-    """Points that a figure shows, and where the listed inputs stand that it does not draw: at the middle one."""
+    """Points that a figure shows, and where the listed inputs stand that it does not draw: at the middle one.
+
+    >>> from types import SimpleNamespace as Of
+    >>> one = Input(name="haze", path="atmosphere.aot550", values=[0.1, None])
+    >>> table = pd.DataFrame({"haze": np.array([0.1, None], object), "pd": [0.2, 0.3]})
+    >>> points, _, words = _shown(Of(inputs=[one]), table, Plot(kind="lines", x="c", output="pd"))
+    >>> points["pd"].tolist(), words
+    ([0.3], '; at haze = as stated')
+    """
     fixed = {}
     for item in study.inputs:
         values = None if item.name in (plot.x, plot.y, plot.family) else item.listed
         if values is not None and len(values) > 1:
             fixed[item.name] = plain_value(values[len(values) // 2])
-            table = table[table[item.name] == fixed[item.name]]
+            table = table[table[item.name].isin([fixed[item.name]])]
     return table, fixed, f"; at {words_of(fixed)}" if fixed else ""
 
 

@@ -144,7 +144,7 @@ def of_truths(e: Evaluation, output: Output, pfa: Array | None) -> Array:
     if output.is_spectral:
         bands = bands_of(output, e.axis)
         snr = output.kind == "snr"
-        values = e.snr(output.subject, output.calibration_error) if snr else e.radiance(output.subject)
+        values = e.snr(output.subject) if snr else e.radiance(output.subject)
         return np.asarray(values[:, bands].mean(axis=1))
     detector = output.detector or e.scenario.processing.detectors[0]
     scores = e.scores(output.subject, detector, output.kind == "pd" and output.by == "object")

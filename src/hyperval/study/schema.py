@@ -171,7 +171,6 @@ class Output(Model):
     pfa_range: tuple[Probability, Probability] = Field((1e-6, 1e-1), description="for log-auc")
     band_nm: float | None = Field(None, description="the band whose centre lies nearest")
     range_nm: tuple[float, float] | None = Field(None, description="mean over the bands outside absorption bands")
-    calibration_error: bool = Field(True, description="for snr: with C_R in the noise")
 
     refused: ClassVar = {
         "give exactly one of band_nm, range_nm": lambda o: (
