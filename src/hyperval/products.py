@@ -64,6 +64,8 @@ class SpectralEstimate:
     rounding : (B,) variance that storing whole steps adds to that from pixel to pixel: step^2/12; 0 without
     calibration : (B, B) part of ``error_covariance`` that all spectra of the collection share; None without
     errors : of a prediction, by source: a direction of one source is the same draw in all of its spectra
+    spread_errors : (2, K, B) errors of ``pixel_covariance`` along K independent directions: the part by which each
+        band's standard deviation is off, and the variance beside; None where it counts as known
     """
 
     mean: Array
@@ -77,6 +79,7 @@ class SpectralEstimate:
     rounding: Array | float = field(default=0.0, compare=False, repr=False)
     calibration: Array | None = field(default=None, compare=False, repr=False)
     errors: Mapping[str, Errors] = field(default_factory=dict, compare=False, repr=False)
+    spread_errors: Array | None = field(default=None, compare=False, repr=False)
 
     @property
     def standard_uncertainty(self) -> Array:
