@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from hyperval import compare, model
 from hyperval.errors import UsageError
-from hyperval.pixels import AlarmBlocks, counts_of, empirical_roc, roc_area, with_summary
+from hyperval.pixels import AlarmBlocks, counts_of, empirical_roc, exceedance_curve, roc_area, with_summary
 from hyperval.products import (
     Abundance,
     AlarmsAtDetection,
@@ -385,6 +385,12 @@ def test_ratio_of_false_alarms():
     for row in rows.values():
         assert (row.value, row.lower, row.upper) == pytest.approx((0.5, 0.5 / 1.5, 0.75))
     assert [r.outcome for r in ratios(500).values()] == [Outcome.NONE, Outcome.SKIPPED, Outcome.SKIPPED]
+    # Scores that are all equal, and those of which many are: no threshold passes about as many as asked for.
+    for values, share in ((np.ones((50, 50)), "0"), (np.arange(2500).reshape(50, 50) // 800, "0.04")):
+        counted = exceedance_curve(AlarmBlocks.of_map(values.astype(float), np.ones((50, 50), bool)))
+        found = by_metric(compare.compare_exceedance(ExceedanceCurve(x, *[expected] * 3), counted))
+        assert found["pfa_ratio@1e-2"].cause is Cause.BEYOND_CURVE
+        assert f"passes {share} of 2500" in found["pfa_ratio@1e-2"].reason
     # Without the second of two parts the ratio is nearer to 1.
     number, ratio = np.repeat([[0, 1]], [40, 60], axis=1), np.repeat([[0.5], [0.9]], 200, axis=1)
     parts = Influence(number, np.ones((2, 200)), x, ratio)

@@ -17,7 +17,7 @@ from hyperval.data import Array, Mask
 from hyperval.metrics import Evidence
 from hyperval.model import Z95, clopper_pearson
 from hyperval.model.roc import AREAS, RocArea, curve_area, detection_at, log10_false_alarm_at
-from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio
+from hyperval.pixels import LEAST_EXPECTED_ALARMS, false_alarm_ratio, nearest_point
 from hyperval.products import Abundance, ClassificationError, ExceedanceCurve, ObjectScores, RocCurve, ScoreDistribution
 from hyperval.results import Effect, Result
 
@@ -78,6 +78,10 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
         if level * n < LEAST_EXPECTED_ALARMS:
             if level >= 1e-3:
                 yield from without("few_alarms.pfa", f"pfa_ratio@{label}", n=observed.n, alarms=level * n)
+            continue
+        share = float(observed.probability[nearest_point(observed, level)])
+        if not 0.5 * level < share < 2.0 * level:
+            yield from without("beyond_curve.ties", f"pfa_ratio@{label}", n=observed.n, share=share, label=label)
             continue
         ratio = false_alarm_ratio(predicted, observed, level)
         k, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
