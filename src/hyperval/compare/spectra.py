@@ -448,17 +448,7 @@ def rejected_noncentrality(dof: int, nu: float) -> float:
     """Noncentrality that a test at the level of 0.001 in both tails rejects in 80 % of cases; NaN without any."""
     if dof <= 0 or nu <= dof:
         return math.nan
-    limit = float(central_law(dof, nu).isf(POWER_LEVEL / 2.0))
-
-    def power(x: float) -> float:
-        return noncentral_tail(limit, dof, nu, x)
-
-    high = 10.0
-    while power(high) < POWER:
-        high *= 4.0
-        if high > 1e9:
-            return math.nan
-    return float(scipy.optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6))
+    return noncentrality(float(central_law(dof, nu).isf(POWER_LEVEL / 2.0)), dof, nu, 1.0 - POWER)
 
 
 def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
