@@ -79,15 +79,15 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
             if level >= 1e-3:
                 yield from without("few_alarms.pfa", f"pfa_ratio@{label}", n=observed.n, alarms=level * n)
             continue
-        share = float(observed.probability[nearest_point(observed, level)])
-        if not 0.5 * level < share < 2.0 * level:
-            yield from without("beyond_curve.ties", f"pfa_ratio@{label}", n=observed.n, share=share, label=label)
+        k = nearest_point(observed, level)
+        measured, threshold = float(observed.probability[k]), observed.threshold[k]
+        if not 0.5 * level < measured < 2.0 * level:
+            yield from without("beyond_curve.ties", f"pfa_ratio@{label}", n=observed.n, share=measured, label=label)
             continue
-        ratio = false_alarm_ratio(predicted, observed, level)
-        k, measured, threshold = ratio.at, observed.probability[ratio.at], observed.threshold[ratio.at]
+        ratio = false_alarm_ratio(predicted, observed, k)
         beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
         halves = math.nan if observed.half_image is None else float(observed.half_image[k])
-        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed)
+        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed, at=k)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
         yield from _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
         if np.isfinite(halves):
