@@ -228,13 +228,6 @@ def accepted_sizes(dof: int, nu: float, level: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def noncentral_tail(ratio: float, dof: int, nu: float, noncentrality: float) -> float:
-    """Probability that the statistic of :func:`central_law` passes ``ratio`` where the sides differ."""
-    if math.isinf(nu):
-        return float(scipy.stats.ncx2.sf(ratio * dof, dof, noncentrality))
-    return float(scipy.stats.ncf.sf(ratio, dof, nu - dof + 1.0, noncentrality))
-
-
 def noncentrality(ratio: float, dof: int, nu: float, part: float) -> float:
     """Noncentrality for which a statistic over ``dof`` lies below ``ratio`` with the probability ``part``; at least 0.
 
@@ -249,7 +242,9 @@ def noncentrality(ratio: float, dof: int, nu: float, part: float) -> float:
     spread = math.sqrt(1.0 + total / (2.0 * (nu - dof + 1.0)))
 
     def below(x: float) -> float:
-        return 1.0 - noncentral_tail(ratio, dof, nu, x) - part
+        if math.isinf(nu):
+            return float(scipy.stats.ncx2.cdf(total, dof, x)) - part
+        return float(scipy.stats.ncf.cdf(ratio, dof, nu - dof + 1.0, x)) - part
 
     high = (math.sqrt(total) + 5.0 * spread) ** 2 + 10.0
     if total > FAR or not below(high) < 0.0:
