@@ -64,6 +64,8 @@ class SpectralEstimate:
     rounding : (B,) variance that storing whole steps adds to that from pixel to pixel: step^2/12; 0 without
     calibration : (B, B) part of ``error_covariance`` that all spectra of the collection share; None without
     errors : of a prediction, by source: a direction of one source is the same draw in all of its spectra
+    spread_errors : (2, K, B) errors of ``pixel_covariance`` along K independent directions: the part by which each
+        band's standard deviation is off, and the variance beside; None where it counts as known
     """
 
     mean: Array
@@ -77,6 +79,7 @@ class SpectralEstimate:
     rounding: Array | float = field(default=0.0, compare=False, repr=False)
     calibration: Array | None = field(default=None, compare=False, repr=False)
     errors: Mapping[str, Errors] = field(default_factory=dict, compare=False, repr=False)
+    spread_errors: Array | None = field(default=None, compare=False, repr=False)
 
     @property
     def standard_uncertainty(self) -> Array:
@@ -96,6 +99,7 @@ class ScoreDistribution:
     greatest : (m,) the greatest scores of measured pixels, falling, all of them where they are few; None without
     mean_error, sd_error : standard uncertainties of the mean, and of sd as a part of it: of a prediction by its inputs,
         of a background by the clusters of its image; NaN where they are not stated
+    shared : of a prediction's n pixels, how many are among those that it is compared with; None: as many as can be
     mean_bias : how far the mean lies from that of endless pixels, where those scored made the filter; else NaN
     """
 
@@ -108,15 +112,21 @@ class ScoreDistribution:
     mean_error: float = field(default=float("nan"), compare=False)
     mean_bias: float = field(default=float("nan"), compare=False)
     sd_error: float = field(default=float("nan"), compare=False)
+    shared: int | None = field(default=None, compare=False)
 
     def errors(self, beside: ScoreDistribution | None = None) -> Array:
-        """(2,) mean_error and sd_error; where they are not stated, or what it stands ``beside`` has the clusters of the
-        same pixels, those of n independent normal pixels.
+        """(2,) mean_error and sd_error, those of n independent normal pixels where they are not stated.
+
+        Beside a prediction measured on m pixels, s of which are among these, their clusters count (1/n + 1/m - 2 s/nm)
+        over 1/n as much: not at all where both are the same pixels.
         """
-        free = (self.n or 1) - 1.0 or math.nan
-        plain, stated = [self.sd / math.sqrt(free + 1.0), math.sqrt(0.5 / free)], [self.mean_error, self.sd_error]
-        shared = bool(beside and beside.n) & np.array([math.isnan(self.mean_bias), True])
-        return np.where(np.isnan(stated) | shared, plain, stated)
+        n = self.n or 1
+        free, part = n - 1.0 or math.nan, 1.0
+        if beside is not None and beside.n:
+            part += (n - 2.0 * min(n, beside.n, *(() if beside.shared is None else (beside.shared,)))) / beside.n
+        plain, stated = np.array([[self.sd / math.sqrt(n), math.sqrt(0.5 / free)], [self.mean_error, self.sd_error]])
+        parts = np.where([math.isnan(self.mean_bias), True], part, 1.0)
+        return np.asarray(np.sqrt(np.maximum(plain**2 + parts * np.nan_to_num(stated**2 - plain**2), 0.0)))
 
 
 @dataclass(frozen=True)

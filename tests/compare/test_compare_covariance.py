@@ -1,9 +1,12 @@
 """Covariances, tails, classes and unmixed areas: a true prediction agrees, each falsified one is seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hyperval.compare import compare_classification, compare_covariance, compare_distribution
+from hyperval.metrics import metric_of
 from hyperval.pixels import noise_part
 from hyperval.products import (
     ClassificationError,
@@ -12,7 +15,7 @@ from hyperval.products import (
     PredictedProducts,
     SpectralEstimate,
 )
-from hyperval.results import Outcome
+from hyperval.results import Cause, Outcome
 from hyperval.spectra import SpectralAxis
 
 AXIS = SpectralAxis(np.array([450.0, 550, 650, 750, 870, 1400, 1650]), 10.0)
@@ -42,20 +45,6 @@ def rows_of(predicted, observed, predicted_distribution=None, observed_distribut
     return {row.metric: row for row in rows}
 
 
-def test_a_sample_of_the_prediction_agrees():
-    rows = rows_of(estimate(truth()), sample(3000))
-    # Seed fixed; each of the ten verdicts misses in one of twenty samples. An eigenvalue of 3000 pixels has a
-    # relative standard deviation of 2.6 %: 10 % is four of these.
-    assert rows["eigenvalues_inside_95"].value >= 0.8
-    for k in (1, 2, 3):
-        assert rows[f"eigenvalue_ratio@{k}"].value == pytest.approx(1.0, abs=0.1)
-        assert rows[f"subspace_inside_95@{k}"].value == 1.0
-    excess = rows["bhattacharyya_covariance_excess"]
-    assert excess.lower <= 0.0 <= excess.upper
-    assert rows["total_variance_ratio"].lower <= 1.0 <= rows["total_variance_ratio"].upper
-    assert not any(row.value < row.lower or row.value > row.upper for row in rows.values())
-
-
 @pytest.mark.parametrize(
     ("metric", "change", "least", "end"),
     [
@@ -66,6 +55,35 @@ def test_a_sample_of_the_prediction_agrees():
 )
 def test_a_falsified_covariance_is_seen(metric, change, least, end):
     assert getattr(rows_of(estimate(change(truth())), sample(3000))[metric], end) > least
+
+
+@pytest.mark.simulation
+def test_intervals_hold_where_the_model_errs_as_it_states():
+    """Of 60 truths each interval holds at least 50: chance leaves fewer of 95 % in 2 of 10,000.  Without the errors 77
+    of 200 held the third eigenvalue, and none the excess."""
+    rng, noise = np.random.default_rng(8), 2e-4
+    relative = np.vstack([np.full(B, 0.04), 0.02 * np.eye(B), np.zeros(B)])
+    beside = np.vstack([np.zeros((B + 1, B)), np.full(B, 0.1 * noise)])
+    predicted = replace(estimate(truth() + noise * np.eye(B)), spread_errors=np.stack([relative, beside]))
+    metrics = *(f"{name}@{k}" for name in ("eigenvalue_ratio", "subspace_inside_95") for k in (1, 2, 3)), "noise_ratio"
+    held = dict.fromkeys((*metrics, "total_variance_ratio", "bhattacharyya_covariance_excess"), 0.0)
+    there = {"predicted_noise": {"shot": np.full(B, noise)}, "observed_distribution": PixelDistribution(samples=2000)}
+    for _ in range(60):
+        r, q = (rng.standard_normal(B + 2) @ np.hstack([relative, beside])).reshape(2, B)
+        true = np.outer(np.exp(r), np.exp(r)) * (truth() + np.diag(noise + q))
+        rows = rows_of(predicted, estimate(np.cov(rng.multivariate_normal(np.ones(B), true, 2000).T), 2000), **there)
+        for name in held:
+            ideal = metric_of(name).agreement
+            held[name] += rows[name].value if "inside" in name else rows[name].lower <= ideal <= rows[name].upper
+    assert min(held.values()) >= 50, held
+
+
+def test_a_singular_covariance_has_no_distance_and_says_so():
+    flat = np.ones((B, B))
+    for rows in (rows_of(estimate(truth()), estimate(flat, 3000)), rows_of(estimate(flat), sample(3000))):
+        row = rows["bhattacharyya_covariance_excess"]
+        assert (row.outcome, row.cause) == (Outcome.SKIPPED, Cause.NO_VALUE)
+        assert np.isfinite(rows["total_variance_ratio"].upper)
 
 
 def test_absorption_bands_do_not_count():

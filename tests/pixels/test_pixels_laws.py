@@ -247,7 +247,7 @@ def test_interval_of_a_ratio_holds_that_of_the_laws(same):
             limits = (np.exp(stated + s * width) for s in (0.0, -1.0, 1.0))
             law = ExceedanceCurve(x, *limits, left_out={"all": np.array(without)})
             law = pixels.with_shared_pixels(law, scores, part.reshape(scores.shape)) if same else law
-            ratio = pixels.false_alarm_ratio(law, measured, 1e-2)
+            ratio = pixels.false_alarm_ratio(law, measured, pixels.nearest_point(measured, 1e-2))
             assert (ratio.law_factor > 1.0) == np.any(width)
             hit = ratio.lower <= 1.0 <= ratio.upper
             both, alone = both + (np.any(width) and hit), alone + (not np.any(width) and hit)

@@ -151,8 +151,8 @@ def study(case: str, images: int) -> None:
                 ("with the law's", shared),
             ):
                 for level in LEVELS:
-                    ratio = px.false_alarm_ratio(curve, measured, level)
-                    x = measured.threshold[[ratio.at]]
+                    ratio = px.false_alarm_ratio(curve, measured, k := px.nearest_point(measured, level))
+                    x = measured.threshold[[k]]
                     right = float(np.exp(log_tail(x, goal) - log_tail(x, true))[0])
                     hits[level, where, name].append(ratio.lower <= right <= ratio.upper)
     for (level, where, name), each in hits.items():

@@ -11,7 +11,7 @@ import numpy as np
 from hyperval.collection import Detection
 from hyperval.imagery import all_pixels
 from hyperval.observe import Observed, Place, map_name, scored_part, target_groups
-from hyperval.pixels import false_alarm_ratio
+from hyperval.pixels import nearest_point
 from hyperval.products import PredictedProducts, background_of
 from hyperval.results import Result
 from hyperval.run import ExpectedScores, Quicklook, ScoreMap
@@ -92,7 +92,7 @@ def score_maps(
     for key, law in prediction.exceedance.items() if prediction else ():
         if law.influence is not None and (words := reasons.get((background_of(key[0]), key[1]))):
             measured = observed.observation.exceedance[key]
-            threshold = float(measured.threshold[false_alarm_ratio(law, measured, 1e-2).at])
+            threshold = float(measured.threshold[nearest_point(measured, 1e-2)])
             ratio = np.append(law.influence.at(threshold), np.nan)[law.influence.number]
             carried[map_name(*key)] = ratio, threshold, words
     transform = tuple(cube.transform)[:6] if cube.transform else None

@@ -30,7 +30,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import UsageError, needed, one_of, refuse
 from hyperval.imagery import TargetObject, sun_zenith_deg, time_notes
 from hyperval.pixels import average_roc, compact_parts, with_shared_pixels
-from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products
+from hyperval.products import Abundance, ExceedanceCurve, PredictedProducts, Products, ScoreDistribution
 from hyperval.progress import bars
 from hyperval.results import Outcome, Result
 from hyperval.scenario import BackgroundClass, Fill, Scenario
@@ -261,6 +261,15 @@ class Collected:
         number[others] = first + compact_parts(*np.nonzero(others))
         return with_shared_pixels(law, scores, number)
 
+    def with_shared_count(self, score: ScoreDistribution) -> ScoreDistribution:
+        """Predicted scores with how many pixels of their classes are among those that false alarms are counted on."""
+        place, detection = self.observed.place, self.campaign.detection
+        if not score.n or place is None or detection is None:
+            return score
+        surfaces = (c.spectrum.measured for scenario in self.scenarios for c in scenario.scene.classes)
+        measured = place.pixels_of(*(region for region in surfaces if region))
+        return replace(score, shared=int(np.count_nonzero(measured & place.pixels_of(*detection.false_alarms))))
+
 
 @contextmanager
 def collected(
@@ -327,7 +336,8 @@ def predicted_side(
         sides = merged_predictions(predictions), observe.class_sets(task), task.features
         errors = model.predicted_classification(*sides, quantity, task.seed, training)
     shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
-    return replace(whole, classification=errors, exceedance=shared, abundance=areas)
+    scores = {key: side.with_shared_count(score) for key, score in whole.scores.items()}
+    return replace(whole, classification=errors, scores=scores, exceedance=shared, abundance=areas)
 
 
 def joined_prediction(

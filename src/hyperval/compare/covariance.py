@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from hyperval import pixels
 from hyperval.compare.rows import COMPARISON, row, said, without
 from hyperval.data import Array, Mask
+from hyperval.errors import UsageError
 from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
 from hyperval.products import PixelDistribution, Products, SpectralEstimate
@@ -131,10 +132,10 @@ class Sampled:
     measured, band : statistics of the measured covariance and of the drawn ones
     eigenvalues : (3, K) mean and limits of those that samples of the prediction have
     distance : measured; NaN where a sample is too small for its determinant
-    independent : (P,) degrees of freedom by direction
+    directions, independent : of the prediction, and (P,) degrees of freedom along them
+    errors : (2, K, b) of both spreads
     spaces : the k of the principal angles
-    n : pixels; ``fewest``: independent ones behind any direction
-    size : directions in which the prediction has a spread
+    n : pixels
     kurtosis : of the predicted law, or of the measured pixels where their tails are heavier
     """
 
@@ -145,11 +146,11 @@ class Sampled:
     band: pixels.Statistics
     eigenvalues: Array
     distance: float
+    directions: pixels.EigenDirections
     independent: Array
+    errors: Array
     spaces: tuple[int, ...]
     n: int
-    fewest: float
-    size: int
     kurtosis: float
 
 
@@ -180,35 +181,29 @@ def sampled(
     directions = pixels.EigenDirections.of(first)
     size = directions.values.size
     independent = independent_pixels(n, observed.distribution.get(subject), size)
-    count = max(min(most, size, n - 1, int(independent.min())), 1)
-    spaces = tuple(k for k in SPACES if k <= count and k < size)
     factor = directions.factor_of(second)
+    count = max(min(most, size, n - 1, int(independent.min()), factor.shape[1]), 1)
+    spaces = tuple(k for k in SPACES if k <= count and k < size)
     measured = pixels.statistics_of_covariance(directions, factor, count, spaces)
     full, lacks = pixels.full_rank(independent, size), factor.shape[1] < size
     distance = math.nan if not full else math.inf if lacks else pixels.covariance_distance(factor @ factor.T)
-    of = directions.values.tobytes(), independent.tobytes(), spaces, kurtosis
-    bands_of = [_band(*of, k) for k in (min(count, EIGENVALUES), count)]  # a figure's first ones are those of rows
+    errors, rng = _errors((p, o), bands), partial(np.random.default_rng, _SEED)
+    counts = dict.fromkeys((min(count, EIGENVALUES), count))  # a figure's first ones are those of rows
+    bands_of = [
+        pixels.sampling_band(directions, independent, k, spaces, rng(), kurtosis=kurtosis, errors=errors)
+        for k in counts
+    ]
     limits = [np.stack([x.eigenvalues.mean(axis=0), *pixels.band_limits(x.eigenvalues)]) for x in bands_of]
-    drawn, fewest = np.hstack([limits[0], limits[1][:, EIGENVALUES:]]), float(independent.min()) + 1.0
+    drawn = np.hstack([limits[0], limits[-1][:, EIGENVALUES:]])
     both = (p, o), bands, (first, second)
-    return Sampled(*both, measured, bands_of[0], drawn, distance, independent, spaces, n, fewest, size, kurtosis)
+    return Sampled(*both, measured, bands_of[0], drawn, distance, directions, independent, errors, spaces, n, kurtosis)
 
 
-@lru_cache(maxsize=64)
-def _band(
-    variances: bytes, independent: bytes, spaces: tuple[int, ...], kurtosis: float, count: int
-) -> pixels.Statistics:
-    """The draws that rows and figures of a subject share, whichever way its directions point."""
-    values = np.frombuffer(variances)
-    directions = pixels.EigenDirections(np.eye(values.size), values)
-    rng = np.random.default_rng(_SEED)
-    return pixels.sampling_band(directions, np.frombuffer(independent), count, spaces, rng, kurtosis=kurtosis)
-
-
-@lru_cache(maxsize=64)
-def _distance_band(independent: bytes, kurtosis: float) -> tuple[float, float, float]:
-    n = np.frombuffer(independent)
-    return pixels.distance_band(n.size, n, np.random.default_rng(_SEED), kurtosis)
+def _errors(sides: Iterable[SpectralEstimate], bands: Mask) -> Array:
+    """(2, K, b) errors of both spreads: it is the same to the difference which side is off."""
+    none = np.zeros((2, 0, np.count_nonzero(bands)))
+    each = (side.spread_errors[..., bands] for side in sides if side.spread_errors is not None)
+    return np.asarray(np.nan_to_num(np.concatenate([none, *each], axis=1)))
 
 
 def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
@@ -239,20 +234,29 @@ def _distance_rows(sample: Sampled) -> Iterator[Result]:
     What samples of heavy tails show lies between that of normal pixels and that of the law's kurtosis, which pixels
     by the thousand do not reach: the interval takes in both.
     """
-    found = sample.distance
+    found, metrics = sample.distance, ("bhattacharyya_distance", "bhattacharyya_covariance_excess")
     if math.isnan(found):
-        metrics = "bhattacharyya_distance", "bhattacharyya_covariance_excess"
-        yield from without("few_pixels.distance", *metrics, fewest=sample.fewest, size=sample.size)
+        fewest, size = float(sample.independent.min()) + 1.0, sample.independent.size
+        yield from without("few_pixels.distance", *metrics, fewest=fewest, size=size)
         return
-    law, n = sample.independent.tobytes(), sample.independent
-    expected, _, high = _distance_band(law, sample.kurtosis)
-    least, low, _ = _distance_band(law, 0.0)
+    (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
+    try:
+        distance = bhattacharyya_distance(p, first, o, second)
+    except UsageError:
+        distance = math.inf
+    if math.isinf(found + distance):
+        ranks = [pixels.EigenDirections.of(c).values.size for c in (first, second)]
+        yield from without("no_value.distance", *metrics, predicted=ranks[0], measured=ranks[1], bands=len(first))
+        return
+    n, rng = sample.independent, partial(np.random.default_rng, _SEED)
+    law = partial(pixels.distance_band, sample.directions, n, errors=sample.errors)
+    of_kurtosis = {kurtosis: law(rng(), kurtosis) for kurtosis in {0.0, sample.kurtosis}}
+    (least, low, _), (expected, _, high) = of_kurtosis[0.0], of_kurtosis[sample.kurtosis]
     # The correlation of pixels is known as well as a variance from as many independent ones.
     unknown = Z95 * math.sqrt(float(np.mean(2.0 / n * np.maximum(1.0 - n / (sample.n - 1.0), 0.0))))
     low = least - math.hypot(least - low, unknown * least)
     high = expected + math.hypot(high - expected, unknown * expected)
-    (p, o), (first, second) = (side.mean[sample.bands] for side in sample.sides), sample.covariances
-    yield row("bhattacharyya_distance", bhattacharyya_distance(p, first, o, second), n=sample.n)
+    yield row("bhattacharyya_distance", distance, n=sample.n)
     reason = f"sampling alone gives {expected:.3g} ({low:.3g} to {high:.3g}), measured {found:.3g}"
     yield _row("bhattacharyya_covariance_excess", found - expected, (found - high, found - low), sample.n, reason)
 
@@ -273,7 +277,7 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     calibration = calibration + beyond
     noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[block]
-    columns = {"calibration": calibration, "samples": samples}
+    columns = {"calibration": calibration, "samples": samples, "errors": _errors(sample.sides, bands)}
     factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)
     low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:

@@ -228,13 +228,6 @@ def accepted_sizes(dof: int, nu: float, level: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def noncentral_tail(ratio: float, dof: int, nu: float, noncentrality: float) -> float:
-    """Probability that the statistic of :func:`central_law` passes ``ratio`` where the sides differ."""
-    if math.isinf(nu):
-        return float(scipy.stats.ncx2.sf(ratio * dof, dof, noncentrality))
-    return float(scipy.stats.ncf.sf(ratio, dof, nu - dof + 1.0, noncentrality))
-
-
 def noncentrality(ratio: float, dof: int, nu: float, part: float) -> float:
     """Noncentrality for which a statistic over ``dof`` lies below ``ratio`` with the probability ``part``; at least 0.
 
@@ -249,7 +242,9 @@ def noncentrality(ratio: float, dof: int, nu: float, part: float) -> float:
     spread = math.sqrt(1.0 + total / (2.0 * (nu - dof + 1.0)))
 
     def below(x: float) -> float:
-        return 1.0 - noncentral_tail(ratio, dof, nu, x) - part
+        if math.isinf(nu):
+            return float(scipy.stats.ncx2.cdf(total, dof, x)) - part
+        return float(scipy.stats.ncf.cdf(ratio, dof, nu - dof + 1.0, x)) - part
 
     high = (math.sqrt(total) + 5.0 * spread) ** 2 + 10.0
     if total > FAR or not below(high) < 0.0:
@@ -448,17 +443,7 @@ def rejected_noncentrality(dof: int, nu: float) -> float:
     """Noncentrality that a test at the level of 0.001 in both tails rejects in 80 % of cases; NaN without any."""
     if dof <= 0 or nu <= dof:
         return math.nan
-    limit = float(central_law(dof, nu).isf(POWER_LEVEL / 2.0))
-
-    def power(x: float) -> float:
-        return noncentral_tail(limit, dof, nu, x)
-
-    high = 10.0
-    while power(high) < POWER:
-        high *= 4.0
-        if high > 1e9:
-            return math.nan
-    return float(scipy.optimize.brentq(lambda x: power(x) - POWER, 1e-9, high, rtol=1e-6))
+    return noncentrality(float(central_law(dof, nu).isf(POWER_LEVEL / 2.0)), dof, nu, 1.0 - POWER)
 
 
 def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:

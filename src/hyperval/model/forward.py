@@ -491,9 +491,28 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
     return out
 
 
+def spread_scales(e: Evaluation) -> dict[tuple[str, str], Array]:
+    """("spread of " product, subject) -> (U or 1, 2B) what the spread from pixel to pixel goes by: logarithm of the
+    change of the signal per reflectance (D_A of 3.11), and the noise as a variance of reflectance.
+
+    Noise that the covariance of pixels of the image holds does not move with the model's.
+    """
+    light, names, images = e.light.rows(e.which), e.stated.names["surface"], e.stated.of_pixels
+    held = {name for name, of_image in zip(names, images, strict=True) if of_image}
+    hosts = {population.name: e.stated.targets[t].host for t, _, population in e.stated.populations}
+    slope, line, out = light.slope(), light.library_line, dict[tuple[str, str], Array]()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for name, (rho, _) in e.once("reflectances", partial(reflectances, e)).items():
+            noise = 0.0 if hosts.get(name, name) in held else light.noise_variance(light.level(rho)) / slope**2
+            for product, scale in (("radiance", slope), ("reflectance", slope / line.gain)):
+                both = np.broadcast_arrays(np.log(scale), noise)
+                out[f"spread of {product}", name] = np.concatenate(both, axis=-1)[:, 0]
+    return out
+
+
 def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralErrors:
-    """Errors of the mean spectra of one truth: half the difference of up and down along each direction of each input,
-    the rest held.
+    """Errors of the mean spectra of one truth, and of :func:`spread_scales`: half the difference of up and down along
+    each direction of each input, the rest held.
     """
     out: dict[tuple[str, str], dict[str, Errors]] = {}
     state = world.stated.scenario.atmosphere
@@ -508,7 +527,8 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
         for start in range(0, len(item.rows), _DIRECTIONS):
             some = range(start, min(start + _DIRECTIONS, len(item.rows)))
             moved = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
-            whole = joined(((index, mean_spectra(Evaluation(part))) for index, part in settled(moved)), moved.size)
+            parts = ((index, Evaluation(part)) for index, part in settled(moved))
+            whole = joined(((index, mean_spectra(e) | spread_scales(e)) for index, e in parts), moved.size)
             for key, values in whole.items():
                 rows = 0.5 * (values[: len(some)] - values[len(some) :])
                 if item.kind == "engine" and key[0] == "reflectance":  # the empirical line takes it off
@@ -553,7 +573,14 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
         sources = (errors or {}).get((product, key), {})
         total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(sources, shapes, bands)
         pixel, sources = None if pixel is None else known(pixel), {} if product == "snr" else sources
-        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=sources)
+        moves = [
+            one.rows.reshape(-1, 2, bands) for one in (errors or {}).get((f"spread of {product}", key), {}).values()
+        ]
+        if (gain := sources.get("compensation (gain)")) is not None:  # of an image: it stretches the spread as the mean
+            moves.append(np.stack([gain.rows / mean, 0.0 * gain.rows], axis=1))
+        scale = light.slope() / (1.0 if product == "radiance" else light.library_line.gain)
+        spread = np.concatenate(moves).swapaxes(0, 1) * np.array([np.ones(bands), scale**2])[:, None] if moves else None
+        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=sources, spread_errors=spread)
     return PredictedProducts(e.axis, **out)
 
 

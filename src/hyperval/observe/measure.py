@@ -19,7 +19,7 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.data import Array, Components, Index, Mask, SampleStatistics, statistics_of
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, TargetObject, all_pixels
-from hyperval.model import ClassLaw, Unmixed, class_features, feature_bands, measured_error
+from hyperval.model import ClassLaw, Unmixed, class_features, covariance_directions, feature_bands, measured_error
 from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, detect, scored_part, target_groups, unmix
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
@@ -243,10 +243,12 @@ def _spectra(
     if cube.quantity != "radiance" and line is None:
         return {"reflectance": {n: _estimate(cube, place.statistics[n], error, {}) for n, error in sampling.items()}}
     radiance, reflectance = dict[str, SpectralEstimate](), dict[str, SpectralEstimate]()
+    one = None if stated is None else sites.calibration_covariance(np.ones(cube.bands), cube.axis, stated, resolve)
+    scale = None if one is None else covariance_directions(one)
     for name, error in sampling.items():
         sample = place.statistics[name]
-        parts = stated and {sites.CALIBRATION: sites.calibration_covariance(sample.mean, cube.axis, stated, resolve)}
-        radiance[name] = _estimate(cube, sample, error, parts or {})
+        parts = {} if one is None else {sites.CALIBRATION: one * np.outer(sample.mean, sample.mean)}
+        radiance[name] = _estimate(cube, sample, error, parts, scale=scale)
         if line is None:
             continue
         if (others := line.without(name) if name in line.names else line) is None:
@@ -254,7 +256,7 @@ def _spectra(
             reflectance[name] = _estimate(cube, sample, None, errors, line, circular=CIRCULAR)
         else:
             errors, estimated = {LINE: others.error_covariance(sample.mean)}, others.estimated(sample.mean)
-            reflectance[name] = _estimate(cube, sample, error, errors, others, estimated)
+            reflectance[name] = _estimate(cube, sample, error, errors, others, estimated, scale=others.scale_errors)
     return {"radiance": radiance if cube.quantity == "radiance" else {}, "reflectance": reflectance}
 
 
@@ -266,16 +268,20 @@ def _estimate(
     line: EmpiricalLine | None = None,
     estimated: tuple[EstimatedPart, ...] = (),
     circular: str = "",
+    scale: Array | None = None,
 ) -> SpectralEstimate:
-    """A mean after the line, if any, with the error of its sampling and the other ``parts``."""
+    """A mean after the line, if any, with the error of its sampling and the other ``parts``.
+
+    ``scale`` (K, B) : the part by which differences of pixels are off, along each direction
+    """
     mean, gain = (sample.mean, np.ones(cube.bands)) if line is None else (line.reflectance(sample.mean), line.gain)
-    scale, spread = np.outer(gain, gain), sample.n > 1
+    gains, spread = np.outer(gain, gain), sample.n > 1
     if sampling is not None and spread:
-        scaled = sampling.of_each(lambda c: c / scale)
+        scaled = sampling.of_each(lambda c: c / gains)
         parts, estimated = {"sampling": scaled.covariance, **parts}, (scaled, *estimated)
     return sites.spectral_estimate(
-        mean, parts, pixel_covariance=sample.covariance / scale if spread else None, n=sample.n,
-        estimated=estimated, circular=circular,
+        mean, parts, pixel_covariance=sample.covariance / gains if spread else None, n=sample.n,
+        estimated=estimated, circular=circular, spread_errors=None if scale is None else np.stack([scale, 0.0 * scale]),
         rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0,
     )  # fmt: skip
 

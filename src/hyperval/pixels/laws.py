@@ -9,7 +9,7 @@ jackknife leaves out parts of the image, not pixels (Künsch, Ann. Stat. 17, 121
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -487,23 +487,6 @@ def _t_width(d: Array, p: int, nu: float) -> float:
     return math.exp(scipy.optimize.brentq(excess, math.log(low), math.log(high), xtol=1e-9))
 
 
-def _greatest(function: Callable[[float], float], low: float, high: float, tolerance: float) -> tuple[float, float]:
-    """Where a function with one maximum between two places is greatest, and its value there, by golden section."""
-    golden = 0.5 * (math.sqrt(5.0) - 1.0)
-    a, b = high - golden * (high - low), low + golden * (high - low)
-    at_left, at_right = function(a), function(b)
-    while high - low > tolerance:
-        if at_left > at_right:
-            high, b, at_right = b, a, at_left
-            a = high - golden * (high - low)
-            at_left = function(a)
-        else:
-            low, a, at_left = a, b, at_right
-            b = low + golden * (high - low)
-            at_right = function(b)
-    return max((a, at_left), (b, at_right), key=lambda found: found[1])
-
-
 def left_out_distances(squared_distances: npt.ArrayLike, pixels: float) -> Array:
     """Squared distances by mean and covariance of the other pixels, from those by the statistics of all.
 
@@ -563,7 +546,10 @@ def fit_tail_dof(
 
     end, normal = min(1.0 / within[0], 1.0 / LEAST_DOF - offset), fit(0.0)
     start = min(1.0 / within[1], end)
-    best, top = _greatest(fit, start, end, 1e-8)
+    found = scipy.optimize.minimize_scalar(
+        lambda a: -fit(a), bounds=(start, end), method="bounded", options={"xatol": 1e-8}
+    )
+    best, top = float(found.x), -float(found.fun)
     if start == 0.0 and (best <= 2.0 * _LEAST or top <= normal):
         best, top = 0.0, max(normal, top)
     high = end if drop(end) < 0 else scipy.optimize.brentq(drop, best, end)

@@ -17,6 +17,7 @@ from scipy import special
 
 from hyperval.data import Array, Mask
 from hyperval.errors import UsageError, refusal, refuse
+from hyperval.model.inputs import covariance_directions
 from hyperval.products import EstimatedPart
 
 MINIMUM_CONTRAST = 0.1  # reflectance between the darkest and the brightest panel
@@ -218,11 +219,21 @@ class EmpiricalLine:
         of E, so that a line through two panels gives their reflectances back whatever their radiances.  Panels
         that contradict each other have greater errors than is stated: :attr:`contradiction` widens them.
         """
+        slopes = self._slopes(radiance)
+        slopes[1, [panel.name == own for panel in self.panels]] += 1.0 / self.gain
+        return self._propagated(slopes)
+
+    @cached_property
+    def scale_errors(self) -> Array:
+        """(K, B) part by which differences of reflectance are off, as the gain is, along independent directions."""
+        of_gain = self._slopes(self.gain) - self._slopes(0.0 * self.gain)
+        return covariance_directions(np.nan_to_num(self._propagated(of_gain)))
+
+    def _propagated(self, slopes: Array) -> Array:
+        """(B, B) of what has these derivatives (2, P, B) by the panels' reflectance and radiance."""
         total = np.zeros((self.gain.size, self.gain.size))
-        for panel, d, e in zip(self.panels, *self._slopes(radiance), strict=True):
-            if panel.name == own:
-                e = e + 1.0 / self.gain
-            for error, slope in ((panel.reflectance_error, d), (panel.radiance_error, e)):
+        for panel, of_panel in zip(self.panels, slopes.swapaxes(0, 1), strict=True):
+            for error, slope in zip((panel.reflectance_error, panel.radiance_error), of_panel, strict=True):
                 total += np.diag(error * slope**2) if error.ndim == 1 else error * np.outer(slope, slope)
         return total * self.contradiction
 

@@ -293,7 +293,6 @@ class FalseAlarmRatio(NamedTuple):
     Attributes
     ----------
     value, lower, upper : the ratio and its 95 % interval [1]
-    at : which point of the measured curve it is
     predicted : P_FA of the model at that threshold
     law_factor : factor by which the pixels that the model's law was fitted to leave that open at 95 %; 1 where the
         law is stated
@@ -303,7 +302,6 @@ class FalseAlarmRatio(NamedTuple):
     value: float
     lower: float
     upper: float
-    at: int
     predicted: float
     law_factor: float
     together: float
@@ -395,8 +393,8 @@ def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: n
     return replace(law, correlation=correlation, influence=influence)
 
 
-def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, level: float) -> FalseAlarmRatio:
-    """The ratio at the :func:`nearest_point` of the measured curve.
+def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, k: int) -> FalseAlarmRatio:
+    """The ratio at a point of the measured curve.
 
     The limits of both sides go together in quadrature, in the logarithm, less twice their product where both are of
     the same pixels and err together (Zou & Donner, Stat. Med. 27, 1693-1702, 2008; Zou, Psychol. Methods 12, 399-413,
@@ -407,11 +405,10 @@ def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, lev
     >>> x = np.linspace(0.0, 8.0, 81)
     >>> predicted = ExceedanceCurve(x, np.exp(-x), np.exp(-x) / 1.3, np.exp(-x) * 1.3)
     >>> measured = ExceedanceCurve(x, np.exp(-1.1 * x), np.exp(-1.1 * x) / 1.4, np.exp(-1.1 * x) * 1.4, 100_000)
-    >>> ratio = false_alarm_ratio(predicted, measured, 1e-2)
+    >>> ratio = false_alarm_ratio(predicted, measured, nearest_point(measured, 1e-2))
     >>> [round(v, 2) for v in (ratio.value, ratio.upper / ratio.value, ratio.law_factor)]
     [1.52, 1.53, 1.3]
     """
-    k = nearest_point(measured, level)
     threshold, m = float(measured.threshold[k]), float(measured.probability[k])
     p, together = exceedance_at(predicted, threshold), 0.0
     if predicted.correlation is not None:
@@ -422,7 +419,7 @@ def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, lev
         rate = np.abs(np.log(np.array([measured.upper[k], measured.lower[k]]) / m))
     down, up = np.sqrt(law**2 + rate**2 - 2.0 * together * law * rate)
     ends = float(p / m * np.exp(-down)), float(p / m * np.exp(up))
-    return FalseAlarmRatio(p / m, *ends, k, p, math.exp(max(law)), together)
+    return FalseAlarmRatio(p / m, *ends, p, math.exp(max(law)), together)
 
 
 Scores = npt.ArrayLike | AlarmBlocks  # the latter know their places, and come in clusters

@@ -556,6 +556,7 @@ def noise_part(
     *,
     calibration: npt.ArrayLike = 0.0,
     samples: int = 2,
+    errors: Array | None = None,
 ) -> tuple[float, float]:
     """Factor a on the noise in S = a N + g T and its standard uncertainty [1].
 
@@ -577,6 +578,7 @@ def noise_part(
     calibration : (B,) part of the noise that the detector elements' own errors of calibration make: all pixels of a
         column share them, so that it is known by as many as there are columns
     samples : columns of the image
+    errors : (2, K, B) of the model (:class:`hyperval.products.SpectralEstimate`)
 
     Examples
     --------
@@ -602,8 +604,12 @@ def noise_part(
     normal, tails = (2.0 * np.array([[np.sum(x * y.T) for y in each] for x in each]) for each in (whole, heavy))
     covariance = normal + kurtosis * (tails + np.outer(traces, traces))
     variance = (inverse @ covariance @ inverse.T)[0, 0]
-    by_band = np.einsum("i,ibb->b", inverse[0], np.array(whitened))
-    columns = 2.0 / (samples - 1.0) * np.sum((by_band * calibration) ** 2)
+    weights = np.tensordot(inverse[0], whitened, 1)
+    columns = 2.0 / (samples - 1.0) * np.sum((np.diag(weights) * calibration) ** 2)
+    if errors is not None:  # to second order in the scale: much texture that is off a little looks like noise
+        first = errors[0] @ (2.0 * np.sum(weights * sigma, axis=1)) + errors[1] @ np.diag(weights)
+        second = errors[0] @ (weights * sigma) @ errors[0].T
+        variance += first @ first + np.trace(second) ** 2 + 2.0 * np.sum(second**2)
     return float(factors[0]), float(np.sqrt(variance + columns))
 
 
@@ -664,19 +670,18 @@ def statistics_of_covariance(
 
     ``count`` leading eigenvalues, and the angles of ``spaces``, by the Gram matrix (m, m) of D^1/2 F.
     """
-    eigenvalues, angles = _leading(directions.values, factor, count, spaces)
-    return Statistics(eigenvalues, np.asarray(np.sum(directions.values[:, None] * factor**2)), angles)
+    scaled = np.sqrt(directions.values)[:, None] * factor
+    eigenvalues, angles = _leading(scaled.T @ scaled, scaled[: max(spaces, default=0)], count, spaces)
+    return Statistics(eigenvalues, np.asarray(np.sum(scaled**2)), angles)
 
 
-def _leading(
-    variances: Array, factor: Array, count: int, spaces: tuple[int, ...], rest: float = 0.0
-) -> tuple[Array, Array]:
-    """(..., K) eigenvalues and (..., A) angles [deg] of factors (..., P, m); ``rest`` is added to every eigenvalue."""
-    most, lacking = max(spaces, default=0), max(count - factor.shape[-1], 0)
-    scaled = np.sqrt(variances)[:, None] * np.pad(factor, [(0, 0)] * (factor.ndim - 1) + [(0, lacking)])
-    values, turned = (x[..., ::-1] for x in np.linalg.eigh(np.swapaxes(scaled, -1, -2) @ scaled))
-    values = values[..., :count] + rest
-    overlap = scaled[..., :most, :] @ turned[..., :most] / np.sqrt(np.maximum(values[..., None, :most], 1e-300))
+def _leading(gram: Array, along: Array, count: int, spaces: tuple[int, ...], rest: float = 0.0) -> tuple[Array, Array]:
+    """(..., K) eigenvalues and (..., A) angles [deg] of S = F F^T by F^T F (..., m, m) and F along the leading
+    predicted directions (..., k, m); ``rest`` is added to every eigenvalue.
+    """
+    values, turned = (x[..., ::-1] for x in np.linalg.eigh(gram))
+    values, most = values[..., :count] + rest, along.shape[-2]
+    overlap = along @ turned[..., :most] / np.sqrt(np.maximum(values[..., None, :most], 1e-300))
     return values, principal_angles_deg(overlap, spaces)
 
 
@@ -722,6 +727,19 @@ def band_limits(drawn: Array) -> tuple[Array, Array]:
     return ordered[rank - 1], ordered[-rank]
 
 
+def _moved_roots(
+    directions: EigenDirections, kept: int, errors: Array, draws: int, rng: np.random.Generator
+) -> Iterator[Array]:
+    """Roots (B, kept) of drawn covariances e^r (Sigma + diag q) e^r, to first order in q, in the leading directions.
+
+    ``errors`` (2, K, B) : what r and q are by a standard normal number along each direction
+    """
+    vectors, sd = directions.vectors[:, :kept], np.sqrt(directions.values[:kept])
+    for z in rng.standard_normal((draws, errors.shape[1])):
+        r, q = z @ errors
+        yield np.exp(r)[:, None] * (vectors * sd + q[:, None] * vectors / (2.0 * sd))
+
+
 def sampling_band(
     directions: EigenDirections,
     independent: npt.ArrayLike,
@@ -731,8 +749,9 @@ def sampling_band(
     *,
     kurtosis: float = 0.0,
     draws: int = DRAWS,
+    errors: Array | None = None,
 ) -> Statistics:
-    """What samples of the predicted covariance show by chance alone; each statistic by draws of its own.
+    """What samples of the predicted covariance show by chance; each statistic by draws of its own.
 
     The trace is the sum of chi-squares that it is.  Eigenvalues and angles are those of the leading directions, to
     which the others add their mean, lambda_j/n_j each, and to second order lambda_j^2/(n lambda_K): as many are
@@ -744,6 +763,7 @@ def sampling_band(
     count : leading eigenvalues K
     spaces : the k of the principal angles
     draws : at most; fewer where many directions are drawn
+    errors : (2, K, B) of the prediction (:class:`hyperval.products.SpectralEstimate`), of which each sample has a draw
 
     Examples
     --------
@@ -769,28 +789,43 @@ def sampling_band(
     kept = max(int(unseen.argmax()), count)
     most = round(0.025 * _LARGEST_WORK / kept**3) * 40 - 1
     draws = min(draws, max(most, FEWEST_DRAWS))
+    none, along = np.zeros((2, 0, len(directions.vectors))), directions.vectors[:, : max(spaces, default=0)].T
+    gram, led, trace = [], [], []
     with single_blas_thread():
-        factors = np.stack([drawn_factor(kept, n[:kept], rng, kurtosis) for _ in range(draws)])
-        eigenvalues, angles = _leading(values[:kept], factors, count, spaces, float(np.sum(values[kept:] / dof[kept:])))
+        for root in _moved_roots(directions, kept, none if errors is None else errors, draws, rng.spawn(1)[0]):
+            factor = drawn_factor(kept, n[:kept], rng, kurtosis)
+            drawn = root @ np.pad(factor, [(0, 0), (0, max(count - factor.shape[1], 0))])
+            gram.append(drawn.T @ drawn)
+            led.append(along @ drawn)
+            trace.append(np.sum(root**2) / values[:kept].sum())
+        rest = float(np.sum(values[kept:] / dof[kept:]))
+        eigenvalues, angles = _leading(np.array(gram), np.array(led), count, spaces, rest)
     common = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
-    total = common * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
+    total = np.array(trace) * common * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
     return Statistics(eigenvalues, total, angles)
 
 
 def distance_band(
-    size: int, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float = 0.0
+    directions: EigenDirections, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float, errors: Array
 ) -> tuple[float, float, float]:
-    """What :func:`covariance_distance` of a sample shows by chance alone: its mean, and the 95 % limits of a draw.
+    """The mean of :func:`covariance_distance` of samples by chance alone, and the 95 % limits of a draw.
 
     Limits are those of a chi-square with the mean and the variance of 399 draws, which the sum of (w - 1)^2/16 over
     all pairs of directions is in many pixels.
+
+    ``errors`` : (2, K, B) of the prediction, which limits have besides
     """
+    size, whiten = directions.values.size, (directions.vectors / np.sqrt(directions.values)).T
+    roots = _moved_roots(directions, size, errors, _DISTANCE_DRAWS, rng.spawn(1)[0])
     with single_blas_thread():
-        drawn = (drawn_factor(size, independent, rng, kurtosis) for _ in range(_DISTANCE_DRAWS))
-        found = np.array([covariance_distance(f @ f.T) for f in drawn])
+        drawn = [drawn_factor(size, independent, rng, kurtosis) for _ in range(_DISTANCE_DRAWS)]
+        alone = found = np.array([covariance_distance(f @ f.T) for f in drawn])
+        if errors.size:
+            moved = (whiten @ root @ f for root, f in zip(roots, drawn, strict=True))
+            found = np.array([covariance_distance(f @ f.T) for f in moved])
     mean, shape = float(found.mean()), float(found.mean() ** 2 / found.var())
     low, high = mean / shape * special.gammaincinv(shape, [0.025, 0.975])
-    return mean, float(low), float(high)
+    return float(alone.mean()), float(low), float(high)
 
 
 def full_rank(independent: npt.ArrayLike, size: int) -> bool:
