@@ -94,7 +94,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
         holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
         table, titles = table[:, holds], [titles[i] for i in holds]
-        if _WAVE.search(titles[0]) and _EDGES.match("\t".join(titles)):
+        if _WAVE.search(titles[0]) and _EDGES.match("\t".join(titles)) and (table[:, 1] > table[:, 0]).all():
             table, titles = np.column_stack([table[:, :2].mean(axis=1), table[:, 2:]]), [titles[0], *titles[2:]]
             middles = ("wavelengths are the middles of the steps that the file states",)
         spread = _deviations(titles)
@@ -507,7 +507,7 @@ SVC_SCALE = 1e-10
 
 
 def _below(file: SpectraFile, mark: str, sign: str, titles: int = 0) -> tuple[dict[str, str], list[str], Array, int]:
-    """What the lines above a mark state by key, the lines of titles below it, the numbers, and the line of the first."""
+    """What the lines above a mark state by key, the titles below it, the numbers, and the line of the first."""
     lines, path = file.text.splitlines(), file.path
     begin = next((i for i, line in enumerate(lines) if "".join(line.split()).lower() == mark.lower()), -1)
     refuse(begin < 0, "instrument.data", path, mark=mark)
@@ -593,6 +593,8 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
 def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
     """Of a table with a wavelength a row, the columns of that and of what names its spectra; these are none of others.
 
+    Several names have wavelengths in common: flags, and values under "sample", which differ along one, name nothing.
+
     >>> file = SpectraFile(Path("a.csv"))
     >>> vars(file)["text"] = (
     ...     ";site;plot;wavelength;refl [%];by\\n0;A;1;400;5,5;x\\n1;A;1;500;6;x\\n\\n2;A;2;400;7;y\\n3;A;2;500;8;y\\n")
@@ -600,13 +602,16 @@ def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
     [('A 1 x', [400.0, 500.0], [5.5, 6.0], 'percent'), ('A 2 y', [400.0, 500.0], [7.0, 8.0], 'percent')]
     """
     delimiter = _delimiter(file.text.partition("\n")[0])
-    head = [cells for _, cells in islice(csv_rows(file.text, file.path, delimiter), 2)]
-    titles, cells = head if len(head) == 2 else ([], [])
+    table = (cells for _, cells in csv_rows(file.text, file.path, delimiter))
+    titles, cells = next(table, []), next(table, [])
     waves = [i for i, title in enumerate(titles) if _WAVE.search(title)]
     if len(waves) != 1 or len(cells) != len(titles) or _value(cells[waves[0]], delimiter) is None:
         return 0, []
     named = {i for i, cell in enumerate(cells) if titles[i].lower() in _NAMES or _value(cell, delimiter) is None}
-    return waves[0], sorted(named | {i for i in range(waves[0]) if titles[i].strip()}) if named else []
+    named |= {i for i in range(waves[0]) if named and titles[i].strip()}
+    rows = [cells, *(cells for cells in table if len(cells) == len(titles))] if len(titles) > len(named) + 1 else []
+    names, common = {tuple(row[i] for i in named) for row in rows}, len({row[waves[0]] for row in rows}) < len(rows)
+    return waves[0], sorted(named) if common or len(names) == 1 else []
 
 
 def below_records(file: SpectraFile) -> list[FieldSpectrum]:
