@@ -639,11 +639,10 @@ def usgs_records(file: SpectraFile, stated: Path | str | None = None) -> list[Fi
     (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
-    name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
-    unit = wavelength_unit_in(" ".join(above), "", str(grid))
-    told: dict[str, Any] = {"source": str(path), "wavelength_unit": unit}
-    told["notes"] = () if stated else (f"wavelengths from {grid.name}, which lies beside it",)
-    return [FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], **told)]
+    title = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
+    name, unit = title[1].strip() if title else path.stem, wavelength_unit_in(" ".join(above), "", str(grid))
+    notes = () if stated else (f"wavelengths from {grid.name}, which lies beside it",)
+    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], source=str(path), wavelength_unit=unit, notes=notes)]
 
 
 def wavelengths_beside(path: Path) -> Path | None:

@@ -94,7 +94,7 @@ def predict_post(request: Request, form: SentForm) -> Response:
         ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, begun, to_show(refusal))
-    store_of(request).wait(ordered, 5.0)
+    store_of(request).wait(ordered, seconds=5.0)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
 
