@@ -250,7 +250,7 @@ def file_of(name_or_path: str | Path, library: Mapping[str, Path], kind: str) ->
 
 
 @reader
-def load_yaml(path: Path, of: type[BaseModel] | None = None) -> tuple[Any, dict[Location, int]]:
+def load_yaml(path: Path, of: type[BaseModel] = BaseModel) -> tuple[Any, dict[Location, int]]:
     """Read a YAML file strictly; the file of another kind than ``of`` is refused with the command that takes it.
 
     Returns the plain data and the line number (1-based) of every key and list item.
@@ -269,20 +269,16 @@ def load_yaml(path: Path, of: type[BaseModel] | None = None) -> tuple[Any, dict[
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
     data, lines = parse_yaml(text, str(path))
     refuse(not isinstance(data, dict), "yaml.keys", f"{path}:1")
-    own, other, known = (
-        (_kind_of(keys) for keys in (of.model_fields, data, data.keys() & {*of.model_fields})) if of else [None] * 3
-    )
-    if own and other and not known:
-        raise refusal(
-            "file.kind", path, kind=other[0], own=own[0], command=other[1].format(file=shlex.quote(str(path)))
-        )
+    (own, _), (kind, by), (known, _) = map(_kind_of, (of.model_fields, data, data.keys() & of.model_fields.keys()))
+    command = by.format(file=shlex.quote(str(path)))
+    refuse(own and kind and not known, "file.kind", path, kind=kind, own=own, command=command)
     return data, lines
 
 
-def _kind_of(keys: Iterable[str]) -> list[str] | None:
-    """What a file with these keys is, and the command that takes it."""
+def _kind_of(keys: Iterable[str]) -> tuple[str, str]:
+    """What a file with these keys is, and the command that takes it; of none that is known, nothing."""
     marks = package_table("own_files.yaml")["yaml"].items()
-    return next((told for mark, told in marks if any(re.match(mark, f"{key}:") for key in keys)), None)
+    return next((told for mark, told in marks if any(re.match(mark, f"{key}:") for key in keys)), ("", ""))
 
 
 def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
@@ -383,12 +379,12 @@ def misread(data: Any, read: Any, location: Location = ()) -> Iterator[tuple[Loc
     expected true or false, not 'no'
     """
     is_odd = isinstance(read, bool) != isinstance(data, bool) or (isinstance(data, str) and "_" in data)
+    stated, taken = (dict(enumerate(v)) if isinstance(v, list | tuple) else v for v in (data, read))
     if isinstance(read, int | float) and is_odd:
         yield location, f"expected {'true or false' if isinstance(read, bool) else 'a number'}, not {data!r}"
-    elif isinstance(data, dict | list) and isinstance(read, dict if isinstance(data, dict) else list | tuple):
-        for key, value in data.items() if isinstance(data, dict) else enumerate(data):
-            if isinstance(data, list) or key in read:
-                yield from misread(value, read[key], (*location, key))
+    elif isinstance(stated, dict) and isinstance(taken, dict):
+        for key in filter(taken.__contains__, stated):
+            yield from misread(stated[key], taken[key], (*location, key))
 
 
 def mistakes_in(

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel
 
 from hyperval.config import M, validate
@@ -90,16 +91,16 @@ def _changed(node: Any, parts: list[str], value: Any, path: str) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """A value as a file has it: paths are texts.
+    """A value as a file has it: paths are texts, and scalars of NumPy those of Python.
 
-    >>> _plain({"files": [PurePath("a", "b.txt"), 1.5], "none": None})
-    {'files': ['a/b.txt', 1.5], 'none': None}
+    >>> _plain({"files": [PurePath("a", "b.txt"), 1.5], "none": None, "is_on": np.bool_(True)})
+    {'files': ['a/b.txt', 1.5], 'none': None, 'is_on': True}
     """
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
-    return str(value) if isinstance(value, PurePath) else value
+    return str(value) if isinstance(value, PurePath) else value.item() if isinstance(value, np.generic) else value
 
 
 def path_parts(path: str) -> list[str]:

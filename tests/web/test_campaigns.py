@@ -348,9 +348,9 @@ def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_pa
 
 def test_campaign_that_there_is_not_is_refused(own):
     client = own.session()
-    for name in ("nothing", "../small", "run:aaaaaaaaaaaaaaaa", "", "broken"):
-        answer = client.post(f"{own.address}/api/v1/validations", json={"campaign": name})
-        assert (answer.status_code, answer.json()["errors"][0]["field"]) == (422, "campaign")
+    for order in [{"campaign": n} for n in ("nothing", "../small", "run:" + 16 * "a", "", "broken")] + [{"more": 1}]:
+        answer = client.post(f"{own.address}/api/v1/validations", json={"campaign": "small", **order})
+        assert (answer.status_code, [answer.json()["errors"][0]["field"]]) == (422, [*order])
     assert client.delete(f"{own.address}/api/v1/runs/{'a' * 16}").status_code == 404
 
 

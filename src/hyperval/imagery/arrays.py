@@ -47,6 +47,7 @@ MAX_CHUNK_BYTES = 256 << 20
 CACHE_BYTES = 1 << 20  # of unpacked blocks that the library keeps: by itself 8 MB, though each is asked for once
 SLAB_BYTES = 8 << 20  # of lines that are kept in memory, where they are stored in blocks
 MAX_MATRIX_BYTES = 2 << 30  # of an array that is read whole
+UNPACKED_BYTES = 4 << 30  # of lines that are unpacked into a file, which a folder in memory has room for
 MOST_COMPRESSED = 2_000  # times; what deflate can do is a thousand
 MATRICES = {b"MATLAB 7.3": "MATLAB 7.3", b"MATLAB": "MATLAB 5", b"\x93NUMPY": "NumPy"}
 _FILLS = ("_FillValue", "Data_Ignore_Value", "missing_value")
@@ -280,7 +281,7 @@ class ArrayRaster(Raster):
         """First line, number of lines and reader of at least ``count`` lines, ``lines`` of them where they fit."""
         size = self.samples * self.bands * self.dtype.itemsize
         fit = max(count, SLAB_BYTES // size)
-        if fit < lines:
+        if fit < lines <= UNPACKED_BYTES // size:
             with suppress(OSError):  # no room for the file: each block is unpacked several times, only slower
                 return first, lines, self._unpacked(first, lines)
         lines = min(lines, fit)

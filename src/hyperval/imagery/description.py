@@ -432,9 +432,13 @@ def some_lines(lines: int, count: int) -> Index:
 
 
 def crs_of_wkt(wkt: str | None) -> CRS | None:
-    """The system of a WKT, ESRI's among them, or a code; None where there is none that is understood."""
+    """The system of a WKT, ESRI's among them, or a code; None where there is none that is understood.
+
+    >>> crs_of_wkt("EPSG:32616").to_epsg(), crs_of_wkt("WGS84")  # the name of a datum is no system
+    (32616, None)
+    """
     try:
-        return CRS.from_user_input(wkt, morph_from_esri_dialect=True) if wkt else None
+        return CRS.from_user_input(wkt, morph_from_esri_dialect=True) if wkt and re.search(r"[\[:+]", wkt) else None
     except CRSError:
         return None
 

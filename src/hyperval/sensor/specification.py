@@ -519,13 +519,9 @@ class Sensor:
 
         g, bits = by_arm(gain), by_arm(lambda arm: arm.bits)
         rate = by_arm(lambda arm: self._at("bit_error_rate", w, arm))
-        full = by_arm(
-            lambda arm: (
-                self._at("saturation_radiance", w, arm) * g
-                if arm.full_well_electrons is None
-                else self._at("full_well_electrons", w, arm)
-            )
-        )
+        units: dict[str, Any] = {"full_well_electrons": 1.0, "saturation_radiance": g}
+        stated = {arm.name: next(way for way in units if getattr(arm, way) is not None) for arm in spec.arms}
+        full = by_arm(lambda arm: self._at(stated[arm.name], w, arm) * units[stated[arm.name]])
         return NoiseModel(
             g, by_arm(lambda arm: self._at("fixed_noise_electrons", w, arm)), spec.detector_gain, full * 0.5**bits,
             int(bits[0]) if np.all(bits == bits[0]) else bits,

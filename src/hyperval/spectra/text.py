@@ -94,7 +94,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
         holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
         table, titles = table[:, holds], [titles[i] for i in holds]
-        if _WAVE.search(titles[0]) and _EDGES.match("\t".join(titles)):
+        if _WAVE.search(titles[0]) and _EDGES.match("\t".join(titles)) and (table[:, 1] > table[:, 0]).all():
             table, titles = np.column_stack([table[:, :2].mean(axis=1), table[:, 2:]]), [titles[0], *titles[2:]]
             middles = ("wavelengths are the middles of the steps that the file states",)
         spread = _deviations(titles)
@@ -593,6 +593,8 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
 def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
     """Of a table with a wavelength a row, the columns of that and of what names its spectra; these are none of others.
 
+    Several names have wavelengths in common: flags, and values under "sample", which differ along one, name nothing.
+
     >>> file = SpectraFile(Path("a.csv"))
     >>> vars(file)["text"] = (
     ...     ";site;plot;wavelength;refl [%];by\\n0;A;1;400;5,5;x\\n1;A;1;500;6;x\\n\\n2;A;2;400;7;y\\n3;A;2;500;8;y\\n")
@@ -600,13 +602,16 @@ def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
     [('A 1 x', [400.0, 500.0], [5.5, 6.0], 'percent'), ('A 2 y', [400.0, 500.0], [7.0, 8.0], 'percent')]
     """
     delimiter = _delimiter(file.text.partition("\n")[0])
-    head = [cells for _, cells in islice(csv_rows(file.text, file.path, delimiter), 2)]
-    titles, cells = head if len(head) == 2 else ([], [])
+    table = (cells for _, cells in csv_rows(file.text, file.path, delimiter))
+    titles, cells = next(table, []), next(table, [])
     waves = [i for i, title in enumerate(titles) if _WAVE.search(title)]
     if len(waves) != 1 or len(cells) != len(titles) or _value(cells[waves[0]], delimiter) is None:
         return 0, []
     named = {i for i, cell in enumerate(cells) if titles[i].lower() in _NAMES or _value(cell, delimiter) is None}
-    return waves[0], sorted(named | {i for i in range(waves[0]) if titles[i].strip()}) if named else []
+    named |= {i for i in range(waves[0]) if named and titles[i].strip()}
+    rows = [cells, *(cells for cells in table if len(cells) == len(titles))] if len(titles) > len(named) + 1 else []
+    names, common = {tuple(row[i] for i in named) for row in rows}, len({row[waves[0]] for row in rows}) < len(rows)
+    return waves[0], sorted(named) if common or len(names) == 1 else []
 
 
 def below_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -634,11 +639,10 @@ def usgs_records(file: SpectraFile, stated: Path | str | None = None) -> list[Fi
     (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
-    name = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
-    unit = wavelength_unit_in(" ".join(above), "", str(grid))
-    told: dict[str, Any] = {"source": str(path), "wavelength_unit": unit}
-    told["notes"] = () if stated else (f"wavelengths from {grid.name}, which lies beside it",)
-    return [FieldSpectrum(name[1].strip() if name else path.stem, wavelength[:, 0], values[:, 0], **told)]
+    title = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
+    name, unit = title[1].strip() if title else path.stem, wavelength_unit_in(" ".join(above), "", str(grid))
+    notes = () if stated else (f"wavelengths from {grid.name}, which lies beside it",)
+    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], source=str(path), wavelength_unit=unit, notes=notes)]
 
 
 def wavelengths_beside(path: Path) -> Path | None:

@@ -15,11 +15,12 @@ from functools import partial
 from itertools import groupby
 from typing import Annotated, Any
 
-from fastapi import Body, Request
+from fastapi import Request
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from starlette.datastructures import FormData, QueryParams
 from starlette.responses import JSONResponse, RedirectResponse, Response, StreamingResponse
 
+from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model import in_file
@@ -93,7 +94,7 @@ def predict_post(request: Request, form: SentForm) -> Response:
         ordered = order_prediction(request, data)
     except Refused as refusal:
         return _form(request, data, begun, to_show(refusal))
-    store_of(request).wait(ordered, 5.0)
+    store_of(request).wait(ordered, seconds=5.0)
     return RedirectResponse(f"/runs/{ordered.id}", status_code=303)
 
 
@@ -352,10 +353,16 @@ def order_study(request: Request, study: StudyFile) -> WebRun:
     return store_of(request).order(uploads.owner, "study", study.name, study.title, files)
 
 
+class StudyOrder(Model):
+    """A study of a predefined scenario by name, or of ``run:ID``, a prediction of this session."""
+
+    study: Annotated[StudyFile, small("study")]
+
+
 @api.post("/studies", status_code=201)
-def studies(request: Request, study: Annotated[StudyFile, small("study"), Body(embed=True)]) -> RunAnswer:
-    """Evaluate a trade-off study of a predefined scenario by name, or of ``run:ID``, a prediction of this session."""
-    return answer_of(request, order_study(request, study))
+def studies(request: Request, order: StudyOrder) -> RunAnswer:
+    """Evaluate a trade-off study; ask for the run to learn how far it is."""
+    return answer_of(request, order_study(request, order.study))
 
 
 def _of_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldMistake]:

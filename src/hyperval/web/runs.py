@@ -11,11 +11,11 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import Body, Depends, Form, Query, Request
+from fastapi import Depends, Form, Query, Request
 from pydantic import BaseModel, Field
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 
-from hyperval.config import load_yaml, twice
+from hyperval.config import Model, load_yaml, twice
 from hyperval.errors import HypervalError
 from hyperval.report.html import PICTURES, page_hashes
 from hyperval.run import provenance_of
@@ -52,7 +52,6 @@ def run_of(request: Request, run_id: str) -> WebRun:
 
 OwnRun = Annotated[WebRun, Depends(run_of)]
 Wait = Annotated[float, Query(ge=0, le=60, description="seconds, at most")]
-CampaignName = Annotated[str, Body(embed=True, max_length=100, description="a name of /campaigns")]
 Number = Annotated[int, Query(ge=0, lt=1_000_000)]
 
 
@@ -189,6 +188,12 @@ class CampaignAnswer(BaseModel):
     path: Path = Field(exclude=True)
 
 
+class ValidationOrder(Model):
+    """Which campaign to run."""
+
+    campaign: str = Field(max_length=100, description="a name of /campaigns")
+
+
 @api.get("/campaigns")
 def campaigns(request: Request) -> list[CampaignAnswer]:
     """Campaigns of the server's folder, and those of this session."""
@@ -253,15 +258,15 @@ def campaigns_page(request: Request) -> Response:
 
 
 @pages.post("/validate")
-def campaign_run(request: Request, campaign: Annotated[str, Form(max_length=100)]) -> Response:
+def campaign_run(request: Request, order: Annotated[ValidationOrder, Form()]) -> Response:
     """Run a campaign."""
-    return RedirectResponse(f"/runs/{validations(request, campaign).id}", status_code=303)
+    return RedirectResponse(f"/runs/{validations(request, order).id}", status_code=303)
 
 
 @api.post("/validations", status_code=201)
-def validations(request: Request, campaign: CampaignName) -> RunAnswer:
+def validations(request: Request, order: ValidationOrder) -> RunAnswer:
     """Run a campaign: predict, observe, compare."""
-    found = known_campaigns(request).get(campaign)
+    found = known_campaigns(request).get(order.campaign)
     if found is None:
         raise Refused(422, [FieldMistake("campaign", "this server has no campaign of that name")])
     run = store_of(request).order(owner_of(request), "validation", found.name, found.title, path=str(found.path))
