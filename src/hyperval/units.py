@@ -105,10 +105,12 @@ def in_nm(unit: str | None) -> float | None:
 def wavelength_unit_named(text: str) -> str | None:
     """The only unit of wavelengths among the words of a text; None without one, or with several.
 
-    >>> [wavelength_unit_named(text) for text in ("nanometers (nm)", "Wavelength, microns", "nm or um", "cm-1")]
-    ['nm', 'um', None, None]
+    >>> texts = "nanometers (nm)", "Wavelength, microns", "Wellenlänge in Nanometern", "micrometri", "nm or um", "cm-1"
+    >>> [wavelength_unit_named(text) for text in texts]
+    ['nm', 'um', 'nm', 'um', None, None]
     """
     plain = re.sub(r"[\[(]\s*[AÅ\u212b]\s*[\])]", " angstrom ", text).translate(_SIGNS).lower()
+    plain = re.sub(r"(nano|micro)(met)[a-z]+", r"\1meter", plain)  # in other languages too
     units = {"nm", "um", "angstrom"} & {_SPELLED.get(word) for word in re.findall(r"[a-zåö]+", plain)}
     return units.pop() if len(units) == 1 else None
 
