@@ -155,7 +155,6 @@ FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile
     ("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
     ("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
     ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f), text.row_records),
-    ("", lambda f: not f.columns and text.columns_below(f)[1], text.below_records),
     ("text, a spectrum a column; ENVI ASCII plot", lambda f: True, text.text_records),
 )
 

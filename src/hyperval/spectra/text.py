@@ -590,46 +590,6 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     return [FieldSpectrum(path.stem, nm, values, quantity=wanted, wavelength_unit="nm", unit=unit)]
 
 
-def columns_below(file: SpectraFile) -> tuple[int, list[int]]:
-    """Of a table with a wavelength a row, the columns of that and of what names its spectra; these are none of others.
-
-    Several names have wavelengths in common: flags, and values under "sample", which differ along one, name nothing.
-
-    >>> file = SpectraFile(Path("a.csv"))
-    >>> vars(file)["text"] = (
-    ...     ";site;plot;wavelength;refl [%];by\\n0;A;1;400;5,5;x\\n1;A;1;500;6;x\\n\\n2;A;2;400;7;y\\n3;A;2;500;8;y\\n")
-    >>> [(r.name, r.wavelength_nm.tolist(), r.values.tolist(), r.unit) for r in below_records(file)]
-    [('A 1 x', [400.0, 500.0], [5.5, 6.0], 'percent'), ('A 2 y', [400.0, 500.0], [7.0, 8.0], 'percent')]
-    """
-    delimiter = _delimiter(file.text.partition("\n")[0])
-    table = (cells for _, cells in csv_rows(file.text, file.path, delimiter))
-    titles, cells = next(table, []), next(table, [])
-    waves = [i for i, title in enumerate(titles) if _WAVE.search(title)]
-    if len(waves) != 1 or len(cells) != len(titles) or _value(cells[waves[0]], delimiter) is None:
-        return 0, []
-    named = {i for i, cell in enumerate(cells) if titles[i].lower() in _NAMES or _value(cell, delimiter) is None}
-    named |= {i for i in range(waves[0]) if named and titles[i].strip()}
-    rows = [cells, *(cells for cells in table if len(cells) == len(titles))] if len(titles) > len(named) + 1 else []
-    names, common = {tuple(row[i] for i in named) for row in rows}, len({row[waves[0]] for row in rows}) < len(rows)
-    return waves[0], sorted(named) if common or len(names) == 1 else []
-
-
-def below_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """The spectra of a table that has them below each other, each row with a name, a wavelength and a value."""
-    (wave, named), delimiter = columns_below(file), _delimiter(file.text.partition("\n")[0])
-    rows, parts = csv_rows(file.text, file.path, delimiter), dict[str, list[str]]()
-    titles = [title.replace(delimiter, " ") for title in next(rows)[1]]
-    kept = [wave, *(i for i in range(wave + 1, len(titles)) if i not in named)]
-    for where, cells in ((f"{file.path}:{number}", cells) for number, cells in rows if any(cells)):
-        refuse(len(cells) != len(titles), "text.cells", where, found=len(cells), wanted=len(titles))
-        wrong = [titles[i] for i in kept if _value(cells[i], delimiter) is None]
-        refuse(wrong, "text.cell", where, title=(*wrong, "")[0])
-        name, *head = " ".join(cells[i] for i in named), delimiter.join(titles[i] for i in kept)
-        parts.setdefault(name, head).append(delimiter.join(cells[i] for i in kept))
-    made = [(name, r) for name, lines in parts.items() for r in text_records(file, "\n".join(lines))]
-    return [replace(r, name=name if len(parts) == len(made) else f"{name} {r.name}") for name, r in made]
-
-
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
