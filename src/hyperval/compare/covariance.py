@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ MOST_EIGENVALUES = 30  # in figures
 SPACES = (1, 2, 3)
 FEWEST_PIXELS = 3
 _SEED = 20140501
+_MOST_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
 
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
@@ -187,16 +189,33 @@ def sampled(
     measured = pixels.statistics_of_covariance(directions, factor, count, spaces)
     full, lacks = pixels.full_rank(independent, size), factor.shape[1] < size
     distance = math.nan if not full else math.inf if lacks else pixels.covariance_distance(factor @ factor.T)
-    errors, rng = _errors((p, o), bands), partial(np.random.default_rng, _SEED)
-    counts = dict.fromkeys((min(count, EIGENVALUES), count))  # a figure's first ones are those of rows
-    bands_of = [
-        pixels.sampling_band(directions, independent, k, spaces, rng(), kurtosis=kurtosis, errors=errors)
-        for k in counts
-    ]
+    errors = _errors((p, o), bands)
+    counts = min(count, EIGENVALUES), count  # a figure's first ones are those of rows
+    bands_of = [_band(directions, independent, k, spaces, kurtosis, errors) for k in counts]
     limits = [np.stack([x.eigenvalues.mean(axis=0), *pixels.band_limits(x.eigenvalues)]) for x in bands_of]
-    drawn = np.hstack([limits[0], limits[-1][:, EIGENVALUES:]])
+    drawn = np.hstack([limits[0], limits[1][:, EIGENVALUES:]])
     both = (p, o), bands, (first, second)
     return Sampled(*both, measured, bands_of[0], drawn, distance, directions, independent, errors, spaces, n, kurtosis)
+
+
+_DRAWN: dict[tuple[Any, ...], pixels.Statistics] = {}
+
+
+def _band(
+    directions: pixels.EigenDirections, independent: Array, count: int, spaces: tuple[int, ...], kurtosis: float,
+    errors: Array,
+) -> pixels.Statistics:  # fmt: skip
+    """The draws that rows and figures of a subject share."""
+    law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, independent, errors))
+    key = sha256(law).digest(), count, spaces, kurtosis
+    if key not in _DRAWN:
+        if len(_DRAWN) >= _MOST_DRAWN:
+            _DRAWN.clear()
+        rng = np.random.default_rng(_SEED)
+        _DRAWN[key] = pixels.sampling_band(
+            directions, independent, count, spaces, rng, kurtosis=kurtosis, errors=errors
+        )
+    return _DRAWN[key]
 
 
 def _errors(sides: Iterable[SpectralEstimate], bands: Mask) -> Array:
