@@ -171,7 +171,7 @@ def sampled(
         return without("few_pixels.covariance", COMPARISON, n=n, bands=int(bands.sum()))
     block = np.ix_(bands, bands)
     first, second = np.asarray(p.pixel_covariance)[block], np.asarray(o.pixel_covariance)[block]
-    first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
+    first = first + np.diag(_rounding(o)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return without("no_value.covariance", COMPARISON)
     # Pixels that have tails scatter by them, whatever law is predicted.
@@ -216,6 +216,10 @@ def _band(
             directions, independent, count, spaces, rng, kurtosis=kurtosis, errors=errors
         )
     return _DRAWN[key]
+
+
+def _rounding(observed: SpectralEstimate) -> Array:
+    return np.zeros(observed.mean.size) if observed.rounding is None else observed.rounding
 
 
 def _errors(sides: Iterable[SpectralEstimate], bands: Mask) -> Array:
@@ -294,7 +298,7 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
     beyond = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
     calibration = calibration + beyond
-    noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
+    noise = total[bands] + beyond + _rounding(observed)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[block]
     columns = {"calibration": calibration, "samples": samples, "errors": _errors(sample.sides, bands)}
     factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)

@@ -732,7 +732,7 @@ def band_limits(drawn: Array) -> tuple[Array, Array]:
 def _moved(
     directions: EigenDirections, errors: Array, factors: Iterator[Array], rng: np.random.Generator
 ) -> Iterator[tuple[Array, Array]]:
-    """Blocks of roots (n or 1, B, P) of drawn covariances e^r (Sigma + diag q) e^r, to first order in q, and of factors.
+    """Blocks of roots (n or 1, B, P) of drawn covariances e^r (Sigma + diag q) e^r, to first order in q, with factors.
 
     ``errors`` (2, K, B) : what r and q are by a standard normal number along each direction
     """
