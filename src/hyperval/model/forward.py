@@ -30,6 +30,7 @@ from hyperval.model.world import World, find, read_world, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
+from hyperval.sensor import signal_to_noise
 from hyperval.spectra.axis import SpectralAxis
 
 Key = tuple[str, ...]
@@ -486,8 +487,9 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
             if white is not None and e.stated.is_of_space:
                 out["toa_reflectance", name] = radiance.toa_reflectance(level, white)[:, 0]
             if light.noise is not None and name in bare:
-                for key, with_c in ((name, True), (bare[name], False)):
-                    out["snr", key] = light.noise.snr(level, calibration=with_c)[:, 0]
+                parts = e.once(("noise", name), partial(light.noise.breakdown, level))
+                for key, variance in ((name, parts.total), (bare[name], parts.detector)):
+                    out["snr", key] = signal_to_noise(level, variance)[:, 0]
     return out
 
 
@@ -506,7 +508,8 @@ def spread_scales(e: Evaluation) -> dict[tuple[str, str], Array]:
         out = {("signal", product): np.log(scale)[:, 0] for product, scale in scales.items()}
         for name, (rho, _) in each.items():
             if light.noise is not None and hosts.get(name, name) not in held:
-                out["noise", name] = (light.noise_variance(light.level(rho)) / slope**2)[:, 0]
+                parts = e.once(("noise", name), partial(light.noise.breakdown, light.level(rho)))
+                out["noise", name] = (parts.total / slope**2)[:, 0]
     return out
 
 
