@@ -38,9 +38,8 @@ def _curve(points, **more):
 def _sides():
     spectrum = products.SpectralEstimate(np.array([1.0, 2.0, 3.0]), np.diag([0.01, 0.02, 0.03]), None, 5)
     key = ("plank", "cem")
-    errors = np.linspace(-0.02, 0.03, 24).reshape(2, 4, 3)
-    spread = dataclasses.replace(spectrum, pixel_covariance=np.eye(3), spread_errors=errors)
-    fewer = dataclasses.replace(spread, spread_errors=errors[:, :2], rounding=np.full(3, 1e-5))
+    spread = dataclasses.replace(spectrum, pixel_covariance=np.eye(3), spread_errors=np.full((2, 4, 3), 0.1))
+    fewer = dataclasses.replace(spread, spread_errors=np.full((2, 2, 3), 0.2), rounding=np.full(3, 1e-5))
     predicted = products.PredictedProducts(
         AXIS, {"plank": spectrum, "grass": spread, "road": fewer},
         roc={(*key, "pixel"): _curve(4, preset_pfa=np.logspace(-2, 0, 4))},

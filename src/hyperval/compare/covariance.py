@@ -202,19 +202,15 @@ _DRAWN: dict[tuple[Any, ...], pixels.Statistics] = {}
 
 
 def _band(
-    directions: pixels.EigenDirections, independent: Array, count: int, spaces: tuple[int, ...], kurtosis: float,
-    errors: Array,
-) -> pixels.Statistics:  # fmt: skip
+    directions: pixels.EigenDirections, dof: Array, count: int, spaces: tuple[int, ...], kurtosis: float, errors: Array
+) -> pixels.Statistics:
     """The draws that rows and figures of a subject share."""
-    law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, independent, errors))
-    key = sha256(law).digest(), count, spaces, kurtosis
+    law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, dof, errors))
+    key, rng = (sha256(law).digest(), count, spaces, kurtosis), np.random.default_rng(_SEED)
+    if len(_DRAWN) >= _MOST_DRAWN:
+        _DRAWN.clear()
     if key not in _DRAWN:
-        if len(_DRAWN) >= _MOST_DRAWN:
-            _DRAWN.clear()
-        rng = np.random.default_rng(_SEED)
-        _DRAWN[key] = pixels.sampling_band(
-            directions, independent, count, spaces, rng, kurtosis=kurtosis, errors=errors
-        )
+        _DRAWN[key] = pixels.sampling_band(directions, dof, count, spaces, rng, kurtosis=kurtosis, errors=errors)
     return _DRAWN[key]
 
 
