@@ -2,6 +2,7 @@
 
 python scripts/schemas.py            say which differ from what the models say
 python scripts/schemas.py --write    write them
+python scripts/schemas.py --unused   the keys that no YAML file of the repository uses
 
 Each field says its unit, and the shipped file that shows it.
 """
@@ -9,11 +10,14 @@ Each field says its unit, and the shipped file that shows it.
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Iterator
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
+import yaml
 from jsonschema import Draft202012Validator
 from pydantic import BaseModel
 
@@ -36,6 +40,7 @@ KINDS: dict[str, type[BaseModel]] = {
 SHIPPED = ("campaigns/*/*.yaml", "studies/*.yaml", "src/hyperval/**/scenarios/*.yaml", "src/hyperval/sensor/library/*")
 # A value of one of several runs, or of a half hour of a day: a word in braces.
 WORD = r"\{\w+\}"
+REFUSED = re.compile("refus|mistake|broken_campaigns")  # in the names of files that hold mistakes
 RUNS = {
     "description": "words in braces, such as {line}, and the text of each in every run of this file",
     "items": {"additionalProperties": {"type": "string"}, "type": "object"},
@@ -115,8 +120,60 @@ def published() -> dict[str, dict[str, Any]]:
     return schemas
 
 
+def used(schema: dict[str, Any], part: Any, data: Any, owner: str) -> Iterator[tuple[str, str]]:
+    """The keys that a part of a file has, each with the model that it is of; an item of a list may go by its name."""
+    if not part or not isinstance(data, dict | list):
+        return
+    if "$ref" in part:
+        name = part["$ref"].rpartition("/")[2]
+        yield from used(schema, schema["$defs"][name], data, name)
+    for member in part.get("anyOf", part.get("oneOf", ())):
+        yield from used(schema, member, data, owner)
+    fields = part.get("properties", {})
+    if fields and isinstance(data, dict):
+        for key in data.keys() & fields.keys() if owner == schema["title"] or data.keys() <= fields.keys() else ():
+            yield owner, key
+            yield from used(schema, fields[key], data[key], owner)
+    else:
+        inner = part.get("items" if part.get("type") == "array" else "additionalProperties")
+        for value in data.values() if isinstance(data, dict) else data:
+            yield from used(schema, isinstance(inner, dict) and inner, value, owner)
+
+
+def parts(data: Any) -> Iterator[dict[str, Any]]:
+    """Each key of every mapping in data with its value, a dotted path as keys below keys; and a path that is a text."""
+    pairs = data.items() if isinstance(data, dict) else [(data, 0)] * (isinstance(data, str) and "." in data)
+    for path, value in pairs:
+        keys = re.findall(r"\[[^]]+\]|[^.]+", str(path))
+        yield reduce(lambda inner, key: {key: inner}, reversed(keys), value)
+    for item in data.values() if isinstance(data, dict) else data if isinstance(data, list) else ():
+        yield from parts(item)
+
+
+def unused() -> list[tuple[str, str]]:
+    """Model and key that no YAML file of the repository uses; what is refused shows no use of a key."""
+    schemas = [as_read(kind) for kind in KINDS]
+    every = {
+        (owner, key)
+        for schema in schemas
+        for owner, part in {**schema["$defs"], schema["title"]: schema}.items()
+        for key in part.get("properties", {})
+    }
+    folders = (ROOT / name for name in ("campaigns", "studies", "src", "docs", "tests"))
+    files = [path for folder in folders for path in sorted(folder.rglob("*.yaml")) if not REFUSED.search(path.stem)]
+    for path in files:
+        for part in parts(yaml.safe_load(path.read_text("utf-8"))):
+            for schema in schemas:
+                every -= set(used(schema, schema, part, schema["title"]))
+    return sorted(every)
+
+
 def main() -> int:
     """Write the schemas, or say which are not as the models have them; exit code 1 when there are any."""
+    if "--unused" in sys.argv[1:]:
+        keys = unused()
+        print("\n".join(f"{owner}.{key}" for owner, key in keys))
+        return bool(keys)
     changed = []
     for kind, schema in published().items():
         path, text = FOLDER / f"{kind}.json", json.dumps(schema, indent=1) + "\n"

@@ -17,7 +17,7 @@ from synthetic_run import NASTY, axis, make_run
 
 import hyperval
 from hyperval import cli, products, run
-from hyperval.errors import InputError, UsageError
+from hyperval.errors import InputError
 from hyperval.results import COLUMNS, Outcome, Result, ResultTable, Role
 
 ROOT = Path(__file__).parents[2]
@@ -181,20 +181,6 @@ def test_spectra_curves_and_scores_of_an_opened_run_are_tables(whole, opened):
     row = opened.scores.set_index(["side", "subject", "detector"]).loc[("observed", subject, detector)]
     assert (row["mean"], row["sd"], row["n"]) == (score.mean, score.sd, score.n)
     assert len(opened.summary) == sum(row.planned for row in whole.table)
-
-
-def test_a_measurand_has_its_errors_by_the_names_of_obsarray(whole, opened):
-    data, known = opened.measurand("observed", "radiance", "lawn"), whole.pair[1].radiance["lawn"]
-    (component,) = data["radiance"].attrs["unc_comps"]
-    u, covariance = data[component], known.error_covariance
-    assert (u.attrs["err_corr_1_dim"], u.attrs["err_corr_1_form"]) == ("band", "err_corr_matrix")
-    correlation = data[u.attrs["err_corr_1_params"][0]].to_numpy()
-    np.testing.assert_array_equal(np.diag(correlation), 1.0)
-    room = 1e-7 * np.abs(covariance).max()
-    np.testing.assert_allclose(correlation * np.outer(u, u), covariance, rtol=1e-5, atol=room)
-    np.testing.assert_array_equal(data["radiance"], known.mean)
-    with pytest.raises(UsageError, match="observed radiance lawn"):
-        opened.measurand("observed", "radiance", "a wall")
 
 
 @pytest.fixture

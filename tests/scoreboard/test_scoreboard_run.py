@@ -130,8 +130,6 @@ def test_a_function_an_estimator_and_a_map_made_elsewhere_have_rows_and_what_is_
     assert 0.4 < area["noise"] < 0.8 < 0.9 < area["halves"]  # the greatest of an object's pixels
     assert "noise has no score for" in rows["cem/object", "rank_auc"]["reason"]
     every = {(r["subject"], r["method"], r["metric"]): r for r in rows_of(tmp_path / "out")}
-    low, high = (float(every["large-planks", "cem/pixel", f"auc_{side}_tau"]["value"]) for side in "fd")
-    assert 0 < low < high < 1
     assert ("large-planks", "cem/pixel", "predicted_auc") in every
     compared = [key for key in every if key[1].startswith("of-the-image/") and key[2] in ("auc", "pd@1e-2")]
     assert len(compared) >= 6

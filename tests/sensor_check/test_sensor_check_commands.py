@@ -13,8 +13,8 @@ from sensor_data import changed, good_sensor, sensor_of
 from hyperval.cli import run
 from hyperval.config import parse_yaml, placeholders
 from hyperval.errors import UsageError
-from hyperval.sensor import SensorSpecification, load_sensor, new_sensor_file
-from hyperval.sensor_check import bands_beside, check_sensor, write_check
+from hyperval.sensor import SensorSpecification, new_sensor_file
+from hyperval.sensor_check import check_sensor, write_check
 from small_campaign import stand_in_atmosphere
 
 PAGE = Path(__file__).parents[2] / "docs" / "sensors.md"
@@ -55,20 +55,6 @@ def test_check_writes_a_datasheet(here, capsys):
     record = json.loads((here / "sheet" / "provenance.json").read_text())
     assert record["inputs"][0]["reference"] == "good.yaml"
     assert len(record["inputs"][0]["sha256"]) == 64
-
-
-def test_the_two_band_sets_of_prospectir_stand_side_by_side():
-    """The greatest distance and the ten bands of the other detector are those of the two headers."""
-    sensor = load_sensor("prospectir-vs-2012")
-    beside = bands_beside(sensor)
-    assert (beside["name"], len(beside["rows"])) == ("prospectir-vs", 360)
-    assert beside["words"].startswith("bands of one number lie up to 17.")
-    wider = [row[1] for row in beside["rows"] if row[5] > 1.5 * row[2]]
-    assert (min(wider), max(wider)) == (941.9, 985.4)
-    number, *own, there, centre, width, further = beside["rows"][115]
-    assert (number, own, there, centre, width) == (116, [937.0, 3.8], 117, 935.78, 3.72)
-    assert further == pytest.approx(centre - 937.0)
-    assert bands_beside(load_sensor("prospectir-vs")) is None
 
 
 def test_a_broken_sensor_fails_by_the_contract_and_says_what(here, capsys, no_drawing):

@@ -417,40 +417,6 @@ class Validation(_Tables):
         frame = self.results.to_dataframe()
         return frame[frame["outcome"] != "none"].reset_index(drop=True)
 
-    def measurand(self, side: str, product: str, subject: str) -> xr.Dataset:
-        """One spectrum with its standard uncertainty and the correlation of errors, named as CoMet's obsarray does.
-
-        Returns
-        -------
-        Variables (B,) ``PRODUCT`` and ``u_PRODUCT`` in its unit, (B, B) ``err_corr_PRODUCT`` [1]: with obsarray
-        imported, ``.unc`` finds them; punpy propagates them.
-
-        Raises
-        ------
-        UsageError : no such side, product or subject, or a product whose covariance is not kept.
-        """
-        kept = [name for name in SPECTRA if name != "snr"]
-        have = [f"{key} {name} {one}" for key, p in self.both.items() for name in kept for one in getattr(p, name)]
-        if f"{side} {product} {subject}" not in have:
-            raise UsageError(f"no {side} {product} of {subject!r} with a covariance", expected=", ".join(have))
-        one = self.sides[side].sel(subject=subject, drop=True)
-        u, stated = one[f"{product}_standard_uncertainty"].to_numpy(), one[product].attrs
-        scale = np.where(u > 0, u, 1.0)
-        correlation = one[f"{product}_error_covariance"].to_numpy() / np.outer(scale, scale)
-        np.fill_diagonal(correlation, 1.0)
-        matrix = f"err_corr_{product}"
-        of_u = {
-            "units": stated["units"], "pdf_shape": "gaussian", "err_corr_1_dim": "band",
-            "err_corr_1_form": "err_corr_matrix", "err_corr_1_units": [], "err_corr_1_params": [matrix],
-        }  # fmt: skip
-        columns = {
-            product: ("band", one[product].to_numpy(), {**stated, "unc_comps": [f"u_{product}"]}),
-            f"u_{product}": ("band", u, of_u),
-            matrix: (("band", "band_2"), correlation, {"units": "1"}),
-        }
-        key = {"wavelength": ("band", one["wavelength"].to_numpy())}
-        return xr.Dataset(columns, key, {"subject": subject, "side": side})
-
     def to_xarray(self) -> xr.DataTree:
         """Both sides as the groups of ``products.nc``."""
         return xr.DataTree.from_dict(dict(self.sides), name=self.name)

@@ -431,7 +431,7 @@ def detector_rows(
         why = "the campaign looks for no targets"
         return list(named(skipped(Cause.NO_OBSERVATION, why, "rank"), PRODUCT, EVERY_OBJECT, "detectors")), ()
     maps = observed.detected.score_maps
-    rows = [*side_rows(observed.observation, "measured"), *threshold_rows(place, maps, detection)]
+    rows = list(side_rows(observed.observation, "measured"))
     counts = block_counts(place, maps, detection)
     for name, looks in track(counts.group.items(), "ranks", len(counts.group)):
         if len(set(counts.item[list(looks)])) < 2:
@@ -455,30 +455,6 @@ def side_rows(side: Products, side_word: Literal["measured", "predicted"]) -> It
         if measure is not None and (n is None or n * measure.least_pfa >= LEAST_EXPECTED_ALARMS):
             metric = measure.name if side_word == "measured" else f"predicted_{measure.name}"
             yield replace(one, product=PRODUCT, metric=metric, evidence=None)
-
-
-def threshold_rows(place: Place, maps: Mapping[str, Array], detection: Detection) -> list[Result]:
-    """Areas of the other two sides of the 3-D ROC by subject: P_D and P_FA over the threshold.
-
-    Scores run from 0, the least of background and targets, to 1, the greatest; the area under an exceedance is then
-    the mean.  Without an interval: the extremes of the image have no variance that its pixels tell.
-    Source: Chang, IEEE Trans. Geosci. Remote Sens. 59, 5131-5153, 2021.
-    """
-    counted, rows = place.pixels_of(*detection.false_alarms), list[Result]()
-    for (target, subjects), name in product(_subjects(place, detection), detection.detectors):
-        scores = maps[map_name(target, name)]
-        by_subject = {s: [scores[o.window][o.part] for o in objects] for s, objects in subjects.items()}
-        noise = AlarmBlocks.of_map(scores, counted)
-        every = np.concatenate([noise.scores, *(values for each in by_subject.values() for values in each)])
-        low, high = np.nanmin(every), np.nanmax(every)
-        sums, sizes = (np.bincount(noise.block, weights) for weights in (noise.scores - low, None))
-        for subject, each in by_subject.items():
-            found = [np.array([part.sum(), part.size]) for v in each if (part := v[np.isfinite(v)] - low).size]
-            for metric, parts in (("auc_d_tau", np.array(found).T), ("auc_f_tau", np.stack([sums, sizes]))):
-                if parts.size:
-                    mean = parts[0].sum() / parts[1].sum() / max(float(high - low), 1e-300)
-                    rows += named([row(metric, mean, n=parts.shape[1])], PRODUCT, subject, f"{name}/pixel")
-    return rows
 
 
 def rank_rows(group: str, counts: BlockCounts, measure: Measure, ranks: RankedDetectors) -> list[Result]:

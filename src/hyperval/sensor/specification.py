@@ -82,10 +82,6 @@ class Bands(OneOf):
         "contiguous", description="separate: a multispectral sensor, whose bands need not touch"
     )
     gaps: tuple[StatedGap, ...] = Field((), description="parts that are left out on purpose")
-    beside: str | None = Field(
-        None,
-        description="sensor of the library with another set of bands, which the datasheet shows beside it",
-    )
     source: Source
 
     @property

@@ -1,6 +1,6 @@
 """Acceptance of a sensor file, and its datasheet."""
 
-from .page import bands_beside, check_to_folder, write_check
+from .page import check_to_folder, write_check
 from .suite import (
     SensorCheck,
     SensorNumber,
@@ -15,7 +15,7 @@ from .suite import (
 )
 
 __all__ = [
-    "SensorCheck", "SensorNumber", "applied_moments", "bands_beside", "check_sensor", "check_to_folder",
+    "SensorCheck", "SensorNumber", "applied_moments", "check_sensor", "check_to_folder",
     "electrons_from_energy", "movable", "neighbour_ratio", "numbers", "scene_radiance", "sunlit_radiance",
     "write_check",
 ]  # fmt: skip

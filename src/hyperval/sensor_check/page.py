@@ -23,7 +23,6 @@ from hyperval.report.html import page
 from hyperval.results import Outcome
 from hyperval.run import Run
 from hyperval.scenario import load_scenario
-from hyperval.sensor.specification import Sensor, load_sensor
 from hyperval.sensor_check.suite import LEVELS, MIDDLE, TOLERANCE, SensorCheck, check_sensor, neighbour_ratio, numbers
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 from hyperval.storage import whole_folder
@@ -206,30 +205,9 @@ def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: di
         "datasheet.html.j2", figures,
         sensor=check.sensor.specification, axis=axis, counts=outcome_words(rows), failed=failed, known=expected,
         decided=len(failed) + sum(r.gates and r.outcome is Outcome.AGREES for r in rows), rows=rows, figures=figures,
-        numbers=numbers(check.sensor.specification), beside=bands_beside(check.sensor), provenance=provenance,
+        numbers=numbers(check.sensor.specification), provenance=provenance,
         folded=_FOLDED,
     )  # fmt: skip
-
-
-def bands_beside(sensor: Sensor) -> dict[str, Any] | None:
-    """Every band with the nearest one of the set that the file names as ``bands.beside``, None where it names none.
-
-    The rows hold number, centre and width [nm] of both, and how much further on the other one lies [nm].
-    """
-    name = sensor.specification.bands.beside
-    if name is None:
-        return None
-    axis, other = sensor.axis, load_sensor(name).axis
-    nearest = np.abs(axis.centre_nm[:, None] - other.centre_nm[None, :]).argmin(axis=1)
-    centre, width = other.centre_nm[nearest], other.fwhm_nm[nearest]
-    of_own = np.arange(1, len(axis) + 1), axis.centre_nm, axis.fwhm_nm
-    rows = list(zip(*of_own, nearest + 1, centre, width, centre - axis.centre_nm, strict=True))
-    numbers = min(len(axis), len(other))
-    apart = np.abs(axis.centre_nm[:numbers] - other.centre_nm[:numbers])
-    words = f"bands of one number lie up to {apart.max():.1f} nm apart"
-    if wider := int(np.count_nonzero(width > 1.5 * axis.fwhm_nm)):
-        words += f"; of {wider} bands the nearest one there is more than 1.5 times as wide: another detector's"
-    return {"name": name, "rows": rows, "words": words}
 
 
 def check_to_folder(name_or_file: str, output: Path | None, *, vary: float = 0.2) -> SensorCheck:

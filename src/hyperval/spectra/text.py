@@ -507,7 +507,7 @@ SVC_SCALE = 1e-10
 
 
 def _below(file: SpectraFile, mark: str, sign: str, titles: int = 0) -> tuple[dict[str, str], list[str], Array, int]:
-    """What the lines above a mark state by key, lines of titles below it, the numbers, and the line of the first."""
+    """What lines above a mark state by key, the lines of titles below it, the numbers, and the line of the first."""
     lines, path = file.text.splitlines(), file.path
     begin = next((i for i, line in enumerate(lines) if "".join(line.split()).lower() == mark.lower()), -1)
     refuse(begin < 0, "instrument.data", path, mark=mark)
