@@ -61,7 +61,7 @@ class SpectralEstimate:
     circular : why the estimate is no evidence, such as a panel that its own empirical line goes through; else empty
     stated : (B,) standard uncertainty that its source states, where ``error_covariance`` leaves out what the other
         side shares with it; None where that holds all
-    rounding : (B,) variance that storing whole steps adds to that from pixel to pixel: step^2/12; 0 without
+    rounding : (B,) variance that storing whole steps adds to that from pixel to pixel: step^2/12; None without
     calibration : (B, B) part of ``error_covariance`` that all spectra of the collection share; None without
     errors : of a prediction, by source: a direction of one source is the same draw in all of its spectra
     spread_errors : (2, K, B) errors of ``pixel_covariance`` along K independent directions: the part by which each
@@ -76,7 +76,7 @@ class SpectralEstimate:
     estimated: tuple[EstimatedPart, ...] = field(default=(), compare=False, repr=False)
     circular: str = ""
     stated: Array | None = field(default=None, compare=False, repr=False)
-    rounding: Array | float = field(default=0.0, compare=False, repr=False)
+    rounding: Array | None = field(default=None, compare=False, repr=False)
     calibration: Array | None = field(default=None, compare=False, repr=False)
     errors: Mapping[str, Errors] = field(default_factory=dict, compare=False, repr=False)
     spread_errors: Array | None = field(default=None, compare=False, repr=False)

@@ -804,6 +804,8 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
         covariance = np.array(item.get("error_covariance", np.diag(variance)), dtype=float)
         np.fill_diagonal(covariance, variance)
         item["error_covariance"] = covariance
+        if (errors := item.get("spread_errors")) is not None:
+            item["spread_errors"] = errors[:, ~np.isnan(errors).all(axis=(0, 2))]
     if kind is product_types.RocCurve:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
     for name, hint in ((f.name, str(f.type)) for f in fields(kind) if f.name in item):

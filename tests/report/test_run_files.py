@@ -38,8 +38,11 @@ def _curve(points, **more):
 def _sides():
     spectrum = products.SpectralEstimate(np.array([1.0, 2.0, 3.0]), np.diag([0.01, 0.02, 0.03]), None, 5)
     key = ("plank", "cem")
+    spread = dataclasses.replace(spectrum, pixel_covariance=np.eye(3), spread_errors=np.full((2, 4, 3), 0.1))
+    fewer = dataclasses.replace(spread, spread_errors=np.full((2, 2, 3), 0.2), rounding=np.full(3, 1e-5))
     predicted = products.PredictedProducts(
-        AXIS, {"plank": spectrum}, roc={(*key, "pixel"): _curve(4, preset_pfa=np.logspace(-2, 0, 4))},
+        AXIS, {"plank": spectrum, "grass": spread, "road": fewer},
+        roc={(*key, "pixel"): _curve(4, preset_pfa=np.logspace(-2, 0, 4))},
         scores={key: products.ScoreDistribution(1.0, 0.1, None, np.arange(5.0), np.full(5, 0.2))},
         abundance={key: products.Abundance(9.0, 0.4, None, 9.5)}, object_scores={key: products.ObjectScores(DRAWS)},
         exceedance={key: products.ExceedanceCurve(np.arange(3.0), *np.full((3, 3), 0.1))},
@@ -114,7 +117,7 @@ def _same(one, other, at=""):
         for key in items:
             _same(items[key], others[key], f"{at}[{key}]")
     elif isinstance(one, np.ndarray):
-        np.testing.assert_allclose(other, one, rtol=1e-7 if "covariance" in at else 0.0, err_msg=at)
+        np.testing.assert_allclose(other, one, rtol=1e-7 if "covariance" in at or "spread" in at else 0.0, err_msg=at)
     else:
         assert one == other or (one != one and other != other), at
 

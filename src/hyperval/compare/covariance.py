@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
+from hashlib import sha256
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ MOST_EIGENVALUES = 30  # in figures
 SPACES = (1, 2, 3)
 FEWEST_PIXELS = 3
 _SEED = 20140501
+_MOST_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
 
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
@@ -169,7 +171,7 @@ def sampled(
         return without("few_pixels.covariance", COMPARISON, n=n, bands=int(bands.sum()))
     block = np.ix_(bands, bands)
     first, second = np.asarray(p.pixel_covariance)[block], np.asarray(o.pixel_covariance)[block]
-    first = first + np.diag(np.broadcast_to(o.rounding, bands.shape)[bands])
+    first = first + np.diag(_rounding(o)[bands])
     if not (np.isfinite(first).all() and np.isfinite(second).all()):
         return without("no_value.covariance", COMPARISON)
     # Pixels that have tails scatter by them, whatever law is predicted.
@@ -187,16 +189,33 @@ def sampled(
     measured = pixels.statistics_of_covariance(directions, factor, count, spaces)
     full, lacks = pixels.full_rank(independent, size), factor.shape[1] < size
     distance = math.nan if not full else math.inf if lacks else pixels.covariance_distance(factor @ factor.T)
-    errors, rng = _errors((p, o), bands), partial(np.random.default_rng, _SEED)
-    counts = dict.fromkeys((min(count, EIGENVALUES), count))  # a figure's first ones are those of rows
-    bands_of = [
-        pixels.sampling_band(directions, independent, k, spaces, rng(), kurtosis=kurtosis, errors=errors)
-        for k in counts
-    ]
+    errors = _errors((p, o), bands)
+    counts = min(count, EIGENVALUES), count  # a figure's first ones are those of rows
+    bands_of = [_band(directions, independent, k, spaces, kurtosis, errors) for k in counts]
     limits = [np.stack([x.eigenvalues.mean(axis=0), *pixels.band_limits(x.eigenvalues)]) for x in bands_of]
-    drawn = np.hstack([limits[0], limits[-1][:, EIGENVALUES:]])
+    drawn = np.hstack([limits[0], limits[1][:, EIGENVALUES:]])
     both = (p, o), bands, (first, second)
     return Sampled(*both, measured, bands_of[0], drawn, distance, directions, independent, errors, spaces, n, kurtosis)
+
+
+_DRAWN: dict[tuple[Any, ...], pixels.Statistics] = {}
+
+
+def _band(
+    directions: pixels.EigenDirections, dof: Array, count: int, spaces: tuple[int, ...], kurtosis: float, errors: Array
+) -> pixels.Statistics:
+    """The draws that rows and figures of a subject share."""
+    law = b"".join(x.tobytes() for x in (directions.vectors, directions.values, dof, errors))
+    key, rng = (sha256(law).digest(), count, spaces, kurtosis), np.random.default_rng(_SEED)
+    if len(_DRAWN) >= _MOST_DRAWN:
+        _DRAWN.clear()
+    if key not in _DRAWN:
+        _DRAWN[key] = pixels.sampling_band(directions, dof, count, spaces, rng, kurtosis=kurtosis, errors=errors)
+    return _DRAWN[key]
+
+
+def _rounding(observed: SpectralEstimate) -> Array:
+    return np.zeros(observed.mean.size) if observed.rounding is None else observed.rounding
 
 
 def _errors(sides: Iterable[SpectralEstimate], bands: Mask) -> Array:
@@ -275,7 +294,7 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
     beyond = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
     calibration = calibration + beyond
-    noise = total[bands] + beyond + np.broadcast_to(observed.rounding, total.shape)[bands]
+    noise = total[bands] + beyond + _rounding(observed)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[block]
     columns = {"calibration": calibration, "samples": samples, "errors": _errors(sample.sides, bands)}
     factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)

@@ -11,7 +11,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache, partial
-from itertools import islice
+from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from hyperval.model.world import World, find, read_world, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
+from hyperval.sensor import signal_to_noise
 from hyperval.spectra.axis import SpectralAxis
 
 Key = tuple[str, ...]
@@ -486,27 +487,29 @@ def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
             if white is not None and e.stated.is_of_space:
                 out["toa_reflectance", name] = radiance.toa_reflectance(level, white)[:, 0]
             if light.noise is not None and name in bare:
-                for key, with_c in ((name, True), (bare[name], False)):
-                    out["snr", key] = light.noise.snr(level, calibration=with_c)[:, 0]
+                parts = e.once(("noise", name), partial(light.noise.breakdown, level))
+                for key, variance in ((name, parts.total), (bare[name], parts.detector)):
+                    out["snr", key] = signal_to_noise(level, variance)[:, 0]
     return out
 
 
 def spread_scales(e: Evaluation) -> dict[tuple[str, str], Array]:
-    """("spread of " product, subject) -> (U or 1, 2B) what the spread from pixel to pixel goes by: logarithm of the
-    change of the signal per reflectance (D_A of 3.11), and the noise as a variance of reflectance.
+    """What the spread from pixel to pixel goes by, (U or 1, B): ("signal", product) -> logarithm of the change of the
+    signal per reflectance (D_A of 3.11); ("noise", subject) -> as a variance of reflectance.
 
     Noise that the covariance of pixels of the image holds does not move with the model's.
     """
     light, names, images = e.light.rows(e.which), e.stated.names["surface"], e.stated.of_pixels
     held = {name for name, of_image in zip(names, images, strict=True) if of_image}
     hosts = {population.name: e.stated.targets[t].host for t, _, population in e.stated.populations}
-    slope, line, out = light.slope(), light.library_line, dict[tuple[str, str], Array]()
+    each, slope = e.once("reflectances", partial(reflectances, e)), light.slope()
     with np.errstate(divide="ignore", invalid="ignore"):
-        for name, (rho, _) in e.once("reflectances", partial(reflectances, e)).items():
-            noise = 0.0 if hosts.get(name, name) in held else light.noise_variance(light.level(rho)) / slope**2
-            for product, scale in (("radiance", slope), ("reflectance", slope / line.gain)):
-                both = np.broadcast_arrays(np.log(scale), noise)
-                out[f"spread of {product}", name] = np.concatenate(both, axis=-1)[:, 0]
+        scales = {"radiance": slope, "reflectance": slope / light.library_line.gain}
+        out = {("signal", product): np.log(scale)[:, 0] for product, scale in scales.items()}
+        for name, (rho, _) in each.items():
+            if light.noise is not None and hosts.get(name, name) not in held:
+                parts = e.once(("noise", name), partial(light.noise.breakdown, light.level(rho)))
+                out["noise", name] = (parts.total / slope**2)[:, 0]
     return out
 
 
@@ -517,12 +520,12 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     out: dict[tuple[str, str], dict[str, Errors]] = {}
     state = world.stated.scenario.atmosphere
     day = str(state.time_utc or "")[:10] if state is not None else ""
-    for item in inputs:
+    for number, item in enumerate(inputs):
         if find(world.stated, item.path).field in _SEEN_BY_NO_SPECTRUM:
             continue
         least = _ROUNDING * float(np.abs(item.rows).max(initial=0.0))
         of_spectrum = item.subject and item.kind == "surface"
-        name = "field spectrum" if of_spectrum else item.name
+        source = "field spectrum" if of_spectrum else item.name
         scale = *item.scale, day if item.path.startswith("atmosphere.") else ""
         for start in range(0, len(item.rows), _DIRECTIONS):
             some = range(start, min(start + _DIRECTIONS, len(item.rows)))
@@ -536,6 +539,8 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 if item.subject and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
                 each = out.setdefault(key, {})
+                # Signal and noise go by the same directions: those of one step have one name.
+                name = source if key[0] in SPECTRA else f"{number:05} {start:05}"
                 before, changes = each[name].rows if name in each else rows[:0], np.nan_to_num(rows)
                 if item.subject and item.kind == "sensor" and len(before) > start:  # of the image, which all share
                     before[start : start + len(changes)] += changes
@@ -573,15 +578,20 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
         sources = (errors or {}).get((product, key), {})
         total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(sources, shapes, bands)
         pixel, sources = None if pixel is None else known(pixel), {} if product == "snr" else sources
-        moves = [
-            one.rows.reshape(-1, 2, bands) for one in (errors or {}).get((f"spread of {product}", key), {}).values()
-        ]
+        spread = spread_errors(errors, light, product, key) if errors and product in ("radiance", "reflectance") else []
         if (gain := sources.get("compensation (gain)")) is not None:  # of an image: it stretches the spread as the mean
-            moves.append(np.stack([gain.rows / mean, 0.0 * gain.rows], axis=1))
-        scale = light.slope() / (1.0 if product == "radiance" else light.library_line.gain)
-        spread = np.concatenate(moves).swapaxes(0, 1) * np.array([np.ones(bands), scale**2])[:, None] if moves else None
-        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=sources, spread_errors=spread)
+            spread.append(np.stack([gain.rows / mean, 0.0 * gain.rows]))
+        moved = np.concatenate(spread, axis=1) if spread else None
+        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=sources, spread_errors=moved)
     return PredictedProducts(e.axis, **out)
+
+
+def spread_errors(errors: SpectralErrors, light: radiance.Light, product: str, subject: str) -> list[Array]:
+    """(2, K, B) of each step of directions: of a band's standard deviation as a part of it, and of its noise."""
+    both = [errors.get(key, {}) for key in (("signal", product), ("noise", subject))]
+    scale = light.slope() / (1.0 if product == "radiance" else light.library_line.gain)
+    steps = ([of[step].rows if step in of else 0.0 for of in both] for step in sorted(set(chain(*both))))
+    return [np.stack(np.broadcast_arrays(signal, noise * scale**2)) for signal, noise in steps]
 
 
 Spread = tuple[Array, Mapping[str, Array]]

@@ -282,7 +282,7 @@ def _estimate(
     return sites.spectral_estimate(
         mean, parts, pixel_covariance=sample.covariance / gains if spread else None, n=sample.n,
         estimated=estimated, circular=circular, spread_errors=None if scale is None else np.stack([scale, 0.0 * scale]),
-        rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else 0.0,
+        rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else None,
     )  # fmt: skip
 
 

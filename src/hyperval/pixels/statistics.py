@@ -21,8 +21,9 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import reduce
+from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -620,6 +621,7 @@ DRAWS = 1999
 FEWEST_DRAWS = 119
 _LARGEST_WORK = 5e8  # draws times directions cubed; beyond it there are fewer draws
 _DISTANCE_DRAWS = 399  # whose mean and spread are used
+_BLOCK = 500_000  # numbers of roots that are drawn together
 _LEAST_SHIFT = 0.05  # standard deviations of an eigenvalue by which directions that are not drawn would move it
 # Directions with less than this part of the greatest eigenvalue are rounding error.
 SMALLEST_PART = 1e-12
@@ -727,17 +729,17 @@ def band_limits(drawn: Array) -> tuple[Array, Array]:
     return ordered[rank - 1], ordered[-rank]
 
 
-def _moved_roots(
-    directions: EigenDirections, kept: int, errors: Array, draws: int, rng: np.random.Generator
-) -> Iterator[Array]:
-    """Roots (B, kept) of drawn covariances e^r (Sigma + diag q) e^r, to first order in q, in the leading directions.
+def _moved(
+    directions: EigenDirections, errors: Array, factors: Iterator[Array], rng: np.random.Generator
+) -> Iterator[tuple[Array, Array]]:
+    """Blocks of roots (n or 1, B, P) of drawn covariances e^r (Sigma + diag q) e^r, to first order in q, with factors.
 
     ``errors`` (2, K, B) : what r and q are by a standard normal number along each direction
     """
-    vectors, sd = directions.vectors[:, :kept], np.sqrt(directions.values[:kept])
-    for z in rng.standard_normal((draws, errors.shape[1])):
-        r, q = z @ errors
-        yield np.exp(r)[:, None] * (vectors * sd + q[:, None] * vectors / (2.0 * sd))
+    vectors, sd = directions.vectors, np.sqrt(directions.values)
+    while block := list(islice(factors, max(_BLOCK // vectors.size, 1))):
+        r, q = rng.standard_normal((len(block) if errors.size else 1, errors.shape[1])) @ errors
+        yield np.exp(r)[..., None] * (vectors * sd + q[..., None] * (vectors / (2.0 * sd))), np.stack(block)
 
 
 def sampling_band(
@@ -789,19 +791,20 @@ def sampling_band(
     kept = max(int(unseen.argmax()), count)
     most = round(0.025 * _LARGEST_WORK / kept**3) * 40 - 1
     draws = min(draws, max(most, FEWEST_DRAWS))
-    none, along = np.zeros((2, 0, len(directions.vectors))), directions.vectors[:, : max(spaces, default=0)].T
-    gram, led, trace = [], [], []
+    leading, trace, parts = EigenDirections(directions.vectors[:, :kept], values[:kept]), [], []
+    if errors is None or not errors.size:  # along the directions themselves
+        leading, errors = replace(leading, vectors=np.eye(kept)), np.zeros((2, 0, kept))
+    along = leading.vectors[:, : max(spaces, default=0)].T
+    factors = (drawn_factor(kept, n[:kept], rng, kurtosis) for _ in range(draws))
+    rest = float(np.sum(values[kept:] / dof[kept:]))
     with single_blas_thread():
-        for root in _moved_roots(directions, kept, none if errors is None else errors, draws, rng.spawn(1)[0]):
-            factor = drawn_factor(kept, n[:kept], rng, kurtosis)
-            drawn = root @ np.pad(factor, [(0, 0), (0, max(count - factor.shape[1], 0))])
-            gram.append(drawn.T @ drawn)
-            led.append(along @ drawn)
-            trace.append(np.sum(root**2) / values[:kept].sum())
-        rest = float(np.sum(values[kept:] / dof[kept:]))
-        eigenvalues, angles = _leading(np.array(gram), np.array(led), count, spaces, rest)
+        for roots, block in _moved(leading, errors, factors, rng.spawn(1)[0]):
+            drawn = roots @ np.pad(block, [(0, 0), (0, 0), (0, max(count - block.shape[-1], 0))])
+            parts.append(_leading(np.swapaxes(drawn, -1, -2) @ drawn, along @ drawn, count, spaces, rest))
+            trace.append(np.full(len(block), np.sum(roots**2, axis=(1, 2)) / leading.values.sum()))
+    eigenvalues, angles = (np.concatenate(part) for part in zip(*parts, strict=True))
     common = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
-    total = np.array(trace) * common * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
+    total = np.concatenate(trace) * common * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
     return Statistics(eigenvalues, total, angles)
 
 
@@ -816,16 +819,16 @@ def distance_band(
     ``errors`` : (2, K, B) of the prediction, which limits have besides
     """
     size, whiten = directions.values.size, (directions.vectors / np.sqrt(directions.values)).T
-    roots = _moved_roots(directions, size, errors, _DISTANCE_DRAWS, rng.spawn(1)[0])
+    factors = (drawn_factor(size, independent, rng, kurtosis) for _ in range(_DISTANCE_DRAWS))
+    alone, moved = [], []
     with single_blas_thread():
-        drawn = [drawn_factor(size, independent, rng, kurtosis) for _ in range(_DISTANCE_DRAWS)]
-        alone = found = np.array([covariance_distance(f @ f.T) for f in drawn])
-        if errors.size:
-            moved = (whiten @ root @ f for root, f in zip(roots, drawn, strict=True))
-            found = np.array([covariance_distance(f @ f.T) for f in moved])
+        for roots, block in _moved(directions, errors, factors, rng.spawn(1)[0]):
+            alone += [covariance_distance(f @ f.T) for f in block]
+            moved += [covariance_distance(f @ f.T) for f in whiten @ roots @ block] if errors.size else []
+    found = np.array(moved or alone)
     mean, shape = float(found.mean()), float(found.mean() ** 2 / found.var())
     low, high = mean / shape * special.gammaincinv(shape, [0.025, 0.975])
-    return float(alone.mean()), float(low), float(high)
+    return float(np.mean(alone)), float(low), float(high)
 
 
 def full_rank(independent: npt.ArrayLike, size: int) -> bool:
