@@ -39,6 +39,7 @@ GONE = {
     "totals": "each input has its own share of the variance: leave it out",
     "bit_error_per": "bit_error_rate is that of each bit: of a rate per word, the rate / bits",
     "lsb_electrons": "full_well_electrons, which is lsb_electrons x 2^bits",
+    "features.mnf": "pca: as many principal components",
     "bands.beside": "say under 'notes' how far the bands lie from those of another set",
     "known_discrepancies": "a check that a sensor does not pass stays as it is; say why under 'notes'",
     "outputs.calibration_error": "sensor_changes.calibration_error_percent: 0 among the settings leaves C_R out",

@@ -426,12 +426,10 @@ class DarkestPixel(Model):
     reflectances: ClassVar = (0.0, 0.6)  # what it is taken for, and that of the bright panel
 
 
-class Features(OneOf):
+class Features(Model):
     """Linear features in place of bands (Psi of 3.21), from the statistics that the filter is built on."""
 
-    one_of = ("pca", "mnf")
-    pca: int | None = Field(None, title="principal components", ge=1, le=5000)
-    mnf: int | None = Field(None, title="minimum-noise-fraction components", ge=1, le=5000)
+    pca: int = Field(title="principal components", ge=1, le=5000)
 
 
 class BandChoice(Model):

@@ -38,7 +38,6 @@ def line(white=None, *, sd=0.01, rho=0.05, change=None, **options):
         (lambda: model.feature_bands(np.arange(3.0), np.zeros(3, bool), ()), "no usable band for classification"),
         (lambda: model.principal_components(EYE, 0), "0 principal components of 3 bands"),
         (lambda: model.principal_components(EYE, 4), "4 principal components of 3 bands"),
-        (lambda: model.minimum_noise_fraction(EYE, np.array([1.0, 0.0, 1.0]), 1), "need noise in every band"),
         (lambda: model.with_distances(None, [model.ClassLaw(np.zeros(3), EYE)]), "classification needs two classes"),
         (lambda: line(change={"radiance": np.full(3, np.nan)}), "panel 'white' holds NaN or infinity"),
         (lambda: line(panel(rho=60.0)), "divide percent by 100"),

@@ -20,13 +20,11 @@ from hyperval.model import (
     darkest_level,
     detection_probability,
     exceedance_at,
-    feature_covariance,
     host_part,
     illumination_factor,
     log_false_alarm,
     matched_filter_weights,
     mean_radiance,
-    minimum_noise_fraction,
     score_density,
     spectral_matched_filter,
 )
@@ -89,19 +87,6 @@ def test_darkest_pixel_by_monte_carlo():
     pixels = np.where(which, rng.normal(3.0, 0.5, which.shape), rng.normal(4.0, 0.9, which.shape))
     median = darkest_level([0.3, 0.7], [[3.0], [4.0]], [[0.5], [0.9]], 1000)
     assert abs((pixels.min(axis=1) < median).mean() - 0.5) < 5 * 0.5 / np.sqrt(1000)
-
-
-def test_noise_fractions_by_hand_and_whitening():
-    # Noise 1 and 4: N^-1/2 Sigma N^-1/2 = [[3, 0], [0, 2]] for Sigma = diag(3, 8): components along the bands.
-    psi = minimum_noise_fraction(np.diag([3.0, 8.0]), [1.0, 4.0], 2)
-    assert psi == pytest.approx(np.array([[1.0, 0.0], [0.0, 0.5]]))
-    a = np.random.default_rng(321).standard_normal((6, 6))
-    cov, noise = a @ a.T + np.eye(6), np.linspace(0.1, 2.0, 6)
-    psi = minimum_noise_fraction(cov, noise, 6)
-    assert feature_covariance(psi, np.diag(noise)) == pytest.approx(np.eye(6), abs=1e-12)
-    whitened = feature_covariance(psi, cov)
-    assert whitened == pytest.approx(np.diag(np.diag(whitened)), abs=1e-9)
-    assert np.all(np.diff(np.diag(whitened)) <= 1e-9)
 
 
 def test_smf_by_hand():

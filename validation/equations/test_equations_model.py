@@ -16,7 +16,6 @@ from plain_scene import PlainScene
 from hyperval.atmosphere import AtmosphericTerms
 from hyperval.model import Evaluation, Origins, World, beta_fill, read_world, with_values
 from hyperval.model.detection import class_scores, surroundings_variance, target_scores
-from hyperval.model.filters import noise_of
 from hyperval.model.forward import pixel_spreads
 from hyperval.model.objects import object_scores
 from hyperval.model.radiance import target_pixels
@@ -73,7 +72,7 @@ def both(**more: np.ndarray) -> World:
     """The two truths."""
     measured = {n: ClassStatistics(n, AXIS, s.mean, s.covariance, 40) for n, s in SURFACES.items()}
     sensor = SimpleNamespace(
-        axis=AXIS, noise=lambda *a: NOISE[0], true_axis=lambda axis, *a: axis, notes=lambda *a: [],
+        name="stand-in", axis=AXIS, noise=lambda *a: NOISE[0], true_axis=lambda axis, *a: axis, notes=lambda *a: [],
         specification=SimpleNamespace(psf=None), operated_noise=lambda *a: Sensor.operated_noise(sensor, *a),
     )  # fmt: skip
     origins = Origins(
@@ -185,13 +184,6 @@ def test_3_26_and_3_28_drawn_scores_of_objects():
     z = (drawn - mean) / np.sqrt(variance)
     assert abs(z.mean()) < 5.0 / np.sqrt(z.size)  # (3.26)
     assert abs(z.var() - 1.0) < 5.0 * np.sqrt(2.0 / z.size)  # (3.28)
-
-
-def test_3_16_to_3_19_noise_at_a_retrieved_reflectance():
-    e, one = Evaluation(both()), plain(1)
-    rho = np.array([0.1, 0.2, 0.4, 0.6])
-    expected = one.noise.variance(one.b + one.k * rho) / one.k**2
-    assert noise_of(e.view, 1, rho) == pytest.approx(expected, rel=1e-10)
 
 
 def test_3_28_by_monte_carlo():

@@ -227,27 +227,6 @@ def principal_components(covariance: npt.ArrayLike, count: int) -> Array:
     return np.asarray(vectors * np.sign(largest))
 
 
-def minimum_noise_fraction(covariance: npt.ArrayLike, noise_variance: npt.ArrayLike, count: int) -> Array:
-    """Psi (count, B) of minimum-noise-fraction components, largest signal-to-noise first (3.21).
-
-    Rows e^T N^-1/2 with e the leading eigenvectors of N^-1/2 Sigma N^-1/2 and N = diag(noise): in these features
-    the noise has unit covariance and Sigma is diagonal (Green et al. 1988; noise-adjusted principal components).
-
-    Parameters
-    ----------
-    covariance : (B, B) of signal and noise together
-    noise_variance : (B,)
-
-    Raises
-    ------
-    UsageError : more components than bands, or a band without noise.
-    """
-    noise = np.asarray(noise_variance, dtype=float)
-    refuse(not np.all(noise > 0), "features.noise", none=np.sum(~(noise > 0)), bands=noise.size)
-    scale = 1.0 / np.sqrt(noise)
-    return np.asarray(principal_components(np.asarray(covariance, dtype=float) * scale[:, None] * scale, count) * scale)
-
-
 def features(psi: npt.ArrayLike, spectra: npt.ArrayLike) -> Array:
     """F = Psi X of spectra (..., B) -> (..., F) (3.21)."""
     return np.asarray(np.asarray(spectra, dtype=float) @ np.asarray(psi, dtype=float).T)
@@ -322,17 +301,8 @@ def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
     if choice is None:
         return FilterBase(mean, None, PositiveDefinite(values, slope))
     covariance = unpacked(values, slope.size) * np.outer(slope, slope)
-    if choice.pca is not None:
-        psi = principal_components(covariance, choice.pca)
-    else:
-        psi = minimum_noise_fraction(covariance, noise_of(view, u, mean), choice.mnf or 0)
+    psi = principal_components(covariance, choice.pca)
     return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
-
-
-def noise_of(view: Retrieved, u: int, reflectance: Array) -> Array:
-    """Noise variance (F,) of a retrieved reflectance (F,) in one truth (3.16-3.19)."""
-    gain, offset = (of_truth(x, u)[0] for x in (view.gain, view.offset))
-    return np.asarray(view.light.row(u).noise_variance(offset + gain * reflectance) / gain**2)
 
 
 def own_mean_sampling(
