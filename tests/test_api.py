@@ -11,20 +11,10 @@ import xarray as xr
 from hyperval import api, scenario
 from hyperval.api import objects
 from hyperval.errors import InputError, UsageError
-from small_campaign import scenario_data, scene_data, write_yaml
+from small_campaign import data_of, scenario_data, scene_data, write_yaml
 
 matplotlib.use("Agg")
 pytestmark = pytest.mark.slow
-STUDY = {
-    "schema": 1,
-    "name": "small-study",
-    "scenario": "scenario.yaml",
-    "inputs": [
-        {"name": "fill", "path": "scene.targets.yellow.subjects.small-planks.fill.fixed", "values": [0.05, 0.1]}
-    ],
-    "outputs": [{"name": "pd", "kind": "pd", "subject": "small-planks", "pfa": 1e-2}],
-    "plots": [{"kind": "lines", "x": "fill", "output": "pd"}],
-}
 
 
 @pytest.fixture
@@ -34,7 +24,7 @@ def beside(figures, small, monkeypatch):
     small.write()
     write_yaml(small.folder / "scenario.yaml", scenario_data())
     write_yaml(small.folder / "scene.yaml", scene_data())
-    write_yaml(small.folder / "study.yaml", STUDY)
+    write_yaml(small.folder / "study.yaml", data_of("small_study"))
     return small
 
 

@@ -172,7 +172,6 @@ RadianceUnit = Annotated[str, _unit_of("radiance")]
 WavelengthUnit = Annotated[str, _unit_of("wavelength")]
 
 M = TypeVar("M", bound=BaseModel)
-
 Location = tuple[str | int, ...]
 
 
@@ -353,11 +352,12 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
     """
     if to_fill_in := placeholders(data, lines, name):
         raise unfilled(to_fill_in)
+    cause: ValidationError | None = None
     try:
         loaded = model.model_validate(data)
         mistakes = list(misread(data, loaded.model_dump(by_alias=True)))
     except ValidationError as error:
-        mistakes = list(mistakes_in(error.errors(include_url=False), model))
+        cause, mistakes = error, list(mistakes_in(error.errors(include_url=False), model))
     problems: list[tuple[int, str]] = []
     for location, text in mistakes:
         line = next((lines[location[:n]] for n in range(len(location), -1, -1) if location[:n] in lines), 1)
@@ -365,7 +365,7 @@ def validate(model: type[M], data: Any, lines: dict[Location, int], name: str) -
         problems.append((line, ": ".join(filter(None, (where, ".".join(map(str, location)), text)))))
     if problems:
         listed, more = [text for _, text in sorted(problems)], len(problems) - MOST_MISTAKES
-        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])]))
+        raise UsageError("\n  ".join([*listed[:MOST_MISTAKES], *([f"and {more} more"] if more > 0 else [])])) from cause
     return loaded
 
 

@@ -292,20 +292,11 @@ def test_each_flight_is_predicted_from_the_other_and_the_budget_is_what_is_left(
 # Input for MODTRAN, what the input of others states, and running the user's own: a stand-in replays output.
 
 
-STATE = {
-    "engine": "modtran", "model": "midlatitude-summer", "water_vapour_g_cm2": 1.25, "ozone_atm_cm": 0.3,
-    "aot550": 0.05, "ground_altitude_km": 0.401945, "sensor_altitude_km": 2.300449, "latitude_deg": 34.4533,
-    "longitude_deg": -118.5969, "time_utc": "2018-09-11T18:57:00Z",
-}  # fmt: skip
+STATE = CASES["modtran_state"]
 
 
 def state(**changes):
-    fields = {
-        "model": "midlatitude-summer", "water_vapour_g_cm2": 1.5, "ozone_atm_cm": 0.3, "aerosol": "rural",
-        "aot550": 0.1, "ground_altitude_km": 0.35, "sensor_altitude_km": 2.3, "solar_zenith_deg": 52.44,
-        "solar_azimuth_deg": 163.7, "day_of_year": 312, "view_zenith_deg": 20.0, "view_azimuth_deg": 90.0,
-    }  # fmt: skip
-    return AtmosphericState(**{**fields, **changes})
+    return AtmosphericState(**{**CASES["deck_state"], **changes})
 
 
 def card(lines, number, version):

@@ -21,11 +21,7 @@ from hyperval.scenario import Scenario
 from hyperval.spectra import SpectralAxis
 
 NM = np.arange(400.0, 1001.0, 10.0)
-STATE = {
-    "engine": "table", "table": "table.nc", "model": "midlatitude-summer", "water_vapour_g_cm2": 1.2,
-    "ozone_atm_cm": 0.3, "aerosol": "rural", "aot550": 0.1, "ground_altitude_km": 0.35, "sensor_altitude_km": 2.3,
-    "solar_zenith_deg": 40.0, "solar_azimuth_deg": 160.0, "day_of_year": 100,
-}  # fmt: skip
+STATE = CASES["table_state"]
 QUANTITIES = ("path", "direct", "adjacency", "spherical_albedo", "ground", "gas")
 NOT_FIXED = ("engine", "table", "solar_azimuth_deg", "day_of_year")
 FIXED = {"view_zenith_deg": 0.0, "relative_azimuth_deg": 160.0} | {k: STATE[k] for k in STATE if k not in NOT_FIXED}

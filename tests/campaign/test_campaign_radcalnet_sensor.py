@@ -96,8 +96,8 @@ def test_without_files_it_waits_and_says_for_what(monkeypatch, tmp_path):
     assert {i.what for i in items if i.state == "to fill in"} == set(VALUES)
     lacking = {"data:radcalnet-sensor/2018-05-28.img", "data:radcalnet-portal/BTCN02_2018_148_v00.03.input"}
     assert {i.what for i in items if i.state == "missing"} >= lacking
-    for command, code in {"validate": 5, "benchmark": 0}.items():
-        assert cli.run(["-q", command, str(FOLDER / "campaign.yaml"), "-o", str(tmp_path / command)]) == code
+    for command in ("validate", "benchmark"):
+        assert cli.run(["-q", command, str(FOLDER / "campaign.yaml"), "-o", str(tmp_path / command)]) == 5
         assert {str(r.outcome) for r in read_rows(tmp_path / command)} == {"skipped"}
 
 

@@ -1,5 +1,7 @@
 """A scene of ten bands under a stand-in atmosphere, for departures, budgets and their propagation."""
 
+from pathlib import Path
+
 import numpy as np
 from stand_in_atmosphere import blue_and_haze, line, smooth_terms, sunlight
 
@@ -24,28 +26,7 @@ def engine(state: AtmosphericState) -> AtmosphericTerms:
 
 
 ORIGINS = Origins(axis=AXIS, engine=engine)
-SCENE = """
-schema: 1
-name: small
-scene:
-  classes:
-    - {name: grass, fraction: 0.7, spectrum: {builtin: grass}}
-    - {name: asphalt, fraction: 0.3, spectrum: {builtin: asphalt}}
-  panels: [{name: panel, spectrum: {builtin: grey-panel-30}}]
-  targets:
-    - name: plank
-      spectrum: {builtin: yellow-paint-plank}
-      host: asphalt
-      subjects:
-        - {name: tenth, fill: {fixed: 0.1}}
-        - {name: loose, fill: {mean: 0.15, sd: 0.05}}
-processing: {detectors: [cem], bands: {drop_bad: false}}
-"""
-ATMOSPHERE = """
-atmosphere: {aot550: 0.2, water_vapour_g_cm2: 2.0, ozone_atm_cm: 0.3, sensor_altitude_km: 1, solar_zenith_deg: 30,
-             solar_azimuth_deg: 0, day_of_year: 200}
-sensor: prospectir-vs
-"""
+SCENE, ATMOSPHERE = Path(__file__).with_suffix(".yaml").read_text("utf-8").split("# ---\n")
 
 
 def scenario(extra: str = ATMOSPHERE, scene: str = SCENE, **replaced: str) -> Scenario:
