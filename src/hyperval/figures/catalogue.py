@@ -36,7 +36,7 @@ from hyperval.figures.spec import (
 )
 from hyperval.metrics import product_words
 from hyperval.model import Z95, clopper_pearson, detection_at, difference_ratio
-from hyperval.pixels import EigenDirections, exceedance_of_distance
+from hyperval.pixels import exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable, grouped
 from hyperval.run import ScoreMap
@@ -240,7 +240,7 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
     """Eigenvalues of both sides; below each, predicted over measured with the band that chance alone gives."""
     predicted, observed = sides
     if predicted is None or observed is None:
-        return _eigenvalues_alone(sides) if quantity == "radiance" else None
+        return None
     both = both_of(sides, quantity)
     counts = [(s, e.n) for s, e in both[1].items() if s in both[0] and e.n and e.pixel_covariance is not None]
     most = sorted(counts, key=lambda one: -one[1])[:_MOST_SPREADS]
@@ -264,32 +264,6 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
 
     title = f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent predicted pixels)"
     return a_view_each(f"{quantity}-eigenvalues", "covariance", title, list(spreads), view)
-
-
-def _eigenvalues_alone(sides: Sides) -> Figure | None:
-    """Those of the radiance of a side alone, for which no band of chance is known."""
-    make = measured_mark if sides[0] is None else predicted_mark
-    shown = {k: e for side in both_of(sides, "radiance") for k, e in side.items() if e.pixel_covariance is not None}
-
-    def view(subject: str) -> Panels:
-        values = _eigenvalues(shown[subject])
-        mark = make("line", {"x": np.arange(1.0, values.size + 1), "y": values}, marker="circle")
-        x, y = Axis(_EIGENVALUE, ends=(0.0, MOST_EIGENVALUES + 1.0)), Axis(_EIGENVALUES["radiance"], "log")
-        return single(x, y, [mark], subject, at=1.0 if values.size else None)
-
-    title = "Eigenvalues of the pixel covariance"
-    return a_view_each("radiance-eigenvalues", "covariance", title, list(shown), view)
-
-
-def _eigenvalues(estimate: SpectralEstimate) -> Array:
-    """(K,) leading eigenvalues of the pixel covariance over its finite bands, largest first."""
-    covariance = np.asarray(estimate.pixel_covariance, dtype=float)
-    finite = np.isfinite(np.diag(covariance))
-    block = covariance[np.ix_(finite, finite)]
-    if not finite.any() or not np.isfinite(block).all():
-        return np.empty(0)
-    rank = MOST_EIGENVALUES if estimate.n is None else min(MOST_EIGENVALUES, max(estimate.n - 1, 0))
-    return EigenDirections.of(block).values[:rank]
 
 
 def tail_figure(sides: Sides) -> Figure | None:
