@@ -74,12 +74,14 @@ def noise_of(**changes) -> NoiseModel:
     return sensor_of(arms=[arm(**changes)]).noise()
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("integration_time_s", 0.0), ("bit_error_rate", -1.0), ("full_well_electrons", 1e308)]
-)
+SENSELESS = ("integration_time_s", 0.0), ("bit_error_rate", -1.0), ("full_well_electrons", 1e308)
+
+
+@pytest.mark.parametrize(("name", "value"), SENSELESS)
 def test_a_sensor_without_signal_or_with_boundless_noise_is_not_predicted_with(name, value):
-    with pytest.raises(UsageError, match=r"no signal, or noise beyond any number, at 400 nm"):
-        sensor_of(arms=[arm(**{name: {"value": value, **Q}})]).operated_noise(None, None, None, {})
+    bands, asked = {"table": [[400, 10, 0], [410, 10, 1]], **Q}, (None, None, None, {})
+    with pytest.raises(UsageError, match=r"no signal, or noise beyond any number, at 410 nm"):  # 400 nm is a bad band
+        sensor_of(arms=[arm(**{name: {"value": value, **Q}})], bands=bands).operated_noise(*asked)
 
 
 def two_arms(**second) -> Sensor:

@@ -458,11 +458,11 @@ class Sensor:
         """Noise as the sensor is run and changed (3.13-3.20), bands binned; ``kept``: that of each way to run it."""
         key = "noise", repr(operation)
         if key not in kept:
+            on = self.axis if axis is None else axis
             with np.errstate(all="ignore"):  # numbers of the file that `sensor check` judges
                 kept[key] = self.noise(axis, operation)
-                wrong = np.flatnonzero(~(kept[key].snr(np.ones_like(kept[key].fixed_noise)) > 0.0))
-            nm = (self.axis if axis is None else axis).centre_nm[wrong[:1]]
-            refuse(wrong.size, "sensor.no_signal", name=self.name, nm=nm)
+                dead = on.centre_nm[on.good & ~(kept[key].snr(np.ones(len(on))) > 0.0)]  # a bad band may be blind
+            refuse(dead.size, "sensor.no_signal", name=self.name, nm=dead[:1])
         model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
         count = operation.spectral_binning if operation else 1
         return binned_noise(model, min(count, len(self.axis))) if count > 1 else model
