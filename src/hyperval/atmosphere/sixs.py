@@ -399,9 +399,7 @@ def _scattering(state: AtmosphericState, setting: Setting, folder: Path) -> Arra
     node = {("reflectance_rayleigh" if name == "reflectance" else name): values for name, values in clear.items()}
     if state.aerosol_optical_depth == 0.0:
         return node
-    mix = _mix(state.aerosol)
-    shares = "" if mix is None else f"4\n{mix.dust:.6f} {mix.water_soluble:.6f} {mix.oceanic:.6f} {mix.soot:.6f}"
-    card = shares or "5"
+    card = _aerosol_card(state.aerosol)
     used, share, total, below = trusted_stand_ins(state, height)
     aerosols = [(card, round(d, 6), round(d * f, 6)) for d, f in zip(used, share, strict=True)]
 
@@ -574,6 +572,11 @@ def _answers(kind: str, runs: Sequence[Run], folder: Path, read: Callable[[str, 
 
     asked = [(text, content_digest({"nm": nm})) for text, nm in runs]
     return cached(folder, kind, {"binary": sixs_fingerprint(), "scheme": SCHEME, "runs": asked}, compute)
+
+
+def _aerosol_card(aerosol: AerosolMix | str) -> str:
+    mix = _mix(aerosol)
+    return "5" if mix is None else f"4\n{mix.dust:.6f} {mix.water_soluble:.6f} {mix.oceanic:.6f} {mix.soot:.6f}"
 
 
 def _mix(aerosol: AerosolMix | str) -> AerosolMix | None:

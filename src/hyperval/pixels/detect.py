@@ -473,12 +473,6 @@ class ImageTruth(NamedTuple):
     background: Mask
     objects: Index
 
-    @property
-    def second_half(self) -> Mask:
-        """Every other square of the background and every other object, whole."""
-        lines, samples = np.indices(self.background.shape) // BLOCK
-        return np.where(self.objects > 0, self.objects % 2, (lines + samples) % 2).astype(bool)
-
 
 # (image (lines, samples, B), target (B,), what the truth says) -> score (lines, samples)
 ImageScore = Callable[[Array, Array, ImageTruth], npt.ArrayLike]
@@ -533,7 +527,10 @@ def _estimated(estimator: Any, image: Array, target: Array, scene: ImageTruth) -
         learned = learned[:: max(1, len(learned) // MOST_LEARNED)]
         scores[valid] = -copy.deepcopy(estimator).fit(learned).score_samples(image[valid])
         return scores
-    half, labelled = scene.second_half, valid & (scene.background | (scene.objects > 0))
+    # Every other square of the background and every other object, whole.
+    squares = np.sum(np.indices(valid.shape) // BLOCK, axis=0)
+    half = np.where(scene.objects > 0, scene.objects, squares) % 2 == 1
+    labelled = valid & (scene.background | (scene.objects > 0))
     for part in (half, ~half):
         learned, labels = image[labelled & part], scene.objects[labelled & part] > 0
         refuse(labels.all() or not labels.any(), "learning.few")
