@@ -5,13 +5,16 @@ import csv
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
+import numpy as np
 import pytest
 
 from hyperval import api, cli
-from hyperval.campaign import command_without_output
+from hyperval.campaign import Collected, command_without_output
 from hyperval.errors import InputError
+from hyperval.products import ScoreDistribution
 from hyperval.results import COLUMNS, Cause, Outcome
 from hyperval.run import Run
 from hyperval.units import to_internal
@@ -191,3 +194,11 @@ def test_observe_alone_needs_neither_scenario_nor_comparison_and_validate_both(s
     said = capsys.readouterr().err
     assert "the campaign has no scenarios and no comparisons" in said
     assert "hyperval observe needs neither" in said
+
+
+def test_of_the_pixels_of_a_class_those_are_shared_that_false_alarms_are_counted_on():
+    regions, of = {"lawn": [1, 1, 1, 0], "field": [0, 1, 1, 1]}, SimpleNamespace
+    place = of(pixels_of=lambda name: np.array(regions[name], bool))
+    scenario = of(scene=of(classes=[of(spectrum=of(measured=name)) for name in ("lawn", None)]))
+    side = of(scenarios=[scenario], observed=of(place=place), campaign=of(detection=of(false_alarms=["field"])))
+    assert Collected.with_shared_count(side, ScoreDistribution(0.0, 1.0, 3)).shared == 2

@@ -226,6 +226,9 @@ def test_noise_of_one_band_has_the_scatter_of_normal_pixels_and_of_its_columns()
     # 2/n of the square for the pixels, whose texture alone has tails, 2/(columns - 1) for what the columns share.
     factor, uncertainty = pixels.noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, calibration=[1.0], samples=11)
     assert (factor, uncertainty**2) == pytest.approx((2.0, 4.0 * 2.0 / 100.0 + 0.2 / 16.0))
+    # Standard deviations off by r = 0.3 z turn 4 into 4 (1 + r)^2, the noise beside by 0.5 z (E z^4 = 3).
+    off = pixels.noise_part([[8.0]], [[4.0]], [4.0], 100.0, 2.0, errors=np.array([[[0.3]], [[0.5]]]))[1]
+    assert off**2 - 4.0 * 2.0 / 100.0 == pytest.approx(((0.6 * 4.0 + 0.5) ** 2 + 3.0 * (0.09 * 4.0) ** 2) / 16.0)
     # Of two bands the texture is in the first alone, whose pixels are ten: the noise is known by those of the second.
     s = np.diag([101.0, 1.0])
     assert pixels.noise_part(s, s, [1.0, 1.0], [10.0, 1000.0])[1] ** 2 == pytest.approx(2.0 / 1000.0, rel=1e-6)

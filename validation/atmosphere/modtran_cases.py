@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -49,33 +50,24 @@ class Case:
 def cases(locate: Callable[[str], Path]) -> Iterator[Case]:
     """Every airborne state with a stated run template (rural aerosol, midlatitude summer, 0.3 atm cm ozone)."""
     common = {"ozone_atm_cm": 0.3, "aerosol": "rural", "model": "midlatitude-summer"}
-    folder = "modtran/modtran6_airborne_lut"
-    for aot in (0.05, 0.2):
-        for water in (0.75, 1.25, 2.25):
+    topoflux = {
+        "ground_altitude_km": 0.401945, "sensor_altitude_km": 2.300449,
+        "latitude_deg": 34.45333858, "longitude_deg": -118.59692454, "time_utc": "2018-09-11T18:57:00Z",
+    }  # fmt: skip
+    pasadena = {
+        "ground_altitude_km": 0.35, "sensor_altitude_km": 2.3,
+        "latitude_deg": 34.139247, "longitude_deg": -118.127521, "time_utc": "2017-11-08T18:42:29Z",
+    }  # fmt: skip
+    flights = (
+        ("topoflux", "modtran/modtran6_airborne_lut/{}.chn.gz", topoflux, ALBEDOS, (0.05, 0.2), (0.75, 1.25, 2.25)),
+        ("pasadena lut", "pasadena/lut/{}.chn", pasadena, None, (0.01, 0.1), (1.5, 2.0)),
+        ("pasadena lut_multi", "pasadena/lut_multi/{}.chn", pasadena, ALBEDOS, (0.1,), (1.5,)),
+    )
+    for flight, path, of_flight, albedos, *states in flights:
+        for aot, water in product(*states):
             name = f"AOT550-{aot:.4f}_H2OSTR-{water:.4f}"
-            yield Case(
-                f"topoflux {name}",
-                locate(f"{folder}/{name}.chn.gz"),
-                AtmosphericState(
-                    **common, aot550=aot, water_vapour_g_cm2=water,
-                    ground_altitude_km=0.401945, sensor_altitude_km=2.300449,
-                    latitude_deg=34.45333858, longitude_deg=-118.59692454, time_utc="2018-09-11T18:57:00Z",
-                ),
-                ALBEDOS,
-            )  # fmt: skip
-    for sub, aot, water in (
-        ("lut", 0.01, 1.5), ("lut", 0.01, 2.0), ("lut", 0.1, 1.5), ("lut", 0.1, 2.0), ("lut_multi", 0.1, 1.5),
-    ):  # fmt: skip
-        name = f"AOT550-{aot:.4f}_H2OSTR-{water:.4f}"
-        yield Case(
-            f"pasadena {sub} {name}",
-            locate(f"pasadena/{sub}/{name}.chn"),
-            AtmosphericState(
-                **common, aot550=aot, water_vapour_g_cm2=water, ground_altitude_km=0.35, sensor_altitude_km=2.3,
-                latitude_deg=34.139247, longitude_deg=-118.127521, time_utc="2017-11-08T18:42:29Z",
-            ),
-            ALBEDOS if sub == "lut_multi" else None,
-        )  # fmt: skip
+            state = AtmosphericState(**common, **of_flight, aot550=aot, water_vapour_g_cm2=water)
+            yield Case(f"{flight} {name}", locate(path.format(name)), state, albedos)
 
 
 def matched(case: Case, terms: AtmosphericTerms) -> tuple[AtmosphericTerms, AtmosphericTerms]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy import stats
-from score_classes import classes, log_alarms, printed_procedure, roc_of, thresholds
+from scipy.special import ndtr
+from score_classes import classes, log_alarms, roc_of, thresholds
 
 from hyperval.model import (
     PositiveDefinite,
@@ -123,7 +124,11 @@ def test_threshold_inverts_the_false_alarms_down_to_1e_9():
 
 def test_3_30_to_3_33_the_printed_procedure_gives_the_same_curve():
     sweep = roc_of(0.8, 0.25, 1.0, CLASSES)
-    pfa, pd, x = printed_procedure(0.8, 0.25, CLASSES, np.logspace(-11, -0.001, 600))
+    preset = np.log(np.logspace(-11, -0.001, 600))[None]
+    x_m = np.concatenate([class_threshold(preset, CLASSES, m) for m in np.flatnonzero(CLASSES.fraction[0])])
+    x = x_m.max(axis=0)  # (3.30)
+    pd = ndtr((0.8 - x_m) / 0.25).min(axis=0)  # (3.31), (3.32)
+    pfa = np.exp(log_alarms(x, CLASSES))  # (3.33)
     # The points of the procedure lie on the curve: P_FA and threshold agree exactly.
     assert thresholds(pfa[pfa < 0.9], CLASSES) == pytest.approx(x[pfa < 0.9], abs=1e-9)
     grid = false_alarm_grid()
