@@ -587,7 +587,16 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
 
 
 def spread_errors(errors: SpectralErrors, light: radiance.Light, product: str, subject: str) -> list[Array]:
-    """(2, K, B) of each step of directions: of a band's standard deviation as a part of it, and of its noise."""
+    """(2, K, B) of each step of directions: of a band's standard deviation as a part of it, and of its noise.
+
+    >>> from hyperval.api import load_scenario
+    >>> made = predict(load_scenario("green-planks-grass").with_values(
+    ...     {"uncertainty.noise": {"relative": 0.1}, "atmosphere.engine": "emulator"}))
+    >>> pair = made.radiance["grass"], made.reflectance["grass"]
+    >>> ground, line = (side.spread_errors[1, 0] / np.diag(side.pixel_covariance) for side in pair)
+    >>> bool(np.allclose(ground, line, rtol=1e-9) and np.median(np.abs(ground)) > 1e-4)
+    True
+    """
     both = [errors.get(key, {}) for key in (("signal", product), ("noise", subject))]
     scale = light.slope() / (1.0 if product == "radiance" else light.library_line.gain)
     steps = ([of[step].rows if step in of else 0.0 for of in both] for step in sorted(set(chain(*both))))

@@ -340,8 +340,8 @@ def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
     >>> grass = predict(scenario.with_values({"uncertainty": stated})).reflectance["grass"]
     >>> bool(np.allclose(grass.budget["compensation (gain)"], 0.04 * grass.mean))
     True
-    >>> set(grass.budget["compensation (offset)"].round(9).tolist())
-    {0.003}
+    >>> [set(of.ravel().round(9).tolist()) for of in (grass.budget["compensation (offset)"], grass.spread_errors[0])]
+    [{0.003}, {0.04}]
 
     Where a target and the surface around it both have field spectra, the error is common to them:
 
