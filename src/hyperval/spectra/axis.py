@@ -15,32 +15,17 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from hyperval.data import Array, Mask
-from hyperval.errors import needed, refuse
+from hyperval.errors import needed, package_table, refuse
 from hyperval.units import PLAUSIBLE_NM, in_nm, only_wavelength_unit, plausible, to_internal, wavelength_unit_named
 
 _UNSTATED = ("", "unknown", "none", "<unspecified>")  # of a unit
 SUNLIT_NM = 3000.0  # up to which reflected sunlight is most; numbers beyond it that nobody calls nm may be wavenumbers
 
-# (from nm, to nm, gas)
-ABSORPTION_BANDS_NM: tuple[tuple[float, float, str], ...] = (
-    (685.0, 693.0, "O2 B"),
-    (715.0, 735.0, "H2O"),
-    (756.0, 772.0, "O2 A"),
-    (808.0, 838.0, "H2O"),
-    (890.0, 992.0, "H2O"),
-    (1080.0, 1180.0, "H2O"),
-    (1255.0, 1285.0, "O2"),
-    (1300.0, 1510.0, "H2O"),
-    (1560.0, 1615.0, "CO2"),
-    (1730.0, 2090.0, "H2O, CO2"),
-    (2350.0, 2600.0, "H2O, CH4"),
-)
-
-# Named parts of the range for summaries, absorption bands left out of each.
+_WORDS = package_table("spectra/words.yaml")
+# (from nm, to nm, gas), and names of parts of the range (from nm, to nm).
+ABSORPTION_BANDS_NM: list[tuple[float, float, str]] = [(*ends, gas) for *ends, gas in _WORDS["absorption_bands_nm"]]
 SPECTRAL_REGIONS_NM: dict[str, tuple[float, float]] = {
-    "VNIR": (400.0, 1000.0),
-    "SWIR1": (1000.0, 1800.0),
-    "SWIR2": (1800.0, 2500.0),
+    name: (low, high) for name, (low, high) in _WORDS["regions_nm"].items()
 }
 
 

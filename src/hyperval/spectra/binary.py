@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from hyperval.data import Array
 from hyperval.envi_header import data_beside, header_beside, read_header
-from hyperval.errors import needed, refusal, refuse
+from hyperval.errors import needed, package_table, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile
 
@@ -30,10 +30,7 @@ _HEADER = np.dtype({
     "offsets": (186, 191, 195, 199, 204, 390, 394, 436, 444), "itemsize": HEADER_BYTES,
 })  # fmt: skip
 _FORMATS = {0: "<f4", 1: "<i4", 2: "<f8"}
-_TYPES = {
-    0: "raw counts", 1: "reflectance", 2: "radiance", 3: "no units", 4: "irradiance", 5: "quality index",
-    6: "transmittance", 7: "unknown", 8: "absolute reflectance",
-}  # fmt: skip
+_TYPES: dict[int, str] = dict(enumerate(package_table("spectra/words.yaml")["asd_types"]))
 MAX_CHANNELS = 10_000
 RANGE_NM = (200.0, 2600.0)  # of the instruments
 # How far a single channel may stick out above or below both beside it: as a share of the greatest value, and in

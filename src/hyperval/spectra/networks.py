@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hyperval.data import Array
-from hyperval.errors import reader, refusal, refuse
+from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
 from hyperval.paths import checked_file
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile, SpectrumErrors
@@ -31,12 +31,8 @@ from hyperval.storage import number_of
 
 _MOST = {"wavelength": 5000, "series": 2000}
 _UNITS: dict[str, Any] = {"wavelength_unit": "nm", "unit": "fraction"}
-_AXES = {
-    "wavelength": "wavelength", "err_corr_systematic_reflectance": "wavelength wavelength_2",
-    **dict.fromkeys(("reflectance", "std_reflectance"), "wavelength series"),
-    **dict.fromkeys(("u_rel_random_reflectance", "u_rel_systematic_reflectance"), "wavelength series"),
-    **dict.fromkeys(("viewing_zenith_angle", "viewing_azimuth_angle", "quality_flag", "n_valid_scans"), "series"),
-}  # fmt: skip
+_WORDS = package_table("spectra/words.yaml")
+_AXES: dict[str, str] = _WORDS["hypernets_axes"]
 
 
 def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
@@ -80,10 +76,7 @@ def _without_rounding(stored: Array) -> Array:
 
 NO_VALUE = 9996.0  # and above, up to 9999: night, bad weather, outside the instrument's range, other causes
 MARKED = 9.0  # of an uncertainty: more than any is
-STATE = {
-    "P": "pressure_hpa", "T": "temperature_k", "WV": "water_vapour_g_cm2", "O3": "ozone_atm_cm",
-    "AOD": "aot550", "Ang": "angstrom_exponent",
-}  # fmt: skip
+STATE: dict[str, str] = _WORDS["radcalnet_state"]
 SURFACE, TOP = "reflectance", "top-of-atmosphere reflectance"
 _IN_FILE = {"O3": 1000.0}  # Dobson units in an atm cm
 # First words of the lines that are read, but for those of the spectra.

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hyperval.envi_header import header_beside
-from hyperval.errors import reader, refusal, refuse
+from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.paths import checked_file, refuse_own
 from hyperval.spectra import binary, networks, text
 from hyperval.spectra.record import FieldSpectrum, SpectraFile, finished, mean_of
@@ -25,12 +25,7 @@ if TYPE_CHECKING:
     from spectral.io.envi import SpectralLibrary
 
 # Beginnings of files that are known and not read.
-_NOT_READ = {
-    b"##TITLE": "JCAMP-DX", b"PE UV": "a PerkinElmer file", b"PE IR": "a PerkinElmer file",
-    b"PEPE": "a PerkinElmer file", b"PK\x03\x04": "a spreadsheet, .npz or zip file",
-    b"\xd0\xcf\x11\xe0": "an old spreadsheet", b"MATLAB": "a MATLAB file", b"\x93NUMPY": "a NumPy file",
-    b"{": "JSON", b"<": "XML",
-}  # fmt: skip
+_NOT_READ = {mark.encode("latin-1"): name for mark, name in package_table("spectra/words.yaml")["not_read"].items()}
 
 
 @reader
