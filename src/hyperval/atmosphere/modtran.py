@@ -28,7 +28,6 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -628,7 +627,7 @@ def modtran_terms(state: AtmosphericState, folder: Path) -> AtmosphericTerms:
     modtran = configured_modtran()
     six = modtran.version == 6
     deck = modtran6_json(state) if six else tape5(state, modtran.version)
-    binary = _fingerprint(str(modtran.executable), modtran.executable.stat().st_mtime_ns)
+    binary = sha256_of(modtran.executable)
     inputs = {"scheme": _SCHEME, "binary": binary, "version": modtran.version, "deck": deck}
 
     def compute() -> Arrays:
@@ -643,8 +642,3 @@ def modtran_terms(state: AtmosphericState, folder: Path) -> AtmosphericTerms:
     of_it = {"engine": f"MODTRAN {modtran.version}", "executable_sha256": binary, "albedos": list(ALBEDOS)}
     provenance = {**of_it, **_OF_THE_RUNS, "state": state.model_dump(mode="json")}
     return AtmosphericTerms(**values, provenance=provenance)
-
-
-@lru_cache(maxsize=4)
-def _fingerprint(executable: str, changed_ns: int) -> str:
-    return sha256_of(Path(executable))

@@ -153,16 +153,7 @@ OXYGEN: Final = 0.2095  # mole fraction in dry air
 _STEP_KM = 0.05
 _CM_PER_KM = 1e5
 
-# 1.27 um: wavenumber [cm-1] and K [1e-9 cm-1 amagat-2].  Maté et al., J. Geophys. Res. 104 (1999), 30585-30590, as
-# taken up by the MT_CKD continuum (Mlawer et al., Phil. Trans. R. Soc. A 370, 2012, 2520-2556); O2-O2 and O2-N2
-# together.  Least squares on its values every 10 cm-1, straight in the logarithm between: rms 0.2 %, at
-# most 1.3 % of the peak; band strength 0.1 % smaller.
-_BAND_1270: Final = np.array([
-    (7550, 2.98), (7650, 12.2), (7700, 29.3), (7750, 66.7), (7800, 169), (7830, 319), (7850, 451), (7865, 613),
-    (7880, 768), (7895, 802), (7910, 764), (7930, 599), (7950, 429), (7970, 321), (7990, 247), (8020, 175),
-    (8060, 121), (8100, 85.1), (8150, 52.7), (8200, 29.1), (8260, 13.4), (8320, 5.28), (8400, 2.94), (8490, 1.99),
-]).T  # fmt: skip
-
+_BAND_1270: Final = visibility.shipped_numbers("oxygen_1270.csv").T  # 1.27 um: wavenumber and K
 # 1.06 um: two Lorentz profiles, damped below their centres, fitted to sunlight seen through the atmosphere by
 # Mlawer et al., J. Geophys. Res. 103 (1998), 3859-3863, with the factor that MT_CKD puts to it.
 # Centre [cm-1], half width [cm-1], strength [cm-1 per 1e20 molecules cm-2 and amagat].

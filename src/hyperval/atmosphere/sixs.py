@@ -49,7 +49,7 @@ from hyperval.atmosphere.physics import EngineRatio, amounts, continuum_depth, e
 from hyperval.atmosphere.state import AerosolMix, AtmosphericState, coordinates, shipped_numbers, standard_profile
 from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, cached, content_digest, lit_by, run_program
 from hyperval.data import Array
-from hyperval.errors import EngineError, UsageError, refusal, refuse
+from hyperval.errors import EngineError, UsageError, package_table, refusal, refuse
 from hyperval.progress import track
 from hyperval.storage import last_line, number_of, sha256_of
 
@@ -104,6 +104,7 @@ def deck(
     return f"{sun}{atmosphere}{haze}{ground}\n{sensor}{spectral}\n0\n0\n0\n{reflectance:.6f}\n-1\n"
 
 
+_TABLE = package_table("atmosphere/sixs.yaml")
 # What is read of the answer to a single-wavelength run: its words, and which of the numbers behind them.
 _PRINTED = {
     "reflectance": ("apparent reflectance", 0), "down": (r'total\s+sca\.\s+"\s+:', 0),
@@ -248,17 +249,9 @@ def _start(text: str, folder: str | None) -> str:
 
 
 SCHEME = 8  # raise when the numbers in the cache change their meaning
-NODES_NM = np.array(
-    [350.0, 400.0, 412.5, 442.5, 470.0, 487.5, 515.0, 550.0, 590.0, 632.5, 670.0, 695.0, 760.0, 860.0,
-     1240.0, 1535.0, 1650.0, 1950.0, 2250.0, 2600.0]
-)  # fmt: skip
+NODES_NM, _SOLVED_NM = (np.array(_TABLE[name]) for name in ("nodes_nm", "solved_nm"))
 _STEP_NM = 2.5
 GRID_NM = np.arange(340.0, 2600.0 + 0.5 * _STEP_NM, _STEP_NM)
-# Where 6S solves; all else it interpolates.
-_SOLVED_NM = np.array(
-    [350.0, 400.0, 412.0, 443.0, 470.0, 488.0, 515.0, 550.0, 590.0, 633.0, 670.0, 694.0, 760.0, 860.0,
-     1240.0, 1536.0, 1650.0, 1950.0, 2250.0, 3750.0]
-)  # fmt: skip
 _FROM_ABOVE_NM = 590.0  # the one step that, rounded to single precision, lies beyond the wavelength that is solved
 _LOG = Rule("linear", np.log)
 SCATTERED = ("down", "up", "spherical_albedo", "reflectance")  # as the columns of a table
@@ -283,13 +276,7 @@ _SCALE_HEIGHT_KM = 2.0  # of 6S's own aerosol, and of the trace
 _MOST_BELOW = 0.985
 _GREATEST_SCALE_HEIGHT_KM = 4.0  # 6S clips the aerosol below the sensor to this scale height
 LEAST_GAS = 2.5e-5  # 6S prints four decimals: 0.0000 stands for less than 5e-5
-
-_MIXES = {  # rural tuned to the radiances that MODTRAN 6 gives with its own, the others as 6S has them itself
-    "rural": AerosolMix(dust=0.55, water_soluble=0.447, soot=0.003),
-    "continental": AerosolMix(dust=0.7, water_soluble=0.29, soot=0.01),
-    "maritime": AerosolMix(water_soluble=0.05, oceanic=0.95),
-    "urban": AerosolMix(dust=0.17, water_soluble=0.61, soot=0.22),
-}
+_MIXES = {name: AerosolMix(**shares) for name, shares in _TABLE["mixes"].items()}
 
 
 def sixs_terms(
