@@ -349,10 +349,10 @@ def _is_twice(values: Array, gain: Array) -> bool:
     return bool(dark and np.percentile(values / gain, 95) <= PLAUSIBLE["reflectance"])
 
 
-_TIFF, HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
+TIFF, HDF5, _NETCDF3 = "GeoTIFF", "HDF5 or NetCDF-4", "NetCDF-3"
 _OTHERS = {b"\x0e\x03\x13\x01": "HDF4", b"PK\x03\x04": "zip (.npz)"}  # which nothing here reads
 _HIERARCHIES = {b"\x89HDF\r\n\x1a\n": HDF5, b"CDF\x01": _NETCDF3, b"CDF\x02": _NETCDF3}
-_MARKS = dict.fromkeys(TIFF_MARKS, _TIFF) | arrays.MATRICES | _HIERARCHIES | _OTHERS
+_MARKS = dict.fromkeys(TIFF_MARKS, TIFF) | arrays.MATRICES | _HIERARCHIES | _OTHERS
 MATRICES = (*arrays.MATRICES.values(), HDF5)  # arrays that bear no labels, or need not
 
 
@@ -387,7 +387,7 @@ def open_raster(
     refuse(data.suffix.lower() == ".hdr", "image.is_header", data)
     refuse(data.suffix.lower() == ".json", "image.is_item", data)
     kind = kind_of(data)
-    if kind == _TIFF:
+    if kind == TIFF:
         return open_tiff(data, header)
     if header is None and kind == _NETCDF3:
         return arrays.open_labelled(data, variable, "scipy")
@@ -430,12 +430,12 @@ def kind_of(path: Path) -> str | None:
     kind = next((name for mark, name in _MARKS.items() if head.startswith(mark)), None)
     if path.suffix.lower() == ".mat":  # without its mark: HDF5 of another program, in its order, and MATLAB 4
         return {HDF5: "MATLAB 7.3", None: "MATLAB 5"}.get(kind, kind)
-    return _TIFF if path.suffix.lower() in TIFF_SUFFIXES else kind
+    return TIFF if path.suffix.lower() in TIFF_SUFFIXES else kind
 
 
 def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
-    without = (_TIFF, _NETCDF3, *MATRICES)
+    without = (TIFF, _NETCDF3, *MATRICES)
     return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in without
 
 

@@ -21,35 +21,16 @@ from rasterio.crs import CRS
 
 from hyperval.data import Index
 from hyperval.envi_header import EnviHeader, parse_header, read_header
-from hyperval.errors import refusal, refuse
+from hyperval.errors import package_table, refusal, refuse
 from hyperval.imagery.description import Description, Raster, crs_of_wkt
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import number_of, whole_file, write_text
 
-# Metres of the units of a map.
-_LENGTHS = dict.fromkeys(("meters", "metres", "meter", "metre", "m"), 1.0)
-_LENGTHS |= dict.fromkeys(("feet", "foot", "ft"), 0.3048) | {"us survey feet": 1200 / 3937}
-_DEGREES = ("degrees", "degree", "deg")
-# Names of datums, without blanks and signs: EPSG code of longitude and latitude, of UTM zone 0 north and south, and
-# the zones that EPSG lists.
-_DATUMS: dict[str, tuple[int, int | None, int | None, range]] = {
-    "WGS84": (4326, 32600, 32700, range(1, 61)),
-    "WGS72": (4322, 32200, 32300, range(1, 61)),
-    "NORTHAMERICA1983": (4269, 26900, None, range(1, 24)),
-    "NORTHAMERICA1927": (4267, 26700, None, range(1, 23)),
-    "EUROPEAN1950": (4230, 23000, None, range(28, 39)),
-    "ETRS1989": (4258, 25800, None, range(28, 39)),
-    "GEOCENTRICDATUMOFAUSTRALIA1994": (4283, None, 28300, range(48, 59)),
-}
-_ALIASES = {"NAD83": "NORTHAMERICA1983", "NAD27": "NORTHAMERICA1927", "ED50": "EUROPEAN1950", "ETRS89": "ETRS1989"}
-_ALIASES["GDA94"] = "GEOCENTRICDATUMOFAUSTRALIA1994"
-_HEMISPHERES = {"NORTH": False, "SOUTH": True} | dict.fromkeys("CDEFGHJKLM", True) | dict.fromkeys("NPQRSTUVWX", False)
+_NAMES = package_table("imagery/names.yaml")
+_HEMISPHERES = {"NORTH": "north", "SOUTH": "south"} | dict.fromkeys("NPQRSTUVWX", "north")
+_HEMISPHERES |= dict.fromkeys("CDEFGHJKLM", "south")
 _ORDERS = {"bsq": (2, 0, 1), "bil": (0, 2, 1), "bip": (0, 1, 2)}  # of lines, samples and bands in a file
-_PACKED = {
-    b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ\x00": "xz",
-    b"(\xb5/\xfd": "zstandard", b"7z\xbc\xaf": "7-zip",
-}  # fmt: skip
 
 
 def transform_of(header: EnviHeader) -> Affine | None:
@@ -90,23 +71,24 @@ def crs_of(header: EnviHeader) -> CRS | None:
         return stated
     projection, units = parts[0].strip().lower(), _options(parts).get("units")
     degrees = projection.startswith("geographic")
-    if units is not None and not (units.lower() in _DEGREES if degrees else _metres(parts) == 1.0):
+    if units is not None and not (units.lower() in _NAMES["degrees"] if degrees else _metres(parts) == 1.0):
         return None  # a grid in feet is in no system of metres
     if projection.startswith("geographic lat"):
-        codes = _datum(parts[7]) if len(parts) > 7 else None
-        return CRS.from_epsg(codes[0]) if codes is not None else None
+        datum = _datum(parts[7]) if len(parts) > 7 else {}
+        return CRS.from_epsg(datum["geographic"]) if datum else None
     if grid := re.fullmatch(r"map grid of australia \(mga 94\) zone (4[89]|5[0-8])", projection):
         return CRS.from_epsg(28300 + int(grid[1]))
     if projection != "utm" or len(parts) < 10 or not re.fullmatch(r"[0-9]{1,2}", parts[7]):
         return None
-    codes, zone, south = _datum(parts[9]), int(parts[7]), _HEMISPHERES.get(parts[8].strip().upper())
-    base = None if codes is None or south is None or zone not in codes[3] else (codes[2] if south else codes[1])
-    return CRS.from_epsg(base + zone) if base is not None else None
+    datum, zone, side = _datum(parts[9]), int(parts[7]), _HEMISPHERES.get(parts[8].strip().upper())
+    first, last = datum.get("zones", (1, 0))
+    return CRS.from_epsg(datum[side] + zone) if side in datum and first <= zone <= last else None
 
 
-def _datum(name: str) -> tuple[int, int | None, int | None, range] | None:
-    short = re.sub(r"[^A-Z0-9]", "", name.upper())
-    return _DATUMS.get(_ALIASES.get(short, short))
+def _datum(name: str) -> dict[str, Any]:
+    """Codes and zones of a datum, none where it is not known."""
+    found: dict[str, Any] = _NAMES["datums"].get(re.sub(r"[^A-Z0-9]", "", name.upper()), {})
+    return found
 
 
 def _options(parts: Sequence[str]) -> dict[str, str]:
@@ -117,7 +99,9 @@ def _options(parts: Sequence[str]) -> dict[str, str]:
 
 def _metres(parts: Sequence[str]) -> float | None:
     """Metres of the unit that ``map info`` or ``pixel size`` states, which for UTM is the metre; None where unknown."""
-    return _LENGTHS.get(_options(parts).get("units", "m" if parts[0].strip().lower() == "utm" else "").lower())
+    unit = _options(parts).get("units", "m" if parts[0].strip().lower() == "utm" else "")
+    metres: float | None = _NAMES["metres"].get(unit.lower())
+    return metres
 
 
 def pixel_sides_m(transform: Affine | None, area_m2: float) -> tuple[float, float]:
@@ -187,8 +171,8 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     size, expected = data.stat().st_size, parsed.expected_bytes
     if size != expected:
         with open(data, "rb") as stream:
-            head = stream.read(6)
-        packed = next((name for mark, name in _PACKED.items() if head.startswith(mark)), None)
+            head = stream.read(6).decode("latin-1")
+        packed = next((name for mark, name in _NAMES["packed"].items() if head.startswith(mark)), None)
         sizes: dict[str, object] = {"header": parsed, "packed": packed, "size": size, "more": size - expected}
         sizes["missing"] = 100.0 * (1.0 - size / expected)
         raise refusal("image.packed" if packed else "image.short" if size < expected else "image.long", data, **sizes)

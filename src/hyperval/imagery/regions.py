@@ -39,10 +39,9 @@ from hyperval.data import Array, Mask
 from hyperval.envi_header import header_beside
 from hyperval.errors import WARNING, HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
-from hyperval.imagery.cube import HDF5, MATRICES, Cube, kind_of, open_raster
+from hyperval.imagery.cube import HDF5, MATRICES, TIFF, Cube, kind_of, open_raster
 from hyperval.imagery.description import Raster, crs_of_wkt, equals
 from hyperval.imagery.placing import MAX_VERTICES, LocationTable, table_of
-from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
 
@@ -676,7 +675,7 @@ def _reader_of(path: Path) -> Callable[[Path, ImageGrid], Drawn]:
     head, ending = head_of(path), path.suffix.lower()
     stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
     for fits, regions in (
-        (ending in TIFF_SUFFIXES or head[:4] in TIFF_MARKS, raster_regions),
+        (kind_of(path) in (TIFF, *MATRICES), raster_regions),
         (stripped.startswith(b"<") and not is_kml(head), xml_regions),
         (b"ENVI Output of ROIs" in head[:200], ascii_regions),
         (head.startswith(b"JoeB"), binary_regions),
@@ -685,7 +684,7 @@ def _reader_of(path: Path) -> Callable[[Path, ImageGrid], Drawn]:
     ):
         if fits:
             return regions
-    if ending == ".hdr" or kind_of(path) in MATRICES or header_beside(path) is not None:
+    if ending == ".hdr" or header_beside(path) is not None:
         return raster_regions
     refuse(ending not in (".csv", ".txt"), "region.format", path)
     return csv_regions

@@ -15,7 +15,7 @@ from affine import Affine
 from rasterio.crs import CRS
 
 from hyperval.data import Array, Mask
-from hyperval.errors import needed, reader, refusal, refuse
+from hyperval.errors import needed, package_table, reader, refusal, refuse
 from hyperval.imagery import regions as roi
 from hyperval.imagery.placing import LocationTable
 from hyperval.imagery.regions import Position
@@ -28,9 +28,7 @@ _ON_MAP = ("easting", "northing")
 _LONLAT = (("lon", "lat"), ("longitude", "latitude"))
 _PLACES = {("row0", "col0"): 0.5, ("row1", "col1"): -0.5, ("line", "sample"): 0.0, _ON_MAP: None}
 _PLACES |= dict.fromkeys(_LONLAT)
-# How the list of MUUFL Gulfport calls its columns.
-_CALLED = {"targets_utmx": "easting", "targets_utmy": "northing", "targets_type": "material", "targets_size": "side_m",
-           "targets_id": "name"}  # fmt: skip
+_CALLED: dict[str, str] = package_table("imagery/names.yaml")["columns_of_targets"]
 
 
 @dataclass(frozen=True, eq=False)
