@@ -38,11 +38,11 @@ from .reasons import (
     scale_warnings,
     shares_of_variance,
 )
-from .residuals import ComparedQuantity, ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stack_of
+from .residuals import ResidualBlock, Stack, few_objects, quantities, sampled_covariance, stack_of
 from .schema import AttributionOptions, WhatIf
 
 __all__ = [
-    "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes", "ComparedQuantity",
+    "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes",
     "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "Residuals", "ScenarioModel", "Stack",
     "Truths", "WhatIf", "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "candidates", "causes_of",
     "changed_scenarios", "common_and_individual", "errors_of_file", "exchanged_pairs", "few_objects",

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
-from itertools import combinations, permutations, product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, get_args
 
@@ -302,7 +302,7 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
         out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
     if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
         sun = "solar zenith angle", "scene", "atmosphere.solar_zenith_deg", "1 deg"
-        out.append(_of_state(worlds, sun, (1.0, -1.0, -5.0, 5.0)))
+        out.append(_of_input(worlds, sun, (1.0, -1.0, -5.0, 5.0)))
         if len(days := [s.day_of_year for s in states if s is not None and s.day_of_year]) == len(states):
             months, day = (-2.0, -1.0, 1.0, 2.0, 4.0, 6.0), partial(_on_day, days)
             out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=months, moved=day))
@@ -316,8 +316,8 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     for number, world in enumerate(worlds):
         scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
         for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
-            one = _usual(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", "5 %")
-            out.append(_in_one(one, number, len(worlds), (-10.0, 12.0)))
+            fill = f"fill fraction of {name}", "scene", f"fill.[{name}]", "5 %"
+            out.append(_of_input(worlds, fill, (-10.0, 12.0), number))
         if len(scene.targets) > 1 or any(_side(p) for t in scene.targets for p in t.populations):
             out += [_sized(target, number, worlds) for target in scene.targets]
         for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
@@ -483,7 +483,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     {}
     >>> shown("fraction of asphalt for grass", 2.0)
     {'scene.classes.[asphalt].fraction': [0.7, 0.7], 'scene.classes.[grass].fraction': [0.2, 0.2]}
-    {}
+    {'scene.classes.[asphalt].fraction': [0.7, 0.7], 'scene.classes.[grass].fraction': [0.2, 0.2]}
     >>> stretched = both["wavelength scale"].at(0, 1.0)[1]["sensor.wavelength_shift_nm"]
     >>> centre = world.stated.axis.centre_nm
     >>> float(stretched.mean().round(9)), float((np.ptp(stretched) / np.ptp(centre)).round(9))
@@ -519,7 +519,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
     >>> *row, sizes = CAUSES["state"][3]
-    >>> slanted = _of_state([read_world(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], row, sizes)
+    >>> slanted = _of_input([read_world(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], row, sizes)
     >>> slanted.sizes, both["view zenith angle"].sizes, both["ground height"].sizes
     ((-6.0, 5.0, 20.0), (5.0, 20.0), (-1.7, 4.0, 12.0))
     >>> shown("ground height", both["ground height"].sizes[-2])
@@ -550,22 +550,19 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
             shapes = ((_geometry(t, p), p.fill and p.fill.geometry) for p in t.populations)
             pixels[number] |= {f"{path}.gsd_m": shape.gsd_m for path, shape in shapes if shape}
             path = f"scene.targets.[{t.name}].illumination"
-            light = _usual(world, f"light of {t.name}", "scene", f"{path}.beam", "10 %")
-            out.append(_in_one(light, number, len(worlds), (-9.0, -4.0, 7.0)))
+            light = f"light of {t.name}", "scene", f"{path}.beam", "10 %"
+            out.append(_of_input(worlds, light, (-9.0, -4.0, 7.0), number))
             entries[f"{t.name} in full light"] = alone({f"{path}.beam": 1.0, f"{path}.sky_view": 1.0})
         for c in scene.classes:
             on = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
             hosts |= {f"{name} on {c.name}": alone(truth) for name, truth in on.items()}
             if len(on) > 1:
                 hosts[f"all targets on {c.name}"] = alone({k: v for truth in on.values() for k, v in truth.items()})
-    classes = [world.stated.scenario.scene.classes for world in worlds]
-    for i, j in combinations(range(max(map(len, classes))), 2):
-        all_of = tuple(n for n, of in enumerate(classes) if len(of) > j)
-        for where in dict.fromkeys([all_of, *((n,) for n in all_of)]):
-            name = f"fraction of {classes[where[0]][i].name} for {classes[where[0]][j].name}"
-            traded = partial(_traded, [(of[i], of[j]) if n in where else () for n, of in enumerate(classes)])
-            name += f" and of {len(where) - 1} more" * (len(where) > 1)
-            out.append(Candidate(name, "scene", "0.05 of the area", False, sizes=(-8.0, 8.0), moved=traded))
+    classes = [{c.name: c for c in world.stated.scenario.scene.classes} for world in worlds]
+    for a, b in dict.fromkeys(pair for of in classes for pair in combinations(of, 2)):
+        name, pairs = f"fraction of {a} for {b}", [(of[a], of[b]) if {a, b} <= of.keys() else () for of in classes]
+        traded = partial(_traded, pairs)
+        out.append(Candidate(name, "scene", "0.05 of the area", False, sizes=(-8.0, 8.0), moved=traded))
     names = {str([sorted(means) for means in each]): name for name, each in reversed(levels.items())}
     tried = {f"the spectrum of {s.name}" for world in worlds for s in _of_ground(world)}
     out += [_level(name, levels[name]) for name in names.values() if name not in tried]  # of the same spectra the first
@@ -600,7 +597,7 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     """
     states = [world.stated.scenario.atmosphere for world in worlds]
     rows = {path.partition(".")[2]: (row, sizes) for *row, sizes in CAUSES["state"] for path in row[2:3]}
-    out = [_of_state(worlds, *of) for key, of in rows.items() if all(getattr(s, key, None) is not None for s in states)]
+    out = [_of_input(worlds, *of) for key, of in rows.items() if all(getattr(s, key, None) is not None for s in states)]
     if any(s is not None and s.time_utc for s in states):
         later = partial(_later, worlds, timedelta(days=30))
         out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
@@ -617,11 +614,14 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     return out
 
 
-def _of_state(worlds: Sequence[World], row: Sequence[Any], sizes: Sequence[float]) -> Candidate:
-    """A number of the state of atmosphere, sun and view, in all scenarios."""
-    inputs, (name, kind, _, step) = [_usual(world, *row) for world in worlds], row
+def _of_input(
+    worlds: Sequence[World], row: Sequence[Any], sizes: Sequence[float], only: int | None = None
+) -> Candidate:
+    """A number of all scenarios, or of one of them."""
+    inputs = [_usual(world, *row) if only in (None, i) else None for i, world in enumerate(worlds)]
+    name, kind, _, step = row
     if not step.endswith("%"):  # down to 0 at most, which is what the smallest ones are mistaken for
-        least = -min(float(np.min(np.abs(one.nominal))) for one in inputs) / float(step.split()[0])
+        least = -min(float(np.min(np.abs(one.nominal))) for one in inputs if one) / float(step.split()[0])
         sizes = tuple(dict.fromkeys(z for z in (max(z, least) for z in sizes) if z))
     return Candidate(name, kind, step, False, tuple(inputs), tuple(sizes))
 
@@ -642,15 +642,15 @@ def _files_changed(levels: Mapping[str, Sequence[Mapping[str, Array]]]) -> dict[
     spectra of a.txt in the place of spectra of b.txt {'surfaces.[green].mean': [0.1]}
     spectra of b.txt exchanged with spectra of a.txt {'surfaces.[green].mean': [0.1], 'surfaces.[red].mean': [0.4]}
     """
-    ways = {file: [list(means) for means in each] for file, each in levels.items() if file.startswith("spectra of ")}
-    means = {file: next(mean for each in levels[file] for mean in each.values()) for file in ways}
+    files = [name for name in levels if name.startswith("spectra of ")]
+    means = {file: next(mean for each in levels[file] for mean in each.values()) for file in files}
     out = dict[str, list[Truth]]()
-    for a, b in permutations(ways, 2):
+    for a, b in combinations(files, 2):
         if means[a].shape == means[b].shape:
-            out[f"{b} in the place of {a}"] = [dict.fromkeys(paths, means[b]) for paths in ways[a]]
-            if f"{a} in the place of {b}" in out:
-                both = zip(out[f"{b} in the place of {a}"], out[f"{a} in the place of {b}"], strict=True)
-                out[f"{a} exchanged with {b}"] = [{**one, **other} for one, other in both]
+            one: list[Truth] = [dict.fromkeys(of, means[b]) for of in levels[a]]
+            other: list[Truth] = [dict.fromkeys(of, means[a]) for of in levels[b]]
+            out |= {f"{b} in the place of {a}": one, f"{a} in the place of {b}": other}
+            out[f"{b} exchanged with {a}"] = [{**i, **j} for i, j in zip(other, one, strict=True)]
     return out
 
 
@@ -706,12 +706,6 @@ def _traded(pairs: Sequence[Sequence[BackgroundClass]], units: float) -> list[Tr
         changed = zip(pair, (area, -area), strict=False)
         truths.append({f"scene.classes.[{c.name}].fraction": c.fraction + more for c, more in changed})
     return truths
-
-
-def _in_one(one: UncertainInput, number: int, of: int, sizes: tuple[float, ...]) -> Candidate:
-    """An input of one scenario."""
-    members = tuple(one if i == number else None for i in range(of))
-    return Candidate(one.name, one.kind, one.correlation, False, members, sizes)
 
 
 def _alone(number: int, of: int, truth: Truth) -> list[Truth]:

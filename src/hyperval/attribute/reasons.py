@@ -6,6 +6,7 @@ A what-if is a named experiment: a run with something changed, and its effect on
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ from itertools import chain, product
 from typing import Any
 
 import numpy as np
+from scipy import special
 
 from hyperval.attribute.candidates import (
     CAUSES,
@@ -29,7 +31,7 @@ from hyperval.attribute.candidates import (
     usual_inputs,
 )
 from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residuals, Whitened
-from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, ComparedQuantity, Stack, quantities, stack_of
+from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, Quantity, Stack, quantities, stack_of
 from hyperval.attribute.schema import AttributionOptions, WhatIf
 from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
@@ -66,9 +68,10 @@ Truths = Sequence[Truth]  # what is moved in each scenario
 Accepted = tuple[Mapping[str, Sequence[str]], float]
 Classes = Mapping[str, Mapping[str, Array]]  # (B,) mean of each by product
 Key = tuple[str, str, str]  # background, detector, metric
-Evaluate = Callable[..., list[tuple[Array, Array]]]  # of truths, a title, and whether a budget is made of them
-Ends = Mapping[Candidate, tuple[Array, Array]]  # numbers with an input one unit up and down
-Sides = dict[tuple[Candidate, float], tuple[Array, Array]]  # what is explained, and numbers, with a candidate at a size
+Evaluate = Callable[..., list[Array]]  # what is explained, of truths, a title, and whether a budget is made of them
+Numbers = Mapping[Quantity, float]
+Ends = Mapping[Candidate, tuple[Numbers, Numbers]]  # with an input one unit up and down
+Sides = dict[tuple[Candidate, float], Array]  # what is explained, with a candidate at a size
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +113,8 @@ class Causes:
 
     Attributes
     ----------
-    stack, numbers : what is explained, as a vector and as single numbers
-    predicted, values : both, with nothing moved
+    stack : what is explained, as a vector
+    predicted, numbers : the same with nothing moved, as a vector and as single numbers
     of_spectra : errors that are linear in the spectra at a level (n,)
     of_files : entries of a scenario's file that stand in each other's place, where all that is made of them moves too
     rarer : what is looked for where little else explains a change, one after the other: heights; of many scenarios what
@@ -125,9 +128,8 @@ class Causes:
     """
 
     stack: Stack
-    numbers: Sequence[ComparedQuantity]
     predicted: Array
-    values: Array
+    numbers: Numbers
     of_spectra: Callable[[Array], dict[Candidate, Array]]
     of_files: Callable[[], dict[Candidate, Array]]
     rarer: Sequence[Callable[[], dict[Candidate, Array]]]
@@ -146,14 +148,14 @@ class Causes:
         >>> def causes(residual):
         ...     known, further = {gain: one[:, :1]}, [lambda: {height: one[:, 1:2]}]
         ...     told = Residuals(residual, one, known, 0.1 * one[:, 4:])
-        ...     return Causes(stack, (), np.zeros(20), np.zeros(0), dict, dict, further, told, {}, len, None, dict)
+        ...     return Causes(stack, np.zeros(20), {}, dict, dict, further, told, {}, len, None, dict)
         >>> [[f.name for f in causes(30.0 * one[i]).standing()[1].best.causes] for i in (0, 1)]
         [['gain'], ['height']]
 
         A size that was asked for beside it stays known:
 
         >>> gain = Candidate("gain", "scene", "1 km", False, sizes=(-2.0, 2.0), moved=lambda z: [{"km": z}])
-        >>> asked = lambda truths, title, budgeted: [(truth["km"] * one[0], 0) for (truth,) in truths]
+        >>> asked = lambda truths, title, budgeted: [truth["km"] * one[0] for (truth,) in truths]
         >>> tried = replace(causes(0.0), evaluate=asked)
         >>> told = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
         >>> found = replace(tried, residuals=told).standing()[0].columns
@@ -202,7 +204,7 @@ class Causes:
         ...     asked = of.get("evaluate", lambda truths, title, budgeted: [])
         ...     rarer = of.get("rarer", ())
         ...     told = Residuals(np.zeros(n), 1e-6 * np.eye(n), {}, np.eye(n))
-        ...     return Causes(stack, (), np.zeros(n), np.zeros(0), lambda level: none, lambda: files, rarer, told,
+        ...     return Causes(stack, np.zeros(n), {}, lambda level: none, lambda: files, rarer, told,
         ...                   {}, asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
         >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
@@ -229,7 +231,7 @@ class Causes:
         >>> air = Candidate("standard atmosphere", "atmosphere", "", False, labels=("winter",), moved=lambda i: [{}])
         >>> told = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 -0.3 0.2")}
         >>> tried = causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: {air: np.c_[[0.45, -0.33, 0.2]]}],
-        ...                evaluate=lambda truths, title, budgeted: [(np.array([0.5, -0.3, 0.2]) * budgeted, 0)])
+        ...                evaluate=lambda truths, title, budgeted: [np.array([0.5, -0.3, 0.2]) * budgeted])
         >>> tried.changed(told, simulated=False).enough
         True
 
@@ -455,7 +457,7 @@ class Causes:
             more = _asked(evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
-                    change = self.beside(level, side[0] - self.predicted)[of]
+                    change = self.beside(level, side - self.predicted)[of]
                     if c.labels:
                         exact.add((c, a))
                         columns[c] = np.where(np.arange(len(c.labels)) == a, change[:, None], columns[c])
@@ -466,13 +468,13 @@ class Causes:
         return residuals, found
 
 
-def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[tuple[Array, Array] | None]:
+def _asked(evaluate: Evaluate, truths: Sequence[Truths]) -> list[Array | None]:
     """What the model says; None of what cannot be, such as a sun below the horizon, or is not on this machine.
 
     >>> def evaluate(truths, title):
     ...     if "kurucz" in truths:
     ...         raise MissingDataError("the solar spectrum 'kurucz' is not on this machine")
-    ...     return [(np.zeros(1), np.zeros(1)) for _ in truths]
+    ...     return [np.zeros(1) for _ in truths]
     >>> [side is not None for side in _asked(evaluate, ["tsis-1", "kurucz", "astm-g173"])]
     [True, False, True]
     """
@@ -543,25 +545,27 @@ def causes_of(model: ScenarioModel) -> Causes:
     base, observed, worlds = model.assuming(model.scenarios), model.observed, model.worlds
     stack = stack_of(base, observed)
     refuse(not stack.blocks, "attribution.nothing")
-    numbers = quantities(base, observed)
-    predicted, values = stack.predicted(base), np.array([q.read(base) for q in numbers])
+    predicted = stack.predicted(base)
 
-    def evaluate(truths: Sequence[Truths], title: str, budgeted: bool = False) -> list[tuple[Array, Array]]:
-        predictions = track(model.predict(model.scenarios, truths, budgeted), title, len(truths))
-        return [(stack.predicted(p), np.array([q.read(p) for q in numbers])) for p in predictions]
+    def predictions(truths: Sequence[Truths], title: str, budgeted: bool = False) -> Iterable[Products]:
+        return track(model.predict(model.scenarios, truths, budgeted), title, len(truths))
+
+    def evaluate(*asked: Any, **of: Any) -> list[Array]:
+        return [stack.predicted(p) for p in predictions(*asked, **of)]
 
     moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
     steps = {
         of: [c.at(d, z) for c in moved if c.budgeted is of for d in range(c.size) for z in (1.0, -1.0)]
         for of in (True, False)
     }  # the order of the candidates
-    found = chain.from_iterable(evaluate(some, "attribution: inputs", of) for of, some in steps.items())
-    units, ends, sides = dict[Candidate, Array](), dict[Candidate, tuple[Array, Array]](), Sides()
+    found = chain.from_iterable(predictions(some, "attribution: inputs", of) for of, some in steps.items())
+    units, ends, sides = dict[Candidate, Array](), dict[Candidate, tuple[Numbers, Numbers]](), Sides()
     for candidate in moved:
-        pairs = [(next(found), next(found)) for _ in range(candidate.size)]
-        units[candidate] = np.stack([0.5 * (up - down) for (up, _), (down, _) in pairs], axis=1)
-        ends[candidate] = pairs[0][0][1], pairs[0][1][1]
-        sides |= {(candidate, z): side for z, side in zip((1.0, -1.0), pairs[0], strict=True)}
+        both = [(next(found), next(found)) for _ in range(candidate.size)]
+        ends[candidate] = quantities(both[0][0], observed), quantities(both[0][1], observed)
+        up, down = (np.stack([stack.predicted(side) for side in way], axis=1) for way in zip(*both, strict=True))
+        units[candidate] = 0.5 * (up - down)
+        sides |= {(candidate, 1.0): up[:, 0], (candidate, -1.0): down[:, 0]}
     budget = sum((g @ g.T for c, g in units.items() if c.budgeted), np.zeros((predicted.size, predicted.size)))
     covariance = stack.covariance + budget + stack.stated_beyond(model.budgeted, budget)
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
@@ -577,7 +581,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(every, sides, predicted, evaluate)
     for c in apart:
         each = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
-        columns[replace(c, sizes=())] = np.column_stack([side - predicted for side, _ in each])
+        columns[replace(c, sizes=())] = np.column_stack([side - predicted for side in each])
     for c in moved:  # of a field spectrum, each band by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
             columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
@@ -617,7 +621,7 @@ def causes_of(model: ScenarioModel) -> Causes:
     parts = heights, rare, [c for c in rarer if c not in heights]
     asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in parts]
     return Causes(
-        stack, numbers, predicted, values, partial(of_spectra, arms=arms), of_files, asked,
+        stack, predicted, quantities(base, observed), partial(of_spectra, arms=arms), of_files, asked,
         residuals, ends, evaluate, mistaken, exchanged,
     )  # fmt: skip
 
@@ -631,7 +635,7 @@ def _columns_at(
     asked = _asked(evaluate, [c.at(0, z) for c, z in wanted]) if wanted else []
     found, out = {**sides, **dict(zip(wanted, asked, strict=True))}, {}
     for c, sizes in places.items():
-        made = {z: side[0] - predicted for z in sizes if (side := found[c, z]) is not None}
+        made = {z: side - predicted for z in sizes if (side := found[c, z]) is not None}
         kept = {"sizes": tuple(made)} if c.sizes else {"labels": tuple(c.labels[int(i)] for i in made)}
         if made:
             out[replace(c, **kept)] = np.column_stack([*made.values()])
@@ -663,23 +667,24 @@ def attribute(
     UsageError : nothing that both sides hold, or a what-if that fits no scenario.
     """
     causes = causes_of(model)
-    stack, numbers, values, ends = causes.stack, causes.numbers, causes.values, causes.ends
-    stated = [c for c in ends if c.budgeted]
-    shares = dict(zip(stated, shares_of_variance(values, [ends[c] for c in stated]), strict=True)) if stated else {}
+    stated = {c: ends for c, ends in causes.ends.items() if c.budgeted}
     outcomes = _what_ifs(model, causes, options.what_ifs)
-    ranked = causes.standing()[0].posteriors(stack, options.each)
+    ranked = causes.standing()[0].posteriors(causes.stack, options.each)
     if accepted and (since := causes.changed(accepted[0], simulated=simulated)) is not None:
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     rows = [item for group in ranked for item in _posterior_rows(group)]
     rows += _left_rows(causes, ranked[0])
-    for place, number in enumerate(numbers):
-        rows += _sensitivity_rows(number, place, number.read(model.observed) - values[place], ends, shares)
+    measured = quantities(model.observed, model.observed)
+    for quantity, value in causes.numbers.items():
+        shares = shares_of_variance(value, [(up[quantity], down[quantity]) for up, down in stated.values()])
+        shares_of = dict(zip(stated, shares.tolist(), strict=True))
+        rows += _sensitivity_rows(quantity, measured[quantity] - value, causes.ends, shares_of)
     return rows + outcomes
 
 
-def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Array:
-    """(k, Q) part of each quantity's variance that each of k inputs brings; NaN for a quantity without variance.
+def shares_of_variance(base: float, ends: Sequence[tuple[float, float]]) -> Array:
+    """(k,) part of a quantity's variance that each of k inputs brings; NaN for a quantity without variance.
 
     Inputs are standard normal, and the quantity is the polynomial of degree two through the values: of
     f0 + a z + b (z^2 - 1)/sqrt(2) with orthonormal terms the variance is the sum of the squares of
@@ -687,19 +692,19 @@ def shares_of_variance(base: Array, ends: Sequence[tuple[Array, Array]]) -> Arra
 
     Parameters
     ----------
-    base : (Q,) f0, the quantities with every input at its middle
-    ends : for each input (Q,) f+ and f-, with it one standard deviation up and down
+    base : f0, the quantity with every input at its middle
+    ends : for each input f+ and f-, with it one standard deviation up and down
 
     Examples
     --------
-    >>> f = lambda z, w: np.array([3.0 * z + w**2])
+    >>> f = lambda z, w: 3.0 * z + w**2
     >>> ends = [(f(1.0, 0.0), f(-1.0, 0.0)), (f(0.0, 1.0), f(0.0, -1.0))]
-    >>> (11.0 * shares_of_variance(f(0.0, 0.0), ends)[:, 0]).round(9).tolist()
+    >>> (11.0 * shares_of_variance(f(0.0, 0.0), ends)).round(9).tolist()
     [9.0, 2.0]
     """
     alone = np.array([0.25 * (up - down) ** 2 + 0.5 * (up + down - 2.0 * base) ** 2 for up, down in ends])
-    variance = alone.sum(axis=0)
-    return alone / np.where(variance > 1e-24 * (1.0 + base**2), variance, np.nan)
+    variance = alone.sum()
+    return alone / (variance if variance > 1e-24 * (1.0 + base**2) else np.nan)
 
 
 def _of_spectra(
@@ -820,19 +825,20 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
 
 
 def _sensitivity_rows(
-    quantity: ComparedQuantity, place: int, gap: float, ends: Ends, shares: Mapping[Candidate, Array]
+    quantity: Quantity, gap: float, ends: Ends, shares: Mapping[Candidate, float]
 ) -> Iterator[Result]:
+    product, subject, numbered, metric = quantity
     for candidate, (up, down) in ends.items():
-        change = 0.5 * float(up[place] - down[place])
-        closes = round(gap / change, 12) if abs(change) > 1e-12 * abs(up[place]) else math.inf
+        change = 0.5 * (up[quantity] - down[quantity])
+        closes = round(gap / change, 12) if abs(change) > 1e-12 * abs(up[quantity]) else math.inf
         reason = f"gap {gap:.4g}"
         reason += f", closed by {closes:+.3g} units" if math.isfinite(closes) else ", which this input cannot close"
-        if candidate in shares and math.isfinite(share := shares[candidate][place]):  # no stated input moves some
+        if math.isfinite(share := shares.get(candidate, math.nan)):  # no stated input moves some
             reason += f"; share of the variance {share:.3g}"
         unit = "stated uncertainty" if candidate.budgeted else candidate.step
-        method = f"{candidate.name} / {quantity.method}" if quantity.method else candidate.name
-        found = row(f"{quantity.product}_{quantity.metric}_change", change, before=gap, reason=f"per {unit}; {reason}")
-        yield replace(found, product="sensitivity", subject=quantity.subject, method=method)
+        method = f"{candidate.name} / {numbered}" if numbered else candidate.name
+        found = row(f"{product}_{metric}_change", change, before=gap, reason=f"per {unit}; {reason}")
+        yield replace(found, product="sensitivity", subject=subject, method=method)
 
 
 def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) -> list[Result]:
@@ -867,9 +873,10 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
         return []
     (start, gaps, alarms), rows = left("", model.assuming(model.scenarios), model.observed), list[Result]()
     outcomes = sorted(((w, *tried(w)) for w in track(what_ifs, "attribution: what-ifs")), key=lambda o: o[1].chi_square)
-    was, n = start.chi_square / start.dof, start.dof
+    n = start.residual.size
+    was = start.chi_square / n
     for item, after, closed, _ in outcomes:
-        now, p, words = after.chi_square / n, after.p_value, f"{was:.4g} before; {item.question}"
+        now, p, words = after.chi_square / n, special.chdtrc(n, after.chi_square), f"{was:.4g} before; {item.question}"
         out = [row("reduced_chi_square", now, n=n, before=was, reason=words)]
         out.append(row("likelihood_gain", (was - now) * n, n=n, reason=f"p = {p:.2g} after"))
         for name, gap in gaps.items():
@@ -897,19 +904,14 @@ def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scena
     return out
 
 
-def gaps_of(numbers: Sequence[ComparedQuantity], predicted: Products, observed: Products) -> dict[str, float]:
+def gaps_of(numbers: Numbers, predicted: Products, observed: Products) -> dict[str, float]:
     """Summary gaps: median relative difference of spectra, mean difference of P_D; without what is measured no more."""
-    parts: dict[str, list[float]] = {}
-    for q in numbers:
-        try:
-            value, measured = q.read(predicted), q.read(observed)
-        except KeyError:
-            continue
-        if np.isfinite(value) and np.isfinite(measured):
-            if q.product == "roc":
-                parts.setdefault(f"mean |{q.metric} difference|", []).append(abs(value - measured))
-            elif measured:
-                parts.setdefault(f"median |{q.product} difference ratio|", []).append(abs(value / measured - 1.0))
+    parts, measured = defaultdict[str, list[float]](list), quantities(observed, observed)
+    for quantity, value in quantities(predicted, observed).items():
+        product, *_, metric = quantity
+        name = f"mean |{metric} difference|" if product == "roc" else f"median |{product} difference ratio|"
+        if quantity in numbers:  # a spectrum over itself is 1
+            parts[name].append(abs(value - measured[quantity]))
     return {name: float(np.mean(v) if name.startswith("mean") else np.median(v)) for name, v in parts.items()}
 
 
@@ -917,7 +919,7 @@ def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, Result]:
     """Rows of P_FA predicted over measured by (background, detector, metric), at 1e-2 and 1e-3 where both have it."""
     wanted = {f"pfa_ratio@{scientific(level)}" for level in POINTS}
     return {
-        (background_of(name), detector, one.metric): one
+        (background_of(name), detector, one.metric): replace(one, subject=background_of(name), method=detector, n=None)
         for (name, detector), measured in observed.exceedance.items()
         if (model := predicted.exceedance.get((name, detector))) is not None
         for one in compare_exceedance(model, measured)
@@ -957,13 +959,8 @@ def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[tuple[str, Mapp
     """Every ratio of false alarms with its reason, then the ratio after each experiment."""
     tried = {k: each for k in before if (each := [(name, alarms[k]) for name, alarms in outcomes if k in alarms])}
     for key, each in tried.items():
-        yield _ratio_row(key, "attribution", before[key], reason_for(before[key], each))
+        yield replace(before[key], product="attribution", reason=reason_for(before[key], each))
     for key, each in tried.items():
         words = f"{before[key].value:.3g} before ({before[key].lower:.2g} to {before[key].upper:.2g})"
         for name, after in each:
-            yield _ratio_row(key, "what-if", after, words, f"{name} / ")
-
-
-def _ratio_row(key: Key, product: str, ratio: Result, reason: str, prefix: str = "") -> Result:
-    subject, detector, _ = key
-    return replace(ratio, product=product, subject=subject, method=f"{prefix}{detector}", n=None, reason=reason)
+            yield replace(after, product="what-if", method=f"{name} / {after.method}", reason=words)

@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -40,46 +39,30 @@ RATE_FLOOR = 0.1  # of the logarithm of a false-alarm rate
 LEAST_ALARMS = 20
 
 
-class ComparedQuantity(NamedTuple):
-    """One number of both sides, named as in the results table, and what reads it."""
-
-    product: str
-    subject: str
-    method: str
-    metric: str
-    read: Callable[[Products], float]
+Quantity = tuple[str, str, str, str]  # a number of both sides: product, subject, method, metric in the results table
 
 
-def quantities(predicted: Products, observed: Products) -> list[ComparedQuantity]:
-    """Predicted over observed mean in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
-    items: list[ComparedQuantity] = []
+def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
+    """Mean over the observed one in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
+    found = dict[Quantity, float]()
     for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
         for subject, estimate in getattr(observed, product).items():
-            if (spectrum := getattr(predicted, product).get(subject)) is None:
+            if (spectrum := getattr(some, product).get(subject)) is None:
                 continue
             use = _windows(observed.axis) & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
             level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
             if level > 0:
-                ratio = partial(_mean_over, level, product, subject, use)
-                items.append(ComparedQuantity(product, subject, "", "ratio_windows", ratio))
+                found[product, subject, "", "ratio_windows"] = float(np.mean(spectrum.mean[use])) / level
     for key, curve in observed.roc.items():
-        for pfa in POINTS if key in predicted.roc and key[2] == "pixel" else ():
-            if pfa >= max(curve.pfa[0], predicted.roc[key].pfa[0]):
-                pd, method = partial(_detected, key, pfa), f"{key[1]}/{key[2]}"
-                items.append(ComparedQuantity("roc", key[0], method, f"pd@{scientific(pfa)}", pd))
-    return items
+        for pfa in POINTS if key in some.roc and key[2] == "pixel" else ():
+            if pfa >= max(curve.pfa[0], some.roc[key].pfa[0]):
+                method = f"{key[1]}/{key[2]}"
+                found["roc", key[0], method, f"pd@{scientific(pfa)}"] = float(detection_at(some.roc[key], pfa))
+    return found
 
 
 def _windows(axis: SpectralAxis) -> Mask:
     return np.asarray(axis.good & in_window(axis.centre_nm))
-
-
-def _mean_over(level: float, product: str, subject: str, use: Mask, p: Products) -> float:
-    return float(np.mean(getattr(p, product)[subject].mean[use])) / level
-
-
-def _detected(key: tuple[str, str, str], pfa: float, p: Products) -> float:
-    return float(detection_at(p.roc[key], pfa))
 
 
 @dataclass(frozen=True, eq=False)

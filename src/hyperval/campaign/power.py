@@ -286,7 +286,7 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
                 return Injected(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
             found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
-            ((with_it, _),), level = causes.evaluate([truths], "injected error"), causes.predicted
+            (with_it,), level = causes.evaluate([truths], "injected error"), causes.predicted
             cause = causes.or_rarer(with_it - level, np.arange(level.size), level, causes.of_inputs)
             reason = " or ".join((cause.first, *cause.alike[:3])) + (", enough" if cause.enough else "")
             return found.model_copy(update={"reason": reason})

@@ -25,7 +25,7 @@ from hyperval import datasets
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Mask
-from hyperval.errors import T, UsageError, refusal, refuse
+from hyperval.errors import T, UsageError, package_table, refusal, refuse
 from hyperval.executors import Workers, in_order, single_blas_thread
 from hyperval.imagery import envi_writer, write_cube
 from hyperval.progress import track
@@ -180,15 +180,7 @@ def detector(inputs: SimulationInputs, average_reflectance: Array, counts_per_ra
     return Detector(inputs.noise, offset.astype(np.float32), slope.astype(np.float32), counts_per_radiance)
 
 
-FILES = {
-    "cube": "{}_rad.img", "class_map": "{}_class.img", "fill_map": "{}_fill.img", "regions": "regions.geojson",
-    "targets": "targets.csv", "panel_spectra": "panel_spectra.csv", "truth": "truth.json",
-}  # fmt: skip
-TARGET_COLUMNS = [
-    "name", "group", "material", "host", "nominal_fill", "side_m", "area_m2", "line", "sample",
-    "phase", "heading_deg", "best_line", "best_sample", "best_fill", "pixels",
-]  # fmt: skip
-
+WRITTEN = package_table("simulate/files.yaml")
 FIELD_FWHM_NM = 3.0  # of a field spectrometer
 
 
@@ -224,7 +216,7 @@ def write_targets(path: Path, scene: SceneFile, ground: GroundLayout) -> None:
             round(plank.centre_line, 4), round(plank.centre_sample, 4), group.phase, round(plank.heading_deg, 3),
             int(plank.lines[best]), int(plank.samples[best]), round(float(plank.fills[best]), 6), int(plank.fills.size),
         ))  # fmt: skip
-    write_text(path, pd.DataFrame(rows, columns=TARGET_COLUMNS).to_csv(index=False, lineterminator="\n"))
+    write_text(path, pd.DataFrame(rows, columns=WRITTEN["targets"]).to_csv(index=False, lineterminator="\n"))
 
 
 def field_axis() -> SpectralAxis:
@@ -301,7 +293,7 @@ def simulate(scene: SceneFile | Path | str, folder: Path, *, inputs: SimulationI
     renderer = SurfaceRenderer(scene, ground, inputs.classes)
     average, dark = average_reflectance(renderer)
     chain = detector(inputs, average, scene.counts_per_radiance)
-    files = {part: folder / name.format(scene.name) for part, name in FILES.items()}
+    files = {part: folder / name.format(scene.name) for part, name in WRITTEN["files"].items()}
     saturated = _write_cube(files["cube"], scene, inputs, renderer, chain)
     write_regions(files["regions"], scene, masks)
     write_targets(files["targets"], scene, ground)

@@ -9,6 +9,7 @@ texture and shade.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ from scipy import ndimage, optimize, special
 from hyperval.data import Array, Index, Mask
 from hyperval.errors import refusal, refuse
 from hyperval.simulate import schema
-from hyperval.simulate.schema import Admixture, SceneFile, TargetGroup
+from hyperval.simulate.schema import Admixture, Panel, SceneFile, TargetGroup
 from hyperval.statistics_library import ClassStatistics
 
 _CELLS = 32  # fine cells per pixel side
@@ -161,9 +162,8 @@ def lay_out(scene: SceneFile) -> GroundLayout:
     class_map = np.full((scene.lines, scene.samples), bare, np.uint8)
     on_panel = np.zeros(class_map.shape, bool)
     for area in (*scene.layout, *scene.panels):
-        class_map[slice(*area.lines), slice(*area.samples)] = surfaces.index(area.surface)
-    for area in scene.panels:
-        on_panel[slice(*area.lines), slice(*area.samples)] = True
+        place = slice(*area.lines), slice(*area.samples)
+        class_map[place], on_panel[place] = surfaces.index(area.surface), isinstance(area, Panel)
     if np.any(class_map == bare):
         line, sample = (int(i) for i in np.argwhere(class_map == bare)[0])
         raise refusal("scene.bare", scene.name, line=line, sample=sample)
@@ -267,7 +267,9 @@ def illumination(scene: SceneFile, open_sky: Mask) -> Field:
     rng = schema.generator(scene.seed, schema.FIELDS, _SHADE)
     field = correlated_field((scene.lines, scene.samples), shade.correlation_pixels, rng)
     dark = (field < np.quantile(field, shade.area_fraction)) & ~open_sky
-    soft = blur(dark.astype(np.float32), scene.psf_fwhm_pixels)
+    soft, weights = dark.astype(np.float32), pixel_weights(scene.psf_fwhm_pixels).astype(np.float32)
+    for axis in (0, 1):
+        soft = ndimage.correlate1d(soft, weights, axis=axis, mode="nearest")
     light = 1.0 - np.float32(1.0 - shade.illumination) * soft
     return np.where(open_sky, np.float32(1.0), light)
 
@@ -280,13 +282,6 @@ def admixture_share(scene: SceneFile, admixture: Admixture, number: int) -> Fiel
     total = mean * (1.0 - mean) / admixture.sd**2 - 1.0  # beta parameters from its two moments
     share = special.betaincinv(mean * total, (1.0 - mean) * total, special.ndtr(field.astype(np.float64)))
     return np.asarray(share.astype(np.float32))
-
-
-def blur(image: Field, psf_fwhm_pixels: float) -> Field:
-    """A pixel map as the system response mixes it."""
-    weights = pixel_weights(psf_fwhm_pixels).astype(np.float32)
-    once = ndimage.correlate1d(image, weights, axis=0, mode="nearest")
-    return np.asarray(ndimage.correlate1d(once, weights, axis=1, mode="nearest"))
 
 
 _SMALLEST_VARIANCE = 1e-10  # of the mean variance of a band
@@ -343,12 +338,10 @@ class SurfaceRenderer:
             rng = schema.generator(scene.seed, schema.TARGET_SPECTRA, number)
             drawn.append(Sampler(classes[group.material]).draw(group.count, rng))
         self.target_spectra = np.concatenate(drawn)
-        # Of every pixel that sees a plank its line, sample, number of the plank and fill.
-        planks, none = ground.planks, np.zeros(0, np.intp)
-        self._lines = np.concatenate([none, *(plank.lines for plank in planks)])
-        self._samples = np.concatenate([none, *(plank.samples for plank in planks)])
-        self._numbers = np.repeat(np.arange(len(planks)), [plank.fills.size for plank in planks])
-        self._fills = np.concatenate([none, *(plank.fills for plank in planks)]).astype(np.float32)
+        self._seen = defaultdict[int, list[tuple[Plank, Field]]](list)  # planks with their spectra, by line
+        for plank, spectrum in zip(ground.planks, self.target_spectra, strict=True):
+            for line in np.unique(plank.lines).tolist():
+                self._seen[line].append((plank, spectrum))
 
     def shares(self, line: int) -> Field:
         """(classes, samples) share of each surface in the pixels of one line, planks apart."""
@@ -378,11 +371,10 @@ class SurfaceRenderer:
             index = np.flatnonzero(share > SMALLEST_FILL)
             rho[index] += draws.draw(index.size, rng) * share[index, None]
         rho *= self._texture[line][:, None]
-        index = np.flatnonzero(self._lines == line)
-        samples, fills, total = self._samples[index], self._fills[index], np.zeros(self.scene.samples, np.float32)
-        np.add.at(total, samples, fills)
-        rho *= (1.0 - total)[:, None]
-        np.add.at(rho, samples, fills[:, None] * self.target_spectra[self._numbers[index]])
+        rho *= (1.0 - self.ground.fill[line])[:, None]
+        for plank, spectrum in self._seen.get(line, ()):
+            here = plank.lines == line
+            rho[plank.samples[here]] += plank.fills[here, None].astype(np.float32) * spectrum
         if self.scene.mode == "broken":
             # Heavy tails reach where no surface can; in closure the model's own law is kept whole.
             np.clip(rho, 0.0, 1.0, out=rho)

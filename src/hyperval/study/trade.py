@@ -29,7 +29,6 @@ from hyperval.model import Origins, World, evaluations, every_path, predict, rea
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import detection_at
-from hyperval.model.stated import state_entries
 from hyperval.model.world import column_of, fits, in_file
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
@@ -43,10 +42,8 @@ _STRIDES = (8, 4, 2, 1)
 _LIMITS_AT = 9  # values of the input at which an interval is predicted
 _SCAN, _MOST_LINES = 17, 12
 _ROC = np.geomspace(1e-6, 0.999, 73)
-KINDS = {
-    "pd": "probability of detection P_D", "auc": "area under the ROC", "snr": "signal-to-noise ratio",
-    "radiance": "radiance",
-}  # fmt: skip
+OFFERED = package_table("study/trade.yaml")
+KINDS: dict[str, str] = OFFERED["outputs"]
 
 
 class Trade(Model):
@@ -189,8 +186,7 @@ def prepare(source: str, trade: Trade) -> Prepared:
 
 def _offers(world: World) -> Iterator[Offer]:
     every, state = every_path(world), world.stated.scenario.atmosphere
-    table = package_table("study/trade.yaml").items()
-    for row in (Offer(group=group, **row) for group, rows in table for row in rows):
+    for row in (Offer(group=group, **row) for group, rows in OFFERED["inputs"].items() for row in rows):
         paths = [path for path in every if fits(row.path, path)]
         if not paths and "now" in row.model_fields_set and (state is not None or row.path == plan.PFA):
             paths = [row.path]
@@ -337,7 +333,7 @@ def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -
     axes = [_axis_input(p, trade, field) for field in ("y", "x") if getattr(trade, field)]
     overlays = _overlays(p, trade)
     settings = {path: value for path, value in p.settings.items() if not (exact and path == "atmosphere.engine")}
-    settings |= _settings(p, trade)
+    settings |= plan.as_entries(p.scenario, _constants(p, trade))
     of_sky = sum(key.startswith("atmosphere.") for key in (trade.x, trade.y))
     atmosphere: dict[str, Any] = {"above": 1, "nodes": 7 if of_sky < 2 else 5} if exact else {"above": 400}
     outputs, asked = outputs_of(trade), _questions(p, trade)
@@ -381,15 +377,6 @@ def _constants(p: Prepared, trade: Trade) -> dict[str, float]:
     """Path -> value of what sliders moved and no axis moves."""
     keys = [key for key in trade.moved if key not in (trade.x, trade.y, plan.PFA)]
     return {move.path: trade.moved[key] for key in keys for move in moves_of(p.inputs[key], trade)}
-
-
-def _settings(p: Prepared, trade: Trade) -> dict[str, Any]:
-    """The same as entries of the scenario's file, those left out that give way."""
-    constants, state = _constants(p, trade), p.scenario.atmosphere
-    sky = {path.partition(".")[2]: v for path, v in constants.items() if path.startswith("atmosphere.")}
-    moved = state_entries(state, sky) if state is not None else {}
-    out: dict[str, Any] = {path: v for path, v in constants.items() if not path.startswith("atmosphere.")}
-    return out | {f"atmosphere.{key}": value for key, value in moved.items()}
 
 
 def _world(p: Prepared, trade: Trade) -> World:
