@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import suppress
+from functools import lru_cache
 from mimetypes import guess_type
 from operator import itemgetter
 from pathlib import Path
@@ -211,7 +213,7 @@ def known_campaigns(request: Request) -> dict[str, CampaignAnswer]:
 
 
 def campaigns_of(settings: ServerSettings) -> Iterator[CampaignAnswer]:
-    """The campaigns of a server's folder, those of one name by their files.
+    """The campaigns of a server's folder, those of one name by their files; a file is read again when it has changed.
 
     >>> from tempfile import mkdtemp
     >>> place = Path(mkdtemp())
@@ -222,7 +224,9 @@ def campaigns_of(settings: ServerSettings) -> Iterator[CampaignAnswer]:
     """
     found, folder = list[CampaignAnswer](), settings.campaigns or Path()
     for path in sorted(folder.glob("*/campaign*.yaml")) if settings.campaigns is not None else ():
-        found += _read(path)
+        with suppress(OSError):
+            state = path.stat()
+            found += _read(path, state.st_mtime_ns, state.st_size)
     several = twice(one.name for one in found)
     for one in found:
         file = one.path.relative_to(folder).as_posix()
@@ -230,7 +234,8 @@ def campaigns_of(settings: ServerSettings) -> Iterator[CampaignAnswer]:
         yield one.model_copy(update=update)
 
 
-def _read(path: Path) -> tuple[CampaignAnswer, ...]:
+@lru_cache(maxsize=256)
+def _read(path: Path, changed: int, size: int) -> tuple[CampaignAnswer, ...]:
     """The campaign of a file, where it is one."""
     try:
         data = load_yaml(path)[0]
