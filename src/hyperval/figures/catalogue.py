@@ -47,12 +47,7 @@ Sides = tuple[Products | None, Products | None]
 SIDES = ("predicted", "measured")
 Entry = tuple[float, float, float, str]  # a value of a side with the limits of its interval, and what is said of it
 # Of a product: its axis, its title, and whether its difference is a ratio.
-SPECTRA = {
-    "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
-    "toa_reflectance": ("reflectance", "Reflectance at the top of the atmosphere", True),
-    "snr": ("signal-to-noise ratio", "Signal-to-noise ratio", True),
-    "reflectance": ("reflectance", "Reflectance", False),
-}
+SPECTRA: Mapping[str, tuple[str, str, bool]] = LOOKS["spectra"]
 MOST_SUBJECTS = 24  # and curves
 _MOST_ROWS = 40
 _MOST_SOURCES = 7
@@ -502,8 +497,9 @@ def object_score_figure(sides: Sides) -> Figure | None:
             predicted[key] = middle, low, high, f"{middle:.3g}{interval}"
             measured[key] = score, score, score, f"{score:.3g}"
             outside += not low <= score <= high
-    x, counts = Axis("greatest score of the object"), {"outside": outside, "count": len(predicted)}
-    return a_row_each("object-scores", list(predicted), [predicted, measured], x, rules=(0.0,), **counts)
+    about: dict[str, Any] = {"rules": (0.0,), "outside": outside, "count": len(predicted)}
+    x = Axis("greatest score of the object")
+    return a_row_each("object-scores", list(predicted), [predicted, measured], x, **about)
 
 
 def transform_figure(sides: Sides) -> Figure | None:

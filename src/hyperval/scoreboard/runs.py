@@ -95,9 +95,8 @@ class BlockCounts:
         ----------
         weights : (K, R) how often each block is drawn
         """
-        total, shape = self.pixels @ weights, (*self.over.shape[:2], weights.shape[1])
-        over, tie = (np.reshape(n.reshape(-1, self.pixels.size) @ weights, shape) for n in (self.over, self.tie))
-        return over / total, tie / total
+        total = self.pixels @ weights
+        return self.over @ weights / total, self.tie @ weights / total
 
 
 def counts_by_block(scores: Array, background: AlarmBlocks) -> tuple[Counts, Counts]:

@@ -30,11 +30,10 @@ from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, for
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
-_GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
-SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
 # Names that may stand at a path; engines are those of which the server needs no file.
 _NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS, "atmosphere.engine": ("sixs", "emulator")}
 _LAYOUT = package_table("web/forms.yaml")
+SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_LAYOUT["greys"])))
 _LEFT_OUT, _MAIN, _ASIDE, _FOLDED = (
     re.compile("|".join(_LAYOUT[part])) for part in ("left_out", "main", "aside", "folded")
 )

@@ -32,7 +32,6 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{43}")
 _PORT = re.compile(r"(?<=[^:]):\d+$")
 
 
-UPLOADS = "/uploads"
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _YEAR_S = 365 * 24 * 3600
 _MOST_URL = 16_384
@@ -53,7 +52,7 @@ class Guard:
                 await self.app(scope, receive, send)
             return  # there are no web sockets
         headers, settings = Headers(scope=scope), self.settings
-        is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
+        is_upload = scope["path"].removeprefix("/api/v1").startswith("/uploads")
         bound = settings.upload_bytes if is_upload else settings.body_bytes
         # Whoever knows the name is the session; it is new where the cookie has none, or a malformed one.
         cookie = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")
