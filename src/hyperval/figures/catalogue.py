@@ -11,10 +11,10 @@ from scipy.special import betaincinv
 
 from hyperval.compare import MOST_EIGENVALUES, SPREAD, Sampled, in_central_95, probability_integral_transform, sampled
 from hyperval.data import Array, Mask
-from hyperval.figures.rows import MET, NOT_MET
 from hyperval.figures.spec import (
     CURVES,
     DIFFERENCE,
+    LOOKS,
     MAX_PANELS,
     SOURCES,
     WAVELENGTH,
@@ -26,6 +26,7 @@ from hyperval.figures.spec import (
     Part,
     Rules,
     a_view_each,
+    captioned,
     columns_of,
     left_out,
     measured_mark,
@@ -46,12 +47,7 @@ Sides = tuple[Products | None, Products | None]
 SIDES = ("predicted", "measured")
 Entry = tuple[float, float, float, str]  # a value of a side with the limits of its interval, and what is said of it
 # Of a product: its axis, its title, and whether its difference is a ratio.
-SPECTRA = {
-    "radiance": ("radiance [µW cm⁻² sr⁻¹ nm⁻¹]", "Radiance at the sensor", True),
-    "toa_reflectance": ("reflectance", "Reflectance at the top of the atmosphere", True),
-    "snr": ("signal-to-noise ratio", "Signal-to-noise ratio", True),
-    "reflectance": ("reflectance", "Reflectance", False),
-}
+SPECTRA: Mapping[str, tuple[str, str, bool]] = LOOKS["spectra"]
 MOST_SUBJECTS = 24  # and curves
 _MOST_ROWS = 40
 _MOST_SOURCES = 7
@@ -89,8 +85,8 @@ def count_text(n: int) -> str:
 
 
 def a_row_each(
-    name: str, section: str, title: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Entry]], x: Axis, *,
-    under: Sequence[Mark] = (), **more: Any,
+    kind: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Entry]], x: Axis, *, under: Sequence[Mark] = (),
+    **values: Any,
 ) -> Figure | None:  # fmt: skip
     """A figure with a row for each of the first keys: dots of the sides that have it, a part of a row apart."""
     shown = keys[:_MOST_ROWS]
@@ -104,7 +100,7 @@ def a_row_each(
             columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
             words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
-    return of_rows(name, section, title + left_out(len(shown), len(keys)), x, Axis.named(names), marks, **more)
+    return of_rows(kind, x, Axis.named(names), marks, more=left_out(len(shown), len(keys)), **values)
 
 
 def wavelengths(axis: SpectralAxis) -> Axis:
@@ -185,10 +181,7 @@ def budget_figure(sides: Sides) -> Figure | None:
         if side and subject in of_side and of_side[subject].budget
     }
     sources = _ranked_sources([estimate for _, estimate in list(panels.values())[:MAX_PANELS]])
-    head = "Uncertainty budget of the radiance (height: total; colour: share of the variance)"
-    return a_view_each(
-        "radiance-budget", "radiance", head, list(panels), lambda name: _stack(*panels[name], sources, name), head=head
-    )
+    return a_view_each("radiance-budget", list(panels), lambda name: _stack(*panels[name], sources, name))
 
 
 def _stack(axis: SpectralAxis, estimate: SpectralEstimate, sources: Sequence[str], subject: str) -> Panels:
@@ -262,8 +255,7 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
         return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, at=1.0)
 
-    title = f"Eigenvalues of the {quantity} covariance (band: 95 % of samples of as many independent predicted pixels)"
-    return a_view_each(f"{quantity}-eigenvalues", "covariance", title, list(spreads), view)
+    return a_view_each("eigenvalues", list(spreads), view, name=f"{quantity}-eigenvalues", quantity=quantity)
 
 
 def tail_figure(sides: Sides) -> Figure | None:
@@ -290,8 +282,7 @@ def tail_figure(sides: Sides) -> Figure | None:
         return single(x, y, marks, name, f"{_dof(law.leading_tail_dof)} measured{prediction}")
 
     subjects = [s for s, law in measured.items() if law.distance is not None and law.leading_dimension is not None]
-    title = "Tails of the pixels in the leading components (interval: binomial, pixels taken as independent)"
-    return a_view_each("pixel-tails", "covariance", title, subjects, view)
+    return a_view_each("pixel-tails", subjects, view)
 
 
 def _dof(dof: float) -> str:
@@ -317,12 +308,9 @@ def class_error_figure(sides: Sides) -> Figure | None:
         value, low, high = (max(x, floor) for x in (e.error, e.lower, e.upper))
         return value, low, high, f"{e.error:.2g} ({e.lower:.2g} to {e.upper:.2g})"
 
-    return a_row_each(
-        "class-error", "classification", "Error of a Gaussian maximum-likelihood classifier", keys,
-        [{key: entry(e) for key, e in of_side.items()} for of_side in both],
-        Axis("probability of error", "log", ends=(floor / 1.4, 1.0)), under=under,
-        legend=f"bar: 95 % interval; an error below {floor:.0e} is drawn there",
-    )  # fmt: skip
+    entries = [{key: entry(e) for key, e in of_side.items()} for of_side in both]
+    x = Axis("probability of error", "log", ends=(floor / 1.4, 1.0))
+    return a_row_each("class-error", keys, entries, x, under=under, floor=floor)
 
 
 _MOST_POINTS = 200
@@ -399,8 +387,8 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
     keys = sorted(counts, key=lambda key: (key[2] != "object" or counts[key] < 2, -counts[key]))
-    legend = "" if margin is None else f"dotted: equivalence margin {margin:g}"
-    return a_view_each("roc-difference", "roc", "ROC: predicted minus measured P_D", keys, view, legend=legend)
+    dotted = "" if margin is None else f"dotted: equivalence margin {margin:g}"
+    return a_view_each("roc-difference", keys, view, dotted=dotted)
 
 
 def exceedance_figure(sides: Sides) -> Figure | None:
@@ -422,10 +410,9 @@ def exceedance_figure(sides: Sides) -> Figure | None:
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
         return single(Axis("score", ends=span), y, marks, ", ".join(key), at=rule)
 
-    title = "False-alarm probability against the threshold"
     keys = sorted(predicted, key=lambda key: key not in measured)
-    legend = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
-    return a_view_each("exceedance", "scores", title, keys, view, legend=legend if measured else "")
+    intervals = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
+    return a_view_each("exceedance", keys, view, intervals=intervals if measured else "")
 
 
 def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
@@ -438,10 +425,7 @@ def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
 def score_figure(sides: Sides) -> Figure | None:
     """Mean and 95 % range of each population's score."""
     both = [{key: _entry(s.mean, s.sd, s.n) for key, s in of_side.items()} for of_side in both_of(sides, "scores")]
-    return a_row_each(
-        "scores", "scores", f"Score distributions: {_there(both)}", both_first(*both), both, Axis("score"),
-        rules=(0.0, 1.0), legend="dot: mean; bar: mean ± 1.96 standard deviations; dotted: scores of 0 and 1",
-    )  # fmt: skip
+    return a_row_each("scores", both_first(*both), both, Axis("score"), rules=(0.0, 1.0), sides=_there(both))
 
 
 def abundance_figure(sides: Sides) -> Figure | None:
@@ -454,9 +438,8 @@ def abundance_figure(sides: Sides) -> Figure | None:
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
-    title = f"Target area from the sum of abundances: {_there(both)}"
-    return a_row_each("abundance", "abundance", title, both_first(*both), both, x,
-                      rules=() if scattered else (0.0,), legend="bar: 95 % interval")  # fmt: skip
+    rules = () if scattered else (0.0,)
+    return a_row_each("abundance", both_first(*both), both, x, rules=rules, sides=_there(both))
 
 
 def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
@@ -501,8 +484,7 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
         x = Axis("nominal area [m²]", "log", ends=(sizes[0] / 1.8, sizes[-1] * 1.8))
         return Panels(x, parts, method, words="; ".join(words))
 
-    title = "Target areas by unmixing against nominal areas, and their error by size"
-    return a_view_each("unmixing-areas", "abundance", title, list(dict.fromkeys(m for _, m in both[1])), view)
+    return a_view_each("unmixing-areas", list(dict.fromkeys(m for _, m in both[1])), view)
 
 
 def object_score_figure(sides: Sides) -> Figure | None:
@@ -515,11 +497,9 @@ def object_score_figure(sides: Sides) -> Figure | None:
             predicted[key] = middle, low, high, f"{middle:.3g}{interval}"
             measured[key] = score, score, score, f"{score:.3g}"
             outside += not low <= score <= high
-    title = "Score of each object: predicted median and 95 % interval, and as measured"
-    return a_row_each(
-        "object-scores", "scores", f"{title}; {outside} of {len(predicted)} outside", list(predicted),
-        [predicted, measured], Axis("greatest score of the object"), rules=(0.0,),
-    )  # fmt: skip
+    about: dict[str, Any] = {"rules": (0.0,), "outside": outside, "count": len(predicted)}
+    x = Axis("greatest score of the object")
+    return a_row_each("object-scores", list(predicted), [predicted, measured], x, **about)
 
 
 def transform_figure(sides: Sides) -> Figure | None:
@@ -540,9 +520,7 @@ def transform_figure(sides: Sides) -> Figure | None:
         x, y = (Axis(label, ends=(0.0, 1.0)) for label in ("uniform quantile", "probability integral transform"))
         return single(x, y, marks, detector, f"{n} objects, {np.mean(in_central_95(u)):.0%} in the central 95 %")
 
-    title = "Predicted probability of a lower score than measured, all objects: uniform for a correct prediction"
-    detectors = list(dict.fromkeys(detector for (_, detector), *_ in objects))
-    return a_view_each("object-transforms", "scores", title, detectors, view)
+    return a_view_each("object-transforms", list(dict.fromkeys(detector for (_, detector), *_ in objects)), view)
 
 
 def _objects(sides: Sides) -> list[tuple[tuple[str, str], Array, list[tuple[str, float]]]]:
@@ -558,9 +536,7 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
     of their scores; None where they are few.
     """
     found = {name: drawn for name, one in maps.items() if (drawn := _map_objects(name, one, sides)) is not None}
-    title = "Score of each object, measured minus predicted median, at its position, and all scores; a selection "
-    title += "in one is highlighted in the other"
-    return a_view_each("objects", "scores", title, list(found), found.__getitem__)
+    return a_view_each("objects", list(found), found.__getitem__)
 
 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
@@ -631,9 +607,8 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
         y = Axis("density", "log", ends=(top * _DEEPEST, 2.0 * top))
         return single(Axis(f"score of {detector}"), y, marks, detector)
 
-    title = "Scores: probability density of each population and of the background"
     detectors = list(dict.fromkeys(detector for _, side in sides for _, detector in side.scores))
-    return a_view_each("densities", "scores", title, detectors, view)
+    return a_view_each("densities", detectors, view)
 
 
 def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
@@ -653,18 +628,6 @@ def density_of(score: ScoreDistribution) -> tuple[Array, Array]:
 
 _MOST_INPUTS = 14
 _MOST_QUANTITIES = 26
-_STATED = {
-    True: {"label": "uncertainty stated", "colour": "#0072B2"},
-    False: {"label": "none stated: standard step", "colour": "#E69F00"},
-}
-_GREATEST = {
-    False: {"label": "smaller gain", "colour": "#8aa4b8"},
-    True: {"label": "greatest gain of a subject", "colour": "#C2410C", "beside": "right"},
-}
-_CLOSER = {
-    True: {"label": "after, closer", "colour": MET, "marker": "left", "beside": "left"},
-    False: {"label": "after, farther", "colour": NOT_MET, "marker": "right", "beside": "right"},
-}
 _LONGEST = 34  # characters of an input's name
 # Twice a log-likelihood of 10.8 has one chance in a thousand by luck, for one direction.
 _TELLING = 10.8
@@ -677,15 +640,14 @@ def reason_figures(table: ResultTable) -> list[Figure | None]:
     moved = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
     tests, moves = moved.where(metric="reduced_chi_square"), moved.where(product="sensitivity")
     residuals = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
-    first = next((f"Residuals before and after: {r.method}" for r in residuals), "")
     outcomes = tests.where(product="what-if")
     return [
-        _before_and_after("residuals", "attribution", residuals, [r.subject for r in residuals], first),
+        _before_and_after("residuals", residuals, [r.subject for r in residuals]),
         _inputs(whole[:_MOST_INPUTS], table) if whole and whole[0].value >= 1.0 else None,
         _gain(table),
         _by_subject([r for r in gains if r.subject != "all"]),
         _effects(moves) if moves else None,
-        _before_and_after("what-ifs", "what-if", outcomes, [r.method for r in outcomes], "What-ifs: before and after"),
+        _before_and_after("what-ifs", outcomes, [r.method for r in outcomes]),
     ]
 
 
@@ -697,15 +659,13 @@ def _inputs(rows: Sequence[Result], table: ResultTable) -> Figure:
     # An input that explains nothing has nothing to say, however far it moves.
     words = [r.reason.partition("; ")[0].partition(": ")[2] if r.value >= 1.0 else "" for r in rows]
     bars = Mark("bars", columns, words=tuple(text.replace("-", "−") for text in words), beside="right", alpha=0.85)
-    marks = bars.by_kind([name in stated for name in names], _STATED)
+    marks = bars.by_kind([name in stated for name in names], LOOKS["stated"])
     caption = ", ".join(f"{r.method} ({r.value:.3g})" for r in rows[:4])
-    legend = "twice the gain in log-likelihood (2 Δ ln L) with that input free; dotted: by chance once in 1000"
-    numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
-    legend += "; a number in brackets: one of several independent shapes of an error" * numbered
+    is_numbered = any(name.endswith(")") and name.rpartition("(")[2][:-1].isdigit() for name in names)
+    numbered = "; a number in brackets: one of several independent shapes of an error" * is_numbered
     x = Axis("improvement of the fit to the differences", "log", ends=(0.1, max(best.value * 100.0, 30.0)))
-    title = "Inputs that would explain the differences if they were less certain"
     y = Axis.named(names, _LONGEST)
-    return of_rows("attribution-inputs", "attribution", title, x, y, marks, caption, legend, (_TELLING,))
+    return of_rows("attribution-inputs", x, y, marks, caption, rules=(_TELLING,), numbered=numbered)
 
 
 def _gain(table: ResultTable) -> Figure | None:
@@ -722,12 +682,11 @@ def _gain(table: ResultTable) -> Figure | None:
         return None
     nm, gain, low, high = gains[0].columns.values()
     far = int(np.argmax(np.abs(gain - 1.0)))
-    title = "Gain and offset of the sensor that would explain the radiance of all subjects"
     words = f"gain farthest from 1: {gain[far]:.2f} ({low[far]:.2f} to {high[far]:.2f}) at {nm[far]:.0f} nm"
     parts = [Part(Axis("measured / predicted radiance"), tuple(gains), (("y", 1.0),))]
     for mark in marks("sensor_offset", "offset beside that gain", hollow=True):
         parts.append(Part(Axis("offset [µW cm⁻² sr⁻¹ nm⁻¹]"), (mark,), (("y", 0.0),)))
-    return Figure("sensor-gain", "attribution", title, (Panels(Axis(WAVELENGTH), tuple(parts), words=words),))
+    return captioned("sensor-gain", [Panels(Axis(WAVELENGTH), tuple(parts), words=words)])
 
 
 def _by_subject(rows: Sequence[Result]) -> Figure | None:
@@ -747,15 +706,13 @@ def _by_subject(rows: Sequence[Result]) -> Figure | None:
     cells = np.nonzero(gains > 0.0)
     columns = {"x": cells[1].astype(float), "y": cells[0].astype(float), "size": 14.0 * np.sqrt(part[cells])}
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[cells])
-    marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[cells] >= 0.999, _GREATEST)
-    legend = "the area of a dot is the gain (2 Δ ln L) as a part of the greatest of its subject"
+    marks = Mark("dots", columns, marker="circle", words=words).by_kind(part[cells] >= 0.999, LOOKS["greatest"])
     quiet = len({r.subject for r in rows}) - len(telling)
-    legend += f"; {quiet} subjects have nothing to explain" if quiet else ""
-    legend += left_out(len(subjects), len(telling), "results.csv")
+    more = f"; {quiet} subjects have nothing to explain" if quiet else ""
+    more += left_out(len(subjects), len(telling), "results.csv")
     names = Axis.named(inputs, _LONGEST), Axis.named(subjects, _LONGEST)
     summary = f"input of the greatest gain: {'; '.join(f'{s}: {n}' for s, n in top.items())}"
-    title = "Inputs that would explain the differences of each subject if they were less certain"
-    return of_rows("attribution-subjects", "attribution", title, *names, marks, summary, legend)
+    return of_rows("attribution-subjects", *names, marks, summary, quiet=more)
 
 
 def _effects(rows: Sequence[Result]) -> Figure:
@@ -782,15 +739,11 @@ def _effects(rows: Sequence[Result]) -> Figure:
     cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
     largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
     text = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
-    legend = "one unit: the stated standard uncertainty of an input, or a standard step where none is stated; "
-    legend += "gap: measured minus predicted; spectra relative to the measured mean, P_D as a difference; "
-    legend += "the largest gaps are shown"
     ways = Axis.named(names, _LONGEST), Axis.named([f"{q} (gap {gaps[q]:+.2g})" for q in shown], 64)
-    title = "Change by one unit of each input"
-    return of_rows("attribution-effects", "sensitivity", title, *ways, [cells], text, legend)
+    return of_rows("attribution-effects", *ways, [cells], text)
 
 
-def _before_and_after(name: str, product: str, rows: Sequence[Result], names: list[str], title: str) -> Figure | None:
+def _before_and_after(kind: str, rows: Sequence[Result], names: list[str]) -> Figure | None:
     """Reduced chi-square of each row, and what it was before."""
     if not rows:
         return None
@@ -798,13 +751,12 @@ def _before_and_after(name: str, product: str, rows: Sequence[Result], names: li
     start = Mark("dots", {"x": before, "y": place}, "as in the campaign", marker="circle", hollow=True)
     columns = {"x": after, "y": place, "low": np.minimum(before, after), "high": np.maximum(before, after)}
     end = Mark("dots", columns, along="x", words=tuple(f"{v:.3g}" if v < 1e3 else count_text(round(v)) for v in after))
-    marks = [start, *end.by_kind(after < before, _CLOSER)]
+    marks = [start, *end.by_kind(after < before, LOOKS["closer"])]
     both = [v for v in (*before, *after) if v > 0]
     scattered = bool(both) and max(both) > 20.0 * min(both)
     x = Axis("reduced chi-square", "log" if scattered else "linear")
     words = "; ".join(f"{one} from {b:.3g} to {r.value:.3g}" for one, r, b in zip(names, rows, before, strict=True))
-    legend = "dotted: 1, as expected from the uncertainties"
-    return of_rows(name, product, title, x, Axis.named(names, _LONGEST), marks, words, legend, (1.0,))
+    return of_rows(kind, x, Axis.named(names, _LONGEST), marks, words, rules=(1.0,), method=rows[0].method)
 
 
 def first_figures(sides: Sides, table: ResultTable | None = None, names: tuple[str, str] = SIDES) -> list[Figure]:

@@ -21,20 +21,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogFormatterSciNotation, LogLocator, MaxNLocator, NullLocator
 
-from hyperval.figures.spec import GREY, Axis, ColourScale, Drawing, Figure, Kind, Mark, Panels, Part, shortened
+from hyperval.figures.spec import GREY, LOOKS, Axis, ColourScale, Drawing, Figure, Kind, Mark, Panels, Part, shortened
 
-_MARKERS = {
-    "circle": "o", "square": "s", "diamond": "D", "triangle": "^", "inverted_triangle": "v", "plus": "P", "star": "*",
-    "x": "X", "hex": "h", "tick": "|", "left": "<", "right": ">",
-}  # fmt: skip
 _ABSORPTION = "#e9e9e9"
 _ROW_IN, _LABEL, _LABEL_BELOW = 0.3, 40, 16  # [in] of a named row; letters along an axis, and along a low one
 _FEW_DECADES = 2.5  # below which an axis has plain numbers at 1, 2 and 5
 _JOURNAL_SCALE = 0.72  # of 10 in: 183 mm, two columns
-_METADATA: dict[str, dict[str, Any]] = {
-    "svg": {"Date": None, "Creator": None}, "png": {"Software": None},
-    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-}  # fmt: skip
 
 
 @contextmanager
@@ -60,7 +52,7 @@ def drawings_of(
             for number, views in enumerate(figure.pages, start=1):
                 name = figure.name if len(figure.pages) == 1 else f"{figure.name}-{number}"
                 content, canvas = io.BytesIO(), canvas_of(figure, views, simulated=simulated, journal=journal)
-                canvas.savefig(content, format=kind, metadata=_METADATA[kind], dpi=300.0)
+                canvas.savefig(content, format=kind, metadata=LOOKS["metadata"][kind], dpi=300.0)
                 content_of = figure.section, figure.title, figure.alt, content.getvalue(), kind
                 out.append(Drawing(name, *content_of, legend=figure.legend))
     return out
@@ -178,7 +170,7 @@ def _mark(axes: Axes, mark: Mark) -> None:
         fill: Any = {"color": colour} if ticks else {"facecolors": inside, "edgecolors": colour}
         if mark.scale is not None:
             fill = {"facecolors": _colours(axes, mark.scale, columns["value"]), "edgecolors": GREY}
-        shape = "_" if ticks and mark.along == "y" else _MARKERS[mark.marker]
+        shape = "_" if ticks and mark.along == "y" else LOOKS["markers"][mark.marker]
         axes.scatter(x, y, s=np.square(size), marker=shape, zorder=3, **fill)
     if mark.kind in ("bars", "cells"):
         left, right, bottom, top = (columns[name] for name in ("left", "right", "bottom", "top"))
@@ -215,7 +207,7 @@ def _handle(mark: Mark) -> Any:
     if mark.kind in ("bars", "area", "cells"):
         return Patch(color=mark.colour, alpha=mark.alpha)
     line: Any = mark.dash if mark.kind in ("line", "steps") else ""
-    return Line2D([], [], color=mark.colour, linestyle=line, marker=_MARKERS.get(mark.marker), markersize=5,
+    return Line2D([], [], color=mark.colour, linestyle=line, marker=LOOKS["markers"].get(mark.marker), markersize=5,
                   markerfacecolor="none" if mark.hollow else mark.colour)  # fmt: skip
 
 

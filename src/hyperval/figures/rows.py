@@ -6,25 +6,16 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from hyperval.figures.spec import Axis, Figure, Mark, Panels, Part, columns_of, left_out, of_rows
+from hyperval.figures.spec import LOOKS, Axis, Figure, Mark, Panels, Part, captioned, columns_of, left_out, of_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import WORST_FIRST, Outcome, Result, grouped
 from hyperval.spectra.axis import SPECTRAL_REGIONS_NM
 
-# Of outcomes and ranges, as in the style sheet of pages: blue, maroon and ochre, which no colour deficiency mixes up.
-MET, NOT_MET, INCONCLUSIVE, NOT_RUN, ACCEPTED = "#1f6f9f", "#7a1338", "#b07a10", "#8c959f", "#d8eaf5"
-_LOOKS: dict[Outcome, dict[str, Any]] = {
-    outcome: {"label": outcome.word, "colour": colour, "marker": marker, "hollow": marker == "diamond"}
-    for outcome, colour, marker in (
-        (Outcome.DISAGREES, NOT_MET, "square"), (Outcome.ERROR, NOT_MET, "x"),
-        (Outcome.UNDECIDED, INCONCLUSIVE, "diamond"), (Outcome.AGREES, MET, "circle"),
-        (Outcome.SKIPPED, NOT_RUN, "triangle"),
-    )
-}  # fmt: skip
+_ACCEPTED = "#d8eaf5"  # ranges
+_LOOKS = {Outcome(name): {"label": Outcome(name).word, **look} for name, look in LOOKS["outcomes"].items()}
 _MOST_ROWS, _MOST_PARTS = 11, 5
 _HALF = 0.36  # of a row: what the accepted range fills to either side
 _P_VALUE = "p-value"  # of a test, which has no size in units of the field
@@ -178,10 +169,9 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, (math.nan,)), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
-    kind = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
-    title = f"{kind} as effects with their 95 % intervals, the worst first"
-    title += left_out(sum(map(len, shown)), len(every), "summary.csv")
-    return Figure("criteria", "criteria", title, (Panels(Axis(), tuple(parts)),))
+    criteria = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
+    more = left_out(sum(map(len, shown)), len(every), "summary.csv")
+    return captioned("criteria", [Panels(Axis(), tuple(parts))], more, criteria=criteria)
 
 
 def _part(rows: Sequence[Result], most: int) -> Part:
@@ -238,7 +228,7 @@ def _marks(rows: Sequence[tuple[float, Result]], ends: tuple[float, float]) -> t
         y, low, high = np.array(ranges, float).T
         edges = {"left": np.where(np.isfinite(low), low, ends[0]), "right": np.where(np.isfinite(high), high, ends[1])}
         columns = edges | {"bottom": y - _HALF, "top": y + _HALF}
-        marks.append(Mark("bars", columns, "accepted range", ACCEPTED, alpha=1.0))
+        marks.append(Mark("bars", columns, "accepted range", _ACCEPTED, alpha=1.0))
     sized = [(y, row) for y, row in rows if math.isfinite(row.effect)]
     numbers = [(row.effect, row.effect_lower, row.effect_upper, y) for y, row in sized]
     columns = columns_of(numbers, ("x", "low", "high", "y"))
@@ -269,6 +259,5 @@ def campaigns_figure(tables: Mapping[str, Sequence[Result]]) -> Figure | None:
             marks.append(Mark("bars", edges, look["label"], look["colour"], alpha=1.0))
     notes = tuple(outcome_words(criteria[name]) for name in names)
     words = "; ".join(f"{name}: {note}" for name, note in zip(names, notes, strict=True))
-    title = "Acceptance criteria of the model by campaign, the worst first"
     axes = Axis("share of acceptance criteria [%]", ends=(0.0, 100.0)), replace(Axis.named(names), notes=notes)
-    return of_rows("campaigns", "criteria", title, *axes, marks, words)
+    return of_rows("campaigns", *axes, marks, words)

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hyperval.data import Array
+from hyperval.errors import package_table
 from hyperval.spectra.axis import ABSORPTION_BANDS_NM
 
 # Predicted and measured differ in colour (Okabe and Ito's palette, distinct under the common colour deficiencies), in
@@ -21,16 +22,8 @@ from hyperval.spectra.axis import ABSORPTION_BANDS_NM
 PREDICTED, MEASURED, DIFFERENCE, GREY = "#0072B2", "#C2410C", "#5B3A8C", "#5f646b"
 SOURCES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#777777")
 CURVES = ("#0072B2", "#C2410C", "#009E73", "#B4548F", "#5B3A8C", "#B58900")
-PALETTES = {
-    "signed": ("#2d004b", "#542788", "#8073ac", "#b2abd2", "#d8daeb", "#f7f7f7", "#fee0b6", "#fdb863", "#e08214",
-               "#b35806", "#7f3b08"),
-    "rising": ("#00204c", "#01356e", "#35456c", "#575c6d", "#757575", "#958f78", "#b6a971", "#dac863", "#ffe945"),
-    "falling": ("#33353a", "#4b4d52", "#63666b", "#7b7e83", "#93969b", "#abaeb3", "#c3c6cb", "#dbdee3", "#e6e9ec"),
-}  # fmt: skip
-VIRIDIS = (
-    "#440154", "#471669", "#472A79", "#433C84", "#3C4D8A", "#355D8C", "#2E6C8E", "#287A8E", "#23898D", "#1E978A",
-    "#20A585", "#2EB27C", "#45BF6F", "#64CB5D", "#88D547", "#AFDC2E", "#D7E219", "#FDE724",
-)  # fmt: skip
+LOOKS = package_table("figures/looks.yaml")
+VIRIDIS = LOOKS["viridis"]
 MAX_PANELS = 12
 WAVELENGTH = "wavelength [nm]"  # over which the absorption of gases is shaded
 Dash = Literal["solid", "dashed", "dotted", "dashdot"]
@@ -85,9 +78,9 @@ class ColourScale:
     label: str = ""
 
     @property
-    def palette(self) -> tuple[str, ...]:
+    def palette(self) -> list[str]:
         """Its colours, those of low values first."""
-        return PALETTES[self.kind]
+        return list(LOOKS["palettes"][self.kind])
 
 
 @dataclass(frozen=True)
@@ -436,18 +429,27 @@ def robust_limits(values: Sequence[Any], trim: float = 0.5) -> tuple[float, floa
     return low - margin * (low < 0.0), high + margin
 
 
-def a_view_each(
-    name: str, section: str, title: str, items: Sequence[Any], view: Callable[[Any], Panels], **more: Any
-) -> Figure | None:
+def captioned(kind: str, views: Sequence[Panels], more: str = "", *, name: str = "", **values: Any) -> Figure:
+    """A figure in the words of its kind, which ``words.yaml`` has; values fill them, ``more`` ends its caption.
+
+    >>> captioned("class-error", [], "; 3 of 4 shown", floor=0.01).legend
+    'bar: 95 % interval; an error below 1e-02 is drawn there'
+    """
+    words = {key: text.format(**values) for key, text in package_table("figures/words.yaml")[kind].items()}
+    words["title"] += more
+    return Figure(name or kind, views=tuple(views), **words)
+
+
+def a_view_each(kind: str, items: Sequence[Any], view: Callable[[Any], Panels], **values: Any) -> Figure | None:
     """A figure with a view for each of the first items; None without any."""
     made = tuple(map(view, items[:MAX_PANELS]))
-    return Figure(name, section, title + left_out(len(made), len(items)), made, **more) if made else None
+    return captioned(kind, made, left_out(len(made), len(items)), **values) if made else None
 
 
 def of_rows(
-    name: str, section: str, title: str, x: Axis, y: Axis, marks: Sequence[Mark], words: str = "", legend: str = "",
-    rules: Sequence[float] = (),
+    kind: str, x: Axis, y: Axis, marks: Sequence[Mark], words: str = "", more: str = "", rules: Sequence[float] = (),
+    **values: Any,
 ) -> Figure:  # fmt: skip
     """A figure of one plot, whose rows have names; ``rules``: places of dotted lines along x."""
     view = single(x, y, marks, words=words, rules=tuple(("x", place) for place in rules))
-    return Figure(name, section, title, (view,), legend)
+    return captioned(kind, [view], more, **values)

@@ -31,7 +31,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures import Axis, ColourScale, Figure, Mark, Panels, Part
-from hyperval.figures.spec import a_view_each, columns_of, measured_mark, single
+from hyperval.figures.spec import a_view_each, captioned, columns_of, measured_mark, single
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, clopper_pearson, predict
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -95,9 +95,8 @@ class BlockCounts:
         ----------
         weights : (K, R) how often each block is drawn
         """
-        total, shape = self.pixels @ weights, (*self.over.shape[:2], weights.shape[1])
-        over, tie = (np.reshape(n.reshape(-1, self.pixels.size) @ weights, shape) for n in (self.over, self.tie))
-        return over / total, tie / total
+        total = self.pixels @ weights
+        return self.over @ weights / total, self.tie @ weights / total
 
 
 def counts_by_block(scores: Array, background: AlarmBlocks) -> tuple[Counts, Counts]:
@@ -763,8 +762,8 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         part = Part(replace(detectors, notes=tuple(notes.get(i, "") for i in range(len(one.groups)))), tuple(marks))
         return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(texts))
 
-    title = f"{one.campaign}: detectors on all objects with 95 % intervals; rank [95 % set]"
-    return a_view_each(f"{one.campaign}-detectors", one.campaign, title, one.measures, view)
+    name = f"{one.campaign}-detectors"
+    return a_view_each("detectors", one.measures, view, name=name, campaign=one.campaign)
 
 
 def rank_figure(one: Benchmarked) -> Figure | None:
@@ -776,9 +775,8 @@ def rank_figure(one: Benchmarked) -> Figure | None:
     if not metric or len({*subjects, EVERY_OBJECT}) < 3 or not one.groups:
         return None
     more = "" if len(subjects) == len(every) else f"; {len(subjects)} of {len(every)} subjects"
-    title = f"{one.campaign}: rank [95 % set] by {MEASURES[metric].title}, subjects of two objects and more{more}"
     rows = {subject: (one, subject) for subject in subjects}
-    return _rank_map(f"{one.campaign}-ranks", one.campaign, title, rows, one.groups, metric)
+    return _rank_map("ranks", rows, one.groups, metric, more, name=f"{one.campaign}-ranks", campaign=one.campaign)
 
 
 def _rank_text(rank: Result) -> str:
@@ -786,8 +784,8 @@ def _rank_text(rank: Result) -> str:
 
 
 def _rank_map(
-    name: str, section: str, title: str, rows: Mapping[str, tuple[Benchmarked, str]],
-    groups: Sequence[tuple[str, ...]], metric: str,
+    kind: str, rows: Mapping[str, tuple[Benchmarked, str]], groups: Sequence[tuple[str, ...]], metric: str,
+    more: str = "", **about: str,
 ) -> Figure:  # fmt: skip
     """A cell for each row, of a subject of a campaign, and group of detectors that order alike: dark where it leads."""
     cells, words, captions = [], [], []
@@ -801,7 +799,9 @@ def _rank_map(
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     x, y = Axis.named([" = ".join(group) for group in groups]), Axis.named(list(rows))
     view = single(x, y, [mark], words="; ".join(captions))
-    return Figure(name, section, title, (view,), head=title.partition(",")[0], width_in=2.6 + 1.35 * len(groups))
+    title = MEASURES[metric].title
+    figure = captioned(kind, [view], more, metric=title, short=title.partition(",")[0], **about)
+    return replace(figure, width_in=2.6 + 1.35 * len(groups))
 
 
 def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
@@ -811,8 +811,7 @@ def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
     every = dict.fromkeys(name for one, _ in shown.values() for group in one.groups for name in group)
     if len(shown) < 2:
         return None
-    title = f"Rank [95 % set] by {MEASURES[metric].title} on all objects of each collection"
-    return _rank_map("overview", "benchmark", title, shown, [(name,) for name in every], metric)
+    return _rank_map("overview", shown, [(name,) for name in every], metric)
 
 
 def predicted_figure(one: Benchmarked) -> Figure | None:
@@ -831,9 +830,8 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
         return single(x, y, (diagonal, dots), MEASURES[metric].title)
 
-    title = f"{one.campaign}: measured against predicted, a point for each subject and detector, with 95 % intervals"
     paired = [name for name in names if pairs[name]]
-    return a_view_each(f"{one.campaign}-predicted", one.campaign, title, paired, view)
+    return a_view_each("predicted", paired, view, name=f"{one.campaign}-predicted", campaign=one.campaign)
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:

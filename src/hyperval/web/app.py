@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import os
 import re
 from collections.abc import AsyncIterator
@@ -17,7 +16,7 @@ from starlette.responses import Response
 from starlette.routing import Match
 
 import hyperval
-from hyperval.errors import HypervalError
+from hyperval.errors import HypervalError, package_table
 from hyperval.executors import TaskPool
 from hyperval.web import predictions, runs, uploads  # noqa: F401  (their routes)
 from hyperval.web.guard import Guard
@@ -40,7 +39,6 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
     async def life(app: FastAPI) -> AsyncIterator[None]:
         # Requests that wait for a worker hold a thread each.
         anyio.to_thread.current_default_thread_limiter().total_tokens = 128
-        await anyio.to_thread.run_sync(_warm, settings)
         yield
         app.state.runs.close()
 
@@ -62,15 +60,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
     return app
 
 
-def _warm(settings: ServerSettings) -> None:
-    """Load what the first requests would wait for."""
-    predictions.warm()
-    list(runs.campaigns_of(settings))
-    gc.collect()
-    gc.freeze()  # what is loaded stays: to go through it again takes up to half a second, while somebody waits
-
-
-_WORDS = {404: "there is no such page", 405: "this cannot be done here", 400: "the request cannot be read"}
+_WORDS = package_table("web/answers.yaml")["unsaid"]
 
 
 def _told(request: Request, error: Exception) -> Response:

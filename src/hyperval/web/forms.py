@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from hyperval.config import SCHEMA_LINE, parse_yaml, shipped
 from hyperval.datasets import files_at_hand, how_to_get, missing, registry
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import UsageError, package_table, refuse
 from hyperval.scenario import MODEL_DETECTORS, Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.statistics_library import BUILTIN_NAMES
@@ -30,31 +30,13 @@ from hyperval.web.refusal import MOST_MISTAKES, FieldMistake, Refused, deny, for
 Schema = Mapping[str, Any]
 Given = Mapping[str, list[str]]  # name of a field -> what stands in it
 MOST_ROWS = 40
-_GREYS = tuple(f"grey-panel-{n}" for n in (12, 24, 48))
-SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_GREYS)))
 # Names that may stand at a path; engines are those of which the server needs no file.
 _NAMED = {"sensor": library_names(), "processing.detectors": MODEL_DETECTORS, "atmosphere.engine": ("sixs", "emulator")}
-_LEFT_OUT = re.compile(r"schema|.*\.(?:library|measured|table|replicates|records)")
-# What most people look for stands before the fold, given or not; of the rest what is given, some of it none the less
-# behind the fold, whose line tells it.
-_MAIN = re.compile(
-    r"name|sensor|atmosphere\.(?:meteorological_range_km|water_vapour_g_cm2|sensor_altitude_km|solar_zenith_deg)|scene\.(?:panels|targets)"
-    r"|.*(?<!adjacency)\.spectrum\.builtin|.*\.fill\.fixed|processing\.detectors|sensor_changes\.(?:signal|fixed)_.*"
+_LAYOUT = package_table("web/forms.yaml")
+SURFACES = tuple(sorted((*(n for n in BUILTIN_NAMES if not n.endswith("NN")), *_LAYOUT["greys"])))
+_LEFT_OUT, _MAIN, _ASIDE, _FOLDED = (
+    re.compile("|".join(_LAYOUT[part])) for part in ("left_out", "main", "aside", "folded")
 )
-_ASIDE = re.compile(
-    r"title|description|formulation|atmosphere\.(?:aerosol|ground_altitude_km|.*azimuth_deg|day_of_year|latitude_deg"
-    r"|longitude_deg|time_utc)|processing\.(?!detectors).*"
-)
-_FOLDED = re.compile(
-    r"(?:scene\.(?:panels|sites)|.*\.subjects)\.\d+|uncertainty.*|.*covariance|sensor_.*|processing\.elm"
-    r"|scene\.adjacency|scene\.panels\.\d+\.spectrum"
-)
-_SECTIONS = {
-    "Name": ("name", "title", "description"),
-    "Scene": ("scene",), "Atmosphere, sun and view": ("atmosphere",),
-    "Sensor": ("sensor", "sensor_changes", "sensor_operation"), "Processing": ("processing", "formulation"),
-    "Uncertainty of the inputs": ("uncertainty",),
-}  # fmt: skip
 _SCHEMA = Scenario.model_json_schema(by_alias=True)
 # What hints call entries by in a file is called in a form by its title there.
 _ENTRIES = ChainMap(*(group.get("properties", {}) for group in _SCHEMA["$defs"].values()))
@@ -130,7 +112,7 @@ def form_nodes(
     nodes = {node.path: node for node in _group(_SCHEMA, "", data, begun)}
     nodes["sensor"] = replace(nodes["sensor"], choices=tuple(dict.fromkeys((*nodes["sensor"].choices, *sensors))))
     sections = []
-    for title, entries in _SECTIONS.items():
+    for title, entries in _LAYOUT["sections"].items():
         first, *others = [nodes.pop(name) for name in entries]
         if first.kind != "group":
             first = Node("group", "", title, children=(first,))

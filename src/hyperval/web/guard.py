@@ -23,7 +23,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from hyperval.errors import internal_error
+from hyperval.errors import internal_error, package_table
 from hyperval.web.refusal import FieldMistake, deny, problems
 from hyperval.web.store import ServerSettings
 
@@ -32,24 +32,11 @@ _NAME = re.compile(r"[A-Za-z0-9_-]{43}")
 _PORT = re.compile(r"(?<=[^:]):\d+$")
 
 
-UPLOADS = "/uploads"
 _SAFE = ("GET", "HEAD", "OPTIONS")
 _YEAR_S = 365 * 24 * 3600
 _MOST_URL = 16_384
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
-    "connect-src 'self'; font-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-)
-_HEADERS = {
-    "content-security-policy": POLICY,
-    "x-content-type-options": "nosniff",
-    "x-frame-options": "DENY",
-    "referrer-policy": "same-origin",
-    "cross-origin-opener-policy": "same-origin",
-    "cross-origin-resource-policy": "same-origin",
-    "permissions-policy": "camera=(), geolocation=(), microphone=()",
-    "cache-control": "no-store",
-}
+_HEADERS = package_table("web/answers.yaml")["headers"]
+POLICY = _HEADERS["content-security-policy"]
 
 
 class Guard:
@@ -65,7 +52,7 @@ class Guard:
                 await self.app(scope, receive, send)
             return  # there are no web sockets
         headers, settings = Headers(scope=scope), self.settings
-        is_upload = scope["path"].removeprefix("/api/v1").startswith(UPLOADS)
+        is_upload = scope["path"].removeprefix("/api/v1").startswith("/uploads")
         bound = settings.upload_bytes if is_upload else settings.body_bytes
         # Whoever knows the name is the session; it is new where the cookie has none, or a malformed one.
         cookie = cookie_parser(headers.get("cookie", "")).get(COOKIE, "")

@@ -13,6 +13,7 @@ from starlette.responses import FileResponse, HTMLResponse, Response
 
 import hyperval
 from hyperval.config import schema_text
+from hyperval.errors import package_table
 from hyperval.report.html import CHARTS, LIBRARY, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.sensor_check import SensorNumber, numbers
@@ -27,14 +28,8 @@ class Problems(BaseModel):
     errors: list[FieldMistake]
 
 
-_PROBLEMS: dict[int | str, dict[str, Any]] = {
-    code: {"model": Problems, "description": words}
-    for code, words in {
-        400: "unreadable", 403: "requested by a page of another site", 404: "not found", 409: "not in this state",
-        413: "too large", 422: "errors, each with its field", 429: "too many runs of this session",
-        503: "server full",
-    }.items()
-}  # fmt: skip
+_REFUSALS = package_table("web/answers.yaml")["refusals"].items()
+_PROBLEMS: dict[int | str, dict[str, Any]] = {c: {"model": Problems, "description": words} for c, words in _REFUSALS}
 pages = APIRouter(include_in_schema=False)
 api = APIRouter(prefix="/api/v1", tags=["v1"], responses=_PROBLEMS)
 TEMPLATES = strict_templates("hyperval.web")

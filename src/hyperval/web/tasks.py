@@ -62,7 +62,6 @@ def fetched(figure: Figure) -> dict[str, Any]:
     }  # fmt: skip
 
 
-_PFA = (1e-4, 1e-3, 1e-2)
 _MOST_PIXELS = 1_000_000
 
 
@@ -80,7 +79,7 @@ def predict(folder: str) -> dict[str, Any]:
     """
     draw(folder)
     prediction, rows = _predicted(folder), list[dict[str, Any]]()
-    for key, pfa in product(prediction.products.roc, _PFA):
+    for key, pfa in product(prediction.products.roc, (1e-4, 1e-3, 1e-2)):
         about = dict(zip(("subject", "detector", "unit"), key, strict=True))
         with suppress(UsageError):  # where the curves of the scenario begin above it
             found = zip(("pd", "lower", "upper"), map(_number, prediction.pd(pfa=pfa, **about)), strict=True)
@@ -218,19 +217,17 @@ def _thresholds(ordered: npt.NDArray[Any], curves: list[dict[str, Any]]) -> list
 def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     """Measured curves whose scores the map shows: threshold, P_FA, P_D, and the scores at their upper ends."""
     _, observed = read_products(Path(folder) / "results").pair
-    curves = [] if observed is None else list(observed.roc.items())
-    # A map is named TARGET-DETECTOR, that of anomalies by its detector alone.
-    detectors = {detector for _, detector, _ in dict(curves) if f"-{name}".endswith(f"-{detector}")}
-    own_detector = max(detectors, key=len, default="")
-    stems = (path.stem for path in (Path(folder) / "results" / "scores").glob("*.tif"))
-    maps = {stem: stem.removesuffix(f"-{own_detector}") for stem in stems if f"-{stem}".endswith(f"-{own_detector}")}
-    out = []
-    for (subject, detector, unit), c in curves:
-        # Of one map all curves of its detector; of several, those whose subject begins as no longer name does.
-        looked_for = [stem for stem, target in maps.items() if file_stems([subject])[subject].startswith(target)]
-        is_map = detector == own_detector and (len(maps) == 1 or max(looked_for, key=len, default="") == name)
+    stems, out = [path.stem for path in (Path(folder) / "results" / "scores").glob("*.tif")], list[dict[str, Any]]()
+    if observed is None:
+        return out
+    for (subject, detector, unit), c in observed.roc.items():
+        # A map is named TARGET-DETECTOR, that of anomalies by its detector alone: of one map all curves of its
+        # detector; of several, those whose subject begins as no longer name does.
+        maps = {stem: stem.removesuffix(f"-{detector}") for stem in stems if f"-{stem}".endswith(f"-{detector}")}
+        begun = [stem for stem, target in maps.items() if file_stems([subject])[subject].startswith(target)]
+        own = max(maps if len(maps) == 1 else begun, key=len, default="")
         valid = np.isfinite(c.threshold) & np.isfinite(c.pd)
-        if observed is not None and is_map and valid.any():
+        if own == name and valid.any():
             parts = {part: getattr(c, part)[valid].tolist() for part in ("threshold", "pfa", "pd")}
             targets, background = _scores(observed, subject, detector, unit)
             out.append({"subject": subject, "unit": unit, "target_scores": targets, "n_target": c.n_target,

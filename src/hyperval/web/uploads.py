@@ -22,7 +22,7 @@ from starlette.responses import RedirectResponse, Response
 
 from hyperval.atmosphere.state import AtmosphericState
 from hyperval.config import RadianceUnit
-from hyperval.errors import HypervalError
+from hyperval.errors import HypervalError, package_table
 from hyperval.paths import checked_file
 from hyperval.sensor.specification import library_names
 from hyperval.storage import whole_file
@@ -33,21 +33,9 @@ from hyperval.web.runs import RunAnswer, answer_of
 from hyperval.web.store import WebRun
 
 _MOST_KEPT = 50
-_SPECTRA = (".txt", ".csv", ".asd", ".sli", ".sed", ".sig")
-PARTS = {  # of a collection -> endings of the names of its files
-    "cube": (".img", ".dat", ".raw", ".bsq", ".bil", ".bip", ""),
-    "header": (".hdr",),
-    "regions": (".txt", ".geojson", ".json", ".csv", ".roi"),
-    "targets": (".csv", ".geojson", ".json", ".txt"),
-    "spectra": (*_SPECTRA, ".hdr"),
-}
-_SINGLE = ("cube", "header", "targets")  # of which one file is taken
-_ENDINGS = {**PARTS, "sensors": (".yaml", ".yml")}
+_FIELDS = package_table("web/uploads.yaml")
 _OF_SCENARIOS = ("spectra", "sensors")  # which stay when their collection has been taken
-_NEEDED = {
-    "cube": "one data file of a cube is needed", "header": "the ENVI header is needed",
-    "regions": "at least one file of regions is needed",
-}  # fmt: skip
+PARTS = [field for field in _FIELDS if field != "sensors"]  # of a collection
 _PACKED = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "packed by gzip", b"<?xml": "XML", b"BZh": "packed by bzip2"}
 _LARGEST_TEXT = 4_000_000
 _INSIDE = re.compile(r"(?:\w[\w .@+()-]{0,100}/){0,12}\w[\w .@+()-]{0,100}")
@@ -87,7 +75,7 @@ class Uploads:
     def given(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
         """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
         for field, file in form.multi_items():
-            if isinstance(file, UploadFile) and field in _ENDINGS and (file.filename or file.size):
+            if isinstance(file, UploadFile) and field in _FIELDS and (file.filename or file.size):
                 yield field, partial(self._keep, field, file)
         for field in PARTS:  # of a cube what was sent has taken the place of what was kept
             for name in {*form.getlist(f"{field}_kept")} & {*self.names(field)}:
@@ -117,7 +105,7 @@ class Uploads:
             head = file.read(8)
         packed = next((kind for sign, kind in _PACKED.items() if head.startswith(sign)), None)
         largest = self._state.settings.samples * 8 if field == "cube" else _LARGEST_TEXT
-        endings, is_large = _ENDINGS[field], path.stat().st_size > largest
+        endings, is_large = _FIELDS[field]["endings"], path.stat().st_size > largest
         words = f"{name}: ends with none of {', '.join(filter(None, endings))}"
         deny(Path(name).suffix.lower() not in endings, 422, words, field)
         deny(packed, 422, f"{name}: is {packed}, which is not accepted", field)
@@ -194,7 +182,7 @@ def _page(request: Request, fields: Mapping[str, str], mistakes: Sequence[FieldM
     return page(
         request, "uploads.html.j2", errors=errors, given=fields, most=settings.upload_bytes,
         has_data=settings.data is not None, sensors=library_names(),
-        kept={field: uploads.names(field) for field in _ENDINGS},
+        kept={field: uploads.names(field) for field in _FIELDS}, parts={field: _FIELDS[field] for field in PARTS},
     )  # fmt: skip
 
 
@@ -224,8 +212,9 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     stated = StatedCollection()
     if is_cube:
         wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
-        lacking = [field for field in _NEEDED if not parts[field] or (field == "cube" and len(parts[field]) > 1)]
-        mistakes += [FieldMistake(field, _NEEDED[field]) for field in lacking if field not in wrong]
+        needed = {field: _FIELDS[field]["needed"] for field in parts if "needed" in _FIELDS[field]}
+        lacking = [field for field in needed if not parts[field] or (field == "cube" and len(parts[field]) > 1)]
+        mistakes += [FieldMistake(field, needed[field]) for field in lacking if field not in wrong]
         texts = {name: text for name in StatedCollection.model_fields if (text := str(form.get(name) or "").strip())}
         try:
             stated = StatedCollection.model_validate(texts)
@@ -245,7 +234,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
         uploads.owner, "pipeline", stated.name, f"{stated.name}: {parts['cube'][0]}",
         {f"collection/{name}": path for name, (_, path) in files.items()}, parts=parts, **about,
     )  # fmt: skip
-    for field in PARTS.keys() - {*_OF_SCENARIOS}:
+    for field in {*PARTS} - {*_OF_SCENARIOS}:
         shutil.rmtree(uploads.folder / field, ignore_errors=True)
     return run
 
@@ -259,7 +248,7 @@ class UploadAnswer(BaseModel):
 
 _FILE = {"type": "string", "format": "binary"}
 _BODY: dict[str, Any] = {
-    **{field: _FILE if field in _SINGLE else {"type": "array", "items": _FILE} for field in _ENDINGS},
+    **{field: {"type": "array", "items": _FILE} if "several" in of else _FILE for field, of in _FIELDS.items()},
     **StatedCollection.model_json_schema()["properties"],
     **{
         f"{part}_{end}": {"type": "string", "description": words}
