@@ -51,8 +51,7 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         columns = {"x": 0.5 * (axis.centre_nm[:-1] + axis.centre_nm[1:]), "y": spacing}
         marks.append(Mark("line", columns, "spacing", narrow, "dashed"))
         ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings"
-    y, words = Axis("width, spacing [nm]"), f"{len(axis)} bands{ratio}"
-    view = single(wavelengths(axis), y, marks, words=words)
+    view = single(wavelengths(axis), Axis("width, spacing [nm]"), marks, words=f"{len(axis)} bands{ratio}")
     yield Figure("response", "response", "Width and spacing of the bands", (view,))
 
 
@@ -132,7 +131,8 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     marks = Mark("dots", columns, words=words, beside="right").by_kind(kinds, looks)
     names = [f"{p.wavelength_nm:g} nm" for p in points]
     title = f"Computed over published signal-to-noise ratio (dotted: 1, and within {100 * TOLERANCE:g} %)"
-    x, rules = Axis("computed / published"), (1.0 - TOLERANCE, 1.0, 1.0 + TOLERANCE)
+    rules, known = (1.0 - TOLERANCE, 1.0, 1.0 + TOLERANCE), columns["x"][np.isfinite(columns["x"])]
+    x = Axis("computed / published", ends=(0.9 * min(*rules, *known), 1.15 * max(*rules, *known)))
     listed = "; ".join(f"{name} {p.computed:.0f} to {p.published:g}" for name, p in zip(names, points, strict=True))
     yield of_rows("published-snr", "published_snr", title, x, Axis.named(names), marks, listed, rules=rules)
 
