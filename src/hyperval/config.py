@@ -28,41 +28,8 @@ MAX_NODES = 40_000  # keys and values
 MOST_MISTAKES = 20  # that are listed
 # A value that begins so is one that the user has still to give: "FILL_IN: what it is".
 FILL_IN = "FILL_IN"
-# Keys that are gone, for one version, with the key above where the name stands elsewhere: what stands in their place.
-GONE = {
-    "surroundings_altitude_km": "surroundings are as high as the site: ground_altitude_km",
-    **dict.fromkeys(("filter_statistics", "scene_fraction"), "filters are made on the background alone: leave it out"),
-    "nugget": "an error of its own in each band is an entry of its own with 'correlation: random'",
-    "lags": "correlation_nm, the length over which the measured correlations fall off",
-    "groups_nm": "correlation_nm, or 'correlation: arms' for the arms of the sensor",
-    "distribution": "errors are normal: the standard uncertainty alone; of a uniform error, its half width over root 3",
-    "totals": "each input has its own share of the variance: leave it out",
-    "bit_error_per": "bit_error_rate is that of each bit: of a rate per word, the rate / bits",
-    "lsb_electrons": "full_well_electrons, which is lsb_electrons x 2^bits",
-    "features.mnf": "pca: as many principal components",
-    "bands.beside": "say under 'notes' how far the bands lie from those of another set",
-    "known_discrepancies": "a check that a sensor does not pass stays as it is; say why under 'notes'",
-    "outputs.calibration_error": "sensor_changes.calibration_error_percent: 0 among the settings leaves C_R out",
-    "unmixing.draws": "the prediction draws 400 objects, as by default: leave it out",
-    "precision": "covariances are always summed in float64, as 'exact' did: leave it out",
-}
-
-
-# The unit that the end of a number's name says; longer ends first.
-UNITS = {
-    "_g_cm2": "g cm-2", "_atm_cm": "atm cm", "_percent": "%", "_pixels": "pixels", "cm2_sr": "cm2 sr", "_mrad": "mrad",
-    "_deg": "deg", "_km": "km", "_nm": "nm", "_um": "um", "_au": "au", "_m": "m", "_s": "s", "_electrons": "electrons",
-}  # fmt: skip
+UNITS, _EXPECTED, _GONE = (package_table("keys.yaml")[name] for name in ("units", "expected", "gone"))
 _MEMBER = re.compile(r"[a-z-]*\[.*|\(.*\)|(?:constrained-)?(?:float|int|str)|bool")  # of a union, in its mistakes
-# Kind of mistake that pydantic finds -> what was expected.
-_EXPECTED = {
-    **dict.fromkeys(("float_type", "finite_number"), "a finite number, such as 0.5"), "literal_error": "{expected}",
-    **dict.fromkeys(("int_type", "int_from_float", "int_type_size"), "a whole number"), "bool_type": "true or false",
-    **dict.fromkeys(("tuple_type", "list_type"), "a list, such as [450, 700]"), "string_type": "a text",
-    **dict.fromkeys(("model_type", "model_attributes_type", "dict_type"), "keys and values, such as {{VNIR: 0.3}}"),
-    "too_short": "{min_length} or more, not {actual_length}", "too_long": "{max_length} or fewer, not {actual_length}",
-    "string_too_short": "a text that is not empty",
-}  # fmt: skip
 _BRACKETS = re.compile(r" ?\[([^\]\[]{1,24})\]")
 
 
@@ -409,7 +376,7 @@ def mistakes_in(
         at = tuple(part for part in item["loc"] if not _MEMBER.fullmatch(str(part)))
         kind, words = item["type"].replace("_parsing", "_type"), str(item["msg"]).removeprefix("Value error, ")
         if kind == "float_type" and isinstance(item["input"], dict) and "distribution" in item["input"]:
-            yield at, f"expected a number; {GONE['distribution']}"
+            yield at, f"expected a number; {_GONE['distribution']}"
         elif kind in _EXPECTED:
             expected.setdefault(at, []).append(_EXPECTED[kind].format(**item.get("ctx", {})))
         elif kind == "extra_forbidden":  # what is looked for takes long beside what is listed
@@ -427,7 +394,7 @@ def mistakes_in(
 
 def _unknown_key(place: Location, model: type[BaseModel] | None) -> str:
     key, *above = [part for part in reversed(place) if isinstance(part, str)]
-    if gone := GONE.get(key) or GONE.get(".".join([*above[:1], key])):
+    if gone := _GONE.get(key) or _GONE.get(".".join([*above[:1], key])):
         return f"this key is gone; {gone}"
     schema = model.model_json_schema() if model else {}
     every = [k for each in (schema, *schema.get("$defs", {}).values()) for k in each.get("properties", {})]

@@ -558,7 +558,7 @@ class Layout(NamedTuple):
 
 @cache
 def _layouts() -> dict[str, Layout]:
-    return {name: _layout(name, about) for name, about in package_table("products.yaml").items()}
+    return {name: _layout(name, about) for name, about in package_table("products.yaml")["products"].items()}
 
 
 def _layout(name: str, about: Mapping[str, Any]) -> Layout:
@@ -572,15 +572,6 @@ def _layout(name: str, about: Mapping[str, Any]) -> Layout:
 OBJECT_QUANTILES = (0.001, 0.005, 0.01, 0.025, 0.05, *np.round(np.arange(0.1, 0.95, 0.1), 1).tolist(),
                     0.95, 0.975, 0.99, 0.995, 0.999)  # fmt: skip
 _LAW_VALUES = 1000
-_PARTS = {
-    "subject": "target or background",
-    "detector": "detector",
-    "unit": "unit counted: pixels or objects",
-    "classes": "classes distinguished",
-    "features": "features of the classifier",
-    "range": "kind of area, and its range of P_FA",
-    "name": "object",
-}
 
 
 def _is_label(name: str, entry: Entry) -> bool:
@@ -634,7 +625,7 @@ def _add(data: Arrays, layout: Layout, entries: Sequence[tuple[tuple[str, ...], 
     if not entries:
         return
     for part, names in zip(layout.key, zip(*(key for key, _ in entries), strict=True), strict=True):
-        words = {"long_name": _PARTS[part]}
+        words = {"long_name": package_table("products.yaml")["parts"][part]}
         data[f"{layout.prefix}_{part}"] = ((layout.axis,), np.array(names, dtype=object), words)
     each: list[tuple[Column, list[Any], dict[str, str]]] = []
     for column in layout.columns:
@@ -698,7 +689,7 @@ def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
     data = _bands(each[0].axis)
     subjects = list(dict.fromkeys(s for side in each for name in products for s in getattr(side, name)))
     data["side"] = (("side",), np.array(list(sides), dtype=object), {"long_name": "predicted or observed"})
-    data["subject"] = (("subject",), np.array(subjects, dtype=object), {"long_name": _PARTS["subject"]})
+    data["subject"] = (("subject",), np.array(subjects, dtype=object), {"long_name": "target or background"})
     none = np.full(len(each[0].axis), np.nan)
     for name in products:
         for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):

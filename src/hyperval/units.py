@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval.data import Array
-from hyperval.errors import needed
+from hyperval.errors import needed, package_table
 
 RADIANCE_UNIT = "uW cm-2 sr-1 nm-1"
 IRRADIANCE_UNIT = "uW cm-2 nm-1"
@@ -20,27 +20,8 @@ IRRADIANCE_UNIT = "uW cm-2 nm-1"
 # A wavelength outside this range is a sign of the wrong unit [nm].
 PLAUSIBLE_NM = (100.0, 100_000.0)
 
-# Symbol -> the kind of unit that it is, its power of ten in W, m or sr, and how it is spelled.
-_SYMBOLS = {
-    "W": ("power", 0, "w watt watts"),
-    "mW": ("power", -3, "mW milliw milliwatt milliwatts"),
-    "uW": ("power", -6, "uw microw microwatt microwatts"),
-    "nW": ("power", -9, "nanowatt nanowatts"),
-    "m": ("area", 0, "meter meters metre metres"),
-    "cm": ("area", -2, "centimeter centimeters centimetre centimetres"),
-    "um": ("wavelength", -6, "micron microns micrometer micrometers micrometre micrometres"),
-    "nm": ("wavelength", -9, "nanometer nanometers nanometre nanometres"),
-    "angstrom": ("wavelength", -10, "angstroms ångström ångstrom angström"),
-    "sr": ("angle", 0, "steradian steradians ster str"),
-}
+_SYMBOLS, _NAMED = (package_table("units.yaml")[name] for name in ("symbols", "named"))
 _SPELLED = {word: symbol for symbol, (*_, words) in _SYMBOLS.items() for word in (symbol, *words.split())}
-# Units of radiance that have names of their own: of ITRES, and of infrared physics.
-_NAMED = {
-    "sru": RADIANCE_UNIT,
-    "flick": "W cm-2 sr-1 um-1",
-    "uflick": "uW cm-2 sr-1 um-1",
-    "microflick": "uW cm-2 sr-1 um-1",
-}
 _WATTS = {"power": 1, "area": -2, "wavelength": -1}
 # Quantity -> powers of the kinds of its unit, the power of ten of the internal unit, and what is expected.
 _QUANTITIES = {

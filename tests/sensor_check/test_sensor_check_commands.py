@@ -50,7 +50,7 @@ def test_check_writes_a_datasheet(here, capsys):
     }  # fmt: skip
     page = (here / "sheet" / "report.html").read_text()
     assert re.findall(r'<[^>]* (?:src|href)="(?!data:|#)[^"]', page) == []  # nothing is loaded from elsewhere
-    assert page.count('<div class="chart"') == len([*(here / "sheet" / "figures").iterdir()]) == 8  # no tornado
+    assert page.count('<div class="chart"') == len([*(here / "sheet" / "figures").iterdir()]) == 7  # no tornado
     assert "Accepted: all" in page
     record = json.loads((here / "sheet" / "provenance.json").read_text())
     assert record["inputs"][0]["reference"] == "good.yaml"

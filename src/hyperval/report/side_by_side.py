@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -87,7 +88,9 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     charts = first_figures(both[0], names=("run A", "run B")) if both and (moved or changed) else []
     alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
     first, second = flat(a.provenance), flat(b.provenance)
-    labels = zip("AB", (a, b), _names(a.folder or Path(), b.folder or Path()), strict=True)
+    folders = [(run.folder or Path()).resolve() for run in (a, b)]
+    above = os.path.commonpath([folder.parent for folder in folders])
+    labels = zip("AB", (a, b), (folder.relative_to(above).as_posix() for folder in folders), strict=True)
     return page(
         "pair.html.j2", charts,
         runs=[{"label": label, "folder": name, "screen": v.first_screen(list(run.table)),
@@ -105,13 +108,6 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         alike=alike,
         number=v.number_text,
     )  # fmt: skip
-
-
-def _names(a: Path, b: Path) -> tuple[str, str]:
-    """Last parts of two paths, as many as tell them apart."""
-    first, second = a.resolve().parts, b.resolve().parts
-    most = next((n for n in range(1, max(len(first), len(second))) if first[-n:] != second[-n:]), 1)
-    return "/".join(first[-most:]), "/".join(second[-most:])
 
 
 def _figures(a: Run, b: Run, alike: Sequence[str]) -> list[dict[str, Any]]:

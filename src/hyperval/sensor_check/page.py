@@ -16,18 +16,19 @@ from hyperval.data import Array
 from hyperval.datasets import InputLog
 from hyperval.errors import UsageError
 from hyperval.figures import drawings_of, outcome_words
-from hyperval.figures.catalogue import roc_figure
-from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Figure, Mark, Panels, Part, robust_limits, single
+from hyperval.figures.catalogue import budget_figure, roc_figure, wavelengths
+from hyperval.figures.spec import SOURCES, Axis, Figure, Mark, Panels, Part, of_rows, robust_limits, single
+from hyperval.products import PredictedProducts, SpectralEstimate
 from hyperval.report import verdict as v
 from hyperval.report.html import page
 from hyperval.results import Outcome
 from hyperval.run import Run
 from hyperval.scenario import load_scenario
 from hyperval.sensor_check.suite import LEVELS, MIDDLE, TOLERANCE, SensorCheck, check_sensor, neighbour_ratio, numbers
-from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
+from hyperval.spectra.axis import SpectralAxis
 from hyperval.storage import whole_folder
 
-_MOST_RESPONSES = 12
+_FEW = 30  # bands that are marked one by one
 # Of the terms of a breakdown of the noise, in their order.
 _SOURCES = ("photons", "fixed", "quantisation", "bit errors", "C_R (calibration error)", "rest of the fit")
 
@@ -39,10 +40,10 @@ def datasheet_figures(check: SensorCheck) -> list[Figure]:
 
 
 def _responses(check: SensorCheck) -> Iterator[Figure]:
-    """Widths against spacing, and the responses of a few bands."""
+    """Widths against spacing."""
     axis, (wide, narrow) = check.axis, (SOURCES[0], SOURCES[5])
-    columns, marker = {"x": axis.centre_nm, "y": axis.fwhm_nm}, "" if len(axis) >= 30 else "circle"
-    marks, ratio = [Mark("line", columns, "full width at half maximum", wide, marker=marker)], ""
+    columns = {"x": axis.centre_nm, "y": axis.fwhm_nm}
+    marks, ratio = [Mark("line", columns, "full width at half maximum", wide, marker=_marker(axis))], ""
     if len(axis) > 1:
         spacing = np.diff(axis.centre_nm)
         if check.sensor.specification.bands.spacing == "contiguous":  # what is left out between spectrometers is none
@@ -50,18 +51,8 @@ def _responses(check: SensorCheck) -> Iterator[Figure]:
         columns = {"x": 0.5 * (axis.centre_nm[:-1] + axis.centre_nm[1:]), "y": spacing}
         marks.append(Mark("line", columns, "spacing", narrow, "dashed"))
         ratio = f"; the median width is {np.median(neighbour_ratio(axis)):.2f} spacings"
-    y, words = Axis("width, spacing [nm]"), f"{len(axis)} bands{ratio}"
-    view = single(_wavelengths(axis), y, marks, words=words)
+    view = single(wavelengths(axis), Axis("width, spacing [nm]"), marks, words=f"{len(axis)} bands{ratio}")
     yield Figure("response", "response", "Width and spacing of the bands", (view,))
-    sigmas, responses = np.linspace(-3.0, 3.0, 61), []
-    most = max(len(axis) - _MOST_RESPONSES, 0)
-    first = int(np.clip(np.argmin(np.abs(axis.centre_nm - 550.0)) - 5, 0, most))
-    for k in range(first, min(first + _MOST_RESPONSES, len(axis))):
-        w = axis.centre_nm[k] + sigmas * axis.fwhm_nm[k] * SIGMA_PER_FWHM
-        responses.append(Mark("line", {"x": w, "y": np.exp(-0.5 * sigmas**2)}, "", (wide, narrow)[k % 2]))
-    ends = responses[0].columns["x"][0], responses[-1].columns["x"][-1]
-    count, view = len(responses), single(Axis(WAVELENGTH, ends=ends), Axis("relative response"), responses)
-    yield Figure("responses", "response", f"Responses of {count} bands", (view,))
 
 
 def _snr(check: SensorCheck) -> Iterator[Figure]:
@@ -73,31 +64,26 @@ def _snr(check: SensorCheck) -> Iterator[Figure]:
         free = noise.snr(radiance, calibration=False)
         marks.append(_curve(axis, free, f"reflectance {level:g}", colour))
         marks.append(_curve(axis, noise.snr(radiance), "", colour, dash="dashed"))
-        highest.append(free[check.good if len(axis) >= 30 else axis.good])
+        highest.append(free[check.good if len(axis) >= _FEW else axis.good])
     middle = noise.snr(check.sunlit(MIDDLE), calibration=False)[check.good]
     title = "Signal-to-noise ratio, sun at 45° and no atmosphere (dashed: with the calibration error C_R)"
     words = f"at 0.25 without it: median {np.median(middle):.0f}, {middle.min():.0f} to {middle.max():.0f}"
     y = Axis("signal-to-noise ratio", ends=robust_limits(highest))
-    yield Figure("snr", "snr", title, (single(_wavelengths(axis), y, marks, words=words),))
+    yield Figure("snr", "snr", title, (single(wavelengths(axis), y, marks, words=words),))
 
 
 def _noise(check: SensorCheck) -> Iterator[Figure]:
-    """Share of each source in the noise variance."""
-    axis, few = check.axis, len(check.axis) < 30
-    low, high = axis.centre_nm - axis.fwhm_nm / 2, axis.centre_nm + axis.fwhm_nm / 2
-    views: list[Panels] = []
+    """Noise of dark and bright ground by source, drawn as the budget of any radiance is."""
+    spectra = {}
     for level in (LEVELS[0], LEVELS[-1]):
-        parts, base, marks = check.noise.breakdown(check.sunlit(level)), np.zeros(len(axis)), []
-        shares = np.abs([*vars(parts).values()])
-        for words, share, colour in zip(_SOURCES, 100.0 * shares / shares.sum(axis=0), SOURCES, strict=False):
-            if np.max(share) > 0.01:
-                bars = {"left": low, "right": high, "bottom": base, "top": base + share}
-                columns = bars if few else {"x": axis.centre_nm, "low": base, "high": base + share}
-                marks.append(Mark("bars" if few else "area", columns, words, colour, alpha=1.0))
-                base = base + share
-        y = Axis("share of the variance [%]", ends=(0.0, 100.0))
-        views.append(single(_wavelengths(axis), y, marks, f"reflectance {level:g}"))
-    yield Figure("noise", "noise", "Sources of noise, dark and bright ground", tuple(views))
+        radiance = check.sunlit(level)
+        parts = check.noise.breakdown(radiance)
+        named = zip(_SOURCES, map(np.abs, vars(parts).values()), strict=True)
+        budget = {words: np.sqrt(part) for words, part in named if np.any(part > 1e-4 * parts.total)}
+        spectra[f"reflectance {level:g}"] = SpectralEstimate(radiance, np.diag(parts.total), budget=budget)
+    if (figure := budget_figure((PredictedProducts(check.axis, radiance=spectra), None))) is not None:
+        title = "Sources of noise, dark and bright ground (height: noise; colour: share of the variance)"
+        yield replace(figure, name="noise", section="noise", title=title, head=title)
 
 
 def _saturation(check: SensorCheck) -> Iterator[Figure]:
@@ -111,23 +97,19 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
     highest = max(1.0, float(np.max(parts)))
     title = "Signal as a part of full scale, sun at 45° and no atmosphere (dotted: full scale)"
     y, words = Axis("part of full scale", ends=(0.0, 1.08 * highest)), f"the highest is {np.max(parts):.2f}"
-    view = single(_wavelengths(check.axis), y, marks, words=words, rules=(("y", 1.0),))
+    view = single(wavelengths(check.axis), y, marks, words=words, rules=(("y", 1.0),))
     yield Figure("saturation", "saturation", title, (view,))
 
 
 def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, **look: Any) -> Mark:
-    """A line over the good bands; gaps where bands are bad or left out."""
-    y = np.where(axis.good, values, np.nan)
-    w = axis.centre_nm
-    if len(axis) >= 30:
-        wide = np.flatnonzero(np.diff(w) > 40.0) + 1
-        w, y = np.insert(w, wide, w[wide] - 1.0), np.insert(y, wide, np.nan)
-    return Mark("line", {"x": w, "y": y}, label, colour, marker="circle" if len(axis) < 30 else "", **look)
+    """A line over the good bands, with a gap where bands are bad."""
+    columns, marker = {"x": axis.centre_nm, "y": np.where(axis.good, values, np.nan)}, _marker(axis)
+    return Mark("line", columns, label, colour, marker=marker, **look)
 
 
-def _wavelengths(axis: SpectralAxis) -> Axis:
-    low, high = axis.centre_nm[0] - axis.fwhm_nm[0], axis.centre_nm[-1] + axis.fwhm_nm[-1]
-    return Axis(WAVELENGTH, ends=(float(low), float(high)))
+def _marker(axis: SpectralAxis) -> str:
+    """Each band is marked where they are few."""
+    return "circle" if len(axis) < _FEW else ""
 
 
 _MOST_SWINGS = 20
@@ -144,20 +126,15 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
         "unstated": {"marker": "tick", "colour": SOURCES[7], "label": "no radiance stated: not judged"},
     }
     kinds = [point.item.says if point.judged else "unstated" for point in points]
-    w, ratios = np.array([p.wavelength_nm for p in points]), np.array([p.computed / p.published for p in points])
-    margin = max(0.12 * float(np.ptp(w)), 60.0)
-    x = float(w.min()) - margin, float(w.max()) + 1.3 * margin
-    marks = []
-    if "value" in kinds:
-        columns = {"x": np.array(x), "low": np.full(2, 1 - TOLERANCE), "high": np.full(2, 1 + TOLERANCE)}
-        marks.append(Mark("area", columns, f"within {100 * TOLERANCE:g} %", SOURCES[0], alpha=0.15))
+    columns = {"x": np.array([p.computed / p.published for p in points]), "y": np.arange(len(points), dtype=float)}
     words = tuple(f"{p.computed:.0f} / {p.published:g}" for p in points)
-    marks += Mark("dots", {"x": w, "y": ratios}, words=words, beside="right").by_kind(kinds, looks)
-    listed = "; ".join(f"{p.wavelength_nm:g} nm {p.computed:.0f} to {p.published:g}" for p in points)
-    ends = min(0.6, 0.9 * float(ratios.min())), max(1.4, 1.15 * float(ratios.max()))
-    y = Axis("computed / published", ends=ends)
-    view = single(Axis(WAVELENGTH, ends=x), y, marks, words=listed, rules=(("y", 1.0),))
-    yield Figure("published-snr", "published_snr", "Computed over published signal-to-noise ratio", (view,))
+    marks = Mark("dots", columns, words=words, beside="right").by_kind(kinds, looks)
+    names = [f"{p.wavelength_nm:g} nm" for p in points]
+    title = f"Computed over published signal-to-noise ratio (dotted: 1, and within {100 * TOLERANCE:g} %)"
+    rules, known = (1.0 - TOLERANCE, 1.0, 1.0 + TOLERANCE), columns["x"][np.isfinite(columns["x"])]
+    x = Axis("computed / published", ends=(0.9 * min(*rules, *known), 1.15 * max(*rules, *known)))
+    listed = "; ".join(f"{name} {p.computed:.0f} to {p.published:g}" for name, p in zip(names, points, strict=True))
+    yield of_rows("published-snr", "published_snr", title, x, Axis.named(names), marks, listed, rules=rules)
 
 
 def _detection(check: SensorCheck) -> Iterator[Figure]:

@@ -7,7 +7,7 @@ import operator
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -135,15 +135,6 @@ def scene_radiance(axis: SpectralAxis, scene: ReferenceScene, engine: Engine | N
     return mean_radiance(terms, scene.reflectance, scene.reflectance)
 
 
-def published_radiance(axis: SpectralAxis, item: PublishedSnr, engine: Engine | None = None) -> Array:
-    """Radiance (B,) that a published ratio refers to; that of ground of 0.25 where it does not say."""
-    if item.radiance is not None:
-        return item.radiance.at(axis.centre_nm)
-    if item.scene is not None:
-        return scene_radiance(axis, item.scene, engine)
-    return sunlit_radiance(axis, MIDDLE)
-
-
 def summary_regions(axis: SpectralAxis) -> dict[str, Mask]:
     """Masks (B,) of the good bands in the windows of each spectral region the sensor sees."""
     masks = {name: mask & axis.good for name, mask in regions(axis).items()}
@@ -188,9 +179,6 @@ def electrons_from_energy(arm: Arm, axis: SpectralAxis) -> Array:
     collected_w = 1e-2 * throughput * axis.fwhm_nm * arm.optical_transmittance.at(w) * arm.degradation.at(w)
     photon_j = constants.h * constants.c / (w * 1e-9)
     return np.asarray(collected_w * arm.integration_time_s.at(w) * arm.quantum_efficiency.at(w) / photon_j)
-
-
-standard_scenario = lru_cache(maxsize=8)(load_scenario)  # a built-in one, read once
 
 
 class SnrPoint(NamedTuple):
@@ -295,7 +283,11 @@ class SensorCheck:
         """
         axis, points = self.axis, []
         for item in self.sensor.specification.published_snr:
-            level = published_radiance(axis, item, self.engine)
+            level = self.sunlit(MIDDLE)  # where the publication does not say
+            if item.radiance is not None:
+                level = item.radiance.at(axis.centre_nm)
+            elif item.scene is not None:
+                level = scene_radiance(axis, item.scene, self.engine)
             snr = self.noise.snr(level, calibration=False)
             for wavelength, published in item.table:
                 k = axis.nearest(wavelength)
@@ -315,7 +307,7 @@ class SensorCheck:
         return done
 
     def _predicted(self, scenario: str, sensor: Sensor) -> PredictedProducts:
-        return predict(standard_scenario(scenario), Origins(sensor=sensor, engine=self.engine))
+        return predict(load_scenario(scenario), Origins(sensor=sensor, engine=self.engine))
 
     @property
     def predictions(self) -> dict[str, PredictedProducts]:
@@ -445,7 +437,6 @@ def _checks() -> tuple[Check, ...]:
 CHECKS = _checks()
 # By how much a published ratio may be missed.
 TOLERANCE = next(line.high for line in CHECKS if (line.measure, line.of) == ("published", "value")) - 1.0
-_LEFT_OUT = ("noise", "saturation", "monotone", "published_snr", "scenario", "sensitivity")
 
 
 def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engine | None = None) -> SensorCheck:
@@ -472,10 +463,8 @@ def check_sensor(sensor: Sensor | str | Path, *, vary: float = 0.2, engine: Engi
         if line.needed and any(row.outcome is Outcome.DISAGREES for row in rows):
             check.usable, failed = False, line.stage
     if not check.usable:
-        why = dict.fromkeys(_LEFT_OUT, "bands or throughput fail: nothing can be computed from them")
-        if failed == 1:
-            why = {"throughput": "the bands are in no order"} | why
-        for product, reason in why.items():
+        reason = "bands or throughput fail: nothing can be computed from them"
+        for product in dict.fromkeys(line.product for line in CHECKS if line.stage > failed):
             row = Result(f"sensor {loaded.name}", product, "", METHOD, "sensor_check", role=Role.GATE)
             check.table.append(replace(row, outcome=Outcome.SKIPPED, cause=Cause.AFTER_FAILURE, reason=reason))
     return check
@@ -762,7 +751,7 @@ def panel_error(check: SensorCheck) -> Values:
         good = products.axis.good & in_window(products.axis.centre_nm)
         off = [
             (products.reflectance[panel.name].mean - builtin_mean(panel.spectrum.builtin, products.axis))[good]
-            for panel in standard_scenario(name).scene.panels
+            for panel in load_scenario(name).scene.panels
             if panel.spectrum.builtin is not None and panel.name in products.reflectance
         ]
         yield Found(float(np.max(np.abs(off), initial=0.0)), name)
