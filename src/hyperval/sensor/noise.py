@@ -233,7 +233,9 @@ class NoiseModel:
     factor: float | Array = 1.0
 
     def _true(self, radiance: npt.ArrayLike) -> Array:
-        return np.asarray((np.asarray(radiance, dtype=float) - self.offset) / self.gain)
+        level = np.asarray(radiance, dtype=float)
+        # Large arrays are not divided by 1.
+        return level if np.all(self.gain == 1.0) and np.all(self.offset == 0.0) else (level - self.offset) / self.gain
 
     def breakdown(self, radiance: npt.ArrayLike) -> NoiseBreakdown:
         """The terms of (3.16)-(3.19) at ``radiance`` (..., B), apart from each other; (B,) where it is all the same."""

@@ -102,9 +102,12 @@ def _saturation(check: SensorCheck) -> Iterator[Figure]:
 
 
 def _curve(axis: SpectralAxis, values: Array, label: str, colour: str, **look: Any) -> Mark:
-    """A line over the good bands, with a gap where bands are bad."""
-    columns, marker = {"x": axis.centre_nm, "y": np.where(axis.good, values, np.nan)}, _marker(axis)
-    return Mark("line", columns, label, colour, marker=marker, **look)
+    """A line over the good bands, with a gap where bands are bad or left out."""
+    w, y = axis.centre_nm, np.where(axis.good, values, np.nan)
+    if len(axis) >= _FEW:
+        wide = np.flatnonzero(np.diff(w) > 40.0) + 1
+        w, y = np.insert(w, wide, w[wide] - 1.0), np.insert(y, wide, np.nan)
+    return Mark("line", {"x": w, "y": y}, label, colour, marker=_marker(axis), **look)
 
 
 def _marker(axis: SpectralAxis) -> str:
