@@ -119,15 +119,11 @@ def quicklook(observed: Observed) -> Quicklook | None:
     if cube.axis.numbered:  # from the long end to the short one, as red, green and blue stand
         bands = [cube.bands * quarter // 4 for quarter in (3, 2, 1)]
     step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
-    lines = range(0, cube.lines, step)  # every so many, and as many samples
-    picture = np.empty((len(lines), len(range(0, cube.samples, step)), len(bands)), np.float32)
-    # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
-    together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
+    together = step * max(1, LINES_TOGETHER // step)
+    some = [slice(at, min(at + together, cube.lines)) for at in range(0, cube.lines, together)]
     with cube.raster.kept_open():
-        for out, at in zip(picture, lines, strict=True):
-            if at % together == 0:
-                part = cube.read_some_bands(at, min(together, cube.lines - at), bands)
-            out[:] = part[at % together, ::step]
+        parts = [cube.read_some_bands(s.start, s.stop - s.start, bands)[::step, ::step].copy() for s in some]
+    picture = np.concatenate(parts)
     offset, gain = np.zeros(3), np.ones(3)
     line = observed.place.line
     if line is not None and np.all(line.usable[bands]):
