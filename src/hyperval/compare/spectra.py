@@ -281,7 +281,6 @@ def share_inside(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> tuple[
 def chi_square_diagonal(difference: npt.ArrayLike, covariance: npt.ArrayLike) -> ChiSquare:
     """Sum of squared z: blind to errors that are common to bands, so it accepts too much."""
     z = z_scores(difference, covariance)
-    z = z[np.isfinite(z)]
     return ChiSquare(float(np.sum(z**2)), int(z.size))
 
 
