@@ -314,9 +314,9 @@ def _site_reflectance(
         return {}, []
     flights = {site.subject: site.line for site in collection.spectra}
     paths = {entry.line: entry for entry in source.path_radiance}
-    for line in paths:
-        known = one_of(sorted(map(repr, set(flights.values()))))
-        refuse(line not in flights.values(), "path.line", WHERE, line=line, known=known)
+    known = one_of(sorted(map(repr, set(flights.values()))))
+    for stated in paths:
+        refuse(stated not in flights.values(), "path.line", WHERE, line=stated, known=known)
     panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
