@@ -21,11 +21,11 @@ from hyperval.compare.spectra import TOGETHER
 from hyperval.config import Location, texts_of, twice
 from hyperval.datasets import SIMULATED, check_copy, how_to_get, owner_of, resolve
 from hyperval.envi_header import header_beside
-from hyperval.errors import HypervalError, InputError, T
+from hyperval.errors import HypervalError, InputError, T, package_table
 from hyperval.imagery import needs_header
 from hyperval.metrics import foreign, metric_of
 from hyperval.model import Sources
-from hyperval.observe import IMAGE, SCENE, Place, check_line_for_detection, observe, open_place, target_groups
+from hyperval.observe import Place, check_line_for_detection, observe, open_place, target_groups
 from hyperval.paths import Resolve, is_pattern
 from hyperval.products import SPECTRA
 from hyperval.results import Outcome, Result, row_name
@@ -206,19 +206,6 @@ def _comparisons(gate: Gate) -> Iterator[Item]:
         yield Item("", COMPARISON, PLANNED, what, f"{gate.limit_text}{pooled}, {decides}", decides=gate.gate)
 
 
-# Entries that name something, by their keys, and what they name; then the names that stand for more than one of these.
-NAMES = {
-    "collection.leave_out": ("region",),
-    "collection.snr_regions": ("region",),
-    "collection.empirical_line.panels.region": ("region",),
-    "classification.classes": ("region",),
-    "detection.background": ("region", SCENE, IMAGE),
-    "detection.false_alarms": ("region", SCENE, IMAGE),
-    "detection.undesired": ("region",),
-    "detection.targets.material": ("target of material",),
-    "detection.pools.subjects": ("subject",),
-    "detection.unmixing.background": ("region",),
-}
 # What a collection offers: its bands, None where they are not known, and its names by what they are of.
 Offered = tuple[SpectralAxis | None, dict[str, Sequence[str]]]
 
@@ -288,8 +275,9 @@ def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
 def _mistakes(campaign: Campaign, lookup: Lookup, scenarios: Sequence[tuple[Scenario, Lookup]]) -> list[Item]:
     """Every name of a campaign and its scenarios that does not fit."""
     (axis, by_noun), cube, detection = _offered(campaign, lookup), campaign.collection.cube, campaign.detection
+    nouns = package_table("campaign/keys.yaml")["names"]
     for location, name in texts_of(campaign.model_dump(mode="json")):
-        noun, *more = NAMES.get(".".join(part for part in location if isinstance(part, str)), ("",))
+        noun, *more = nouns.get(".".join(part for part in location if isinstance(part, str)), [""])
         if noun in by_noun:
             lookup.one(location, name, (*more, *by_noun[noun]), f"no {noun}")
     regions, subjects = by_noun.get("region", ()), by_noun.get("subject", ())

@@ -105,7 +105,6 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
     if place is None:
         return
     yield from scale_warnings(rows)
-    yield from _of_noise(side, prediction) if prediction is not None else ()
     where, sun, members = centre_of(place), sun_zenith_deg(place.cube.raster), _members(place, side.campaign.detection)
     for scenario in side.scenarios:
         yield from _of_model(side, scenario) if prediction is not None else ()
@@ -128,15 +127,6 @@ def doubts(side: Collected, prediction: Products | None, rows: Sequence[Result])
 
 
 LEAST_APART = 0.01  # of the greatest reflectance: spectra that lie nearer are of one surface
-
-
-def _of_noise(side: Collected, prediction: Products) -> Iterator[str]:
-    """Warnings where texture is in a measured signal-to-noise ratio, and not in the predicted one."""
-    for region in side.campaign.collection.snr_regions:
-        part = float(np.median(snr_beside_texture(prediction, region)))
-        if part < LEAST_OF_NOISE:
-            words = "that neighbouring bands do not share counts as noise in what is measured: the model expects"
-            yield f"warning: texture of {region!r} {words} {part:.2f} of the sensor's signal-to-noise ratio there"
 
 
 ALL_OF_IT = 0.95  # of the background: regions that hold less of it do not tell what it is made of

@@ -200,8 +200,7 @@ class CampaignRun(NamedTuple):
     def unchanged(self) -> Run | None:
         """The report of a campaign that stands whole, without its arrays; what does not is removed.
 
-        Each file of an earlier run gets a second name; nothing is copied where the file system knows several names
-        of a file.  What else stands there stays.
+        Files of an earlier run are copied; what else stands there stays.
         """
         if run := unchanged_run(self.job, self.folder):
             return run
@@ -211,10 +210,7 @@ class CampaignRun(NamedTuple):
             return None
         for name in (*json.loads((self.earlier / RECORD).read_bytes())["outputs"], RECORD):
             (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
-            try:
-                os.link(self.earlier / name, self.folder / name)
-            except OSError:
-                shutil.copyfile(self.earlier / name, self.folder / name)
+            shutil.copyfile(self.earlier / name, self.folder / name)
         return run
 
     def run(self) -> Done:

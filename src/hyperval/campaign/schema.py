@@ -24,7 +24,7 @@ from hyperval.collection import Classification, CollectionSection, Detection
 from hyperval.compare.judge import Gate
 from hyperval.config import FILL_IN, Location, Model, Placeholder, load_yaml, placeholders, texts_of, unfilled, validate
 from hyperval.datasets import PREFIX, SIMULATED, owner_of, resolve
-from hyperval.errors import HypervalError, InputError, UsageError, reader, refuse, told_of
+from hyperval.errors import HypervalError, InputError, UsageError, package_table, reader, refuse, told_of
 from hyperval.results import grouped
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario, refuse_unknown
 from hyperval.spectra.networks import SURFACE, read_radcalnet
@@ -221,12 +221,6 @@ class Campaign(Outline):
     }  # fmt: skip
 
 
-FILE_KEYS = frozenset({
-    "path", "header", "file", "csv", "simulate", "size_classes", "library", "table", "glt", "image", "replicates",
-    "files", "radcalnet", "solar_spectrum",
-})  # fmt: skip
-
-
 @dataclass(frozen=True)
 class Reference:
     """A file that is named: its key, the reference, the folder that it is relative to."""
@@ -342,12 +336,13 @@ def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int]
 
 
 def _files(content: Any, base: Path) -> Iterator[Reference]:
+    keys_of_files = package_table("campaign/keys.yaml")["files"]
     for location, text in texts_of(content):
         keys = [part for part in location if isinstance(part, str)]  # not the number of an entry of a list
         key = keys[-1] if keys else ""
         name = (reference_of(text) or "") if key == "solar_spectrum" else text
         is_sensor = key == "sensor" and name.endswith((".yaml", ".yml"))
-        is_file = key in FILE_KEYS or "rasters" in keys or is_sensor or name.startswith(PREFIX)
+        is_file = key in keys_of_files or "rasters" in keys or is_sensor or name.startswith(PREFIX)
         if name and is_file and not text.startswith((SIMULATED, FILL_IN)):
             yield Reference(".".join(keys), name, base)
 

@@ -7,7 +7,6 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -124,22 +123,12 @@ class Gate(Model):
 
     def covers(self, row: Result) -> bool:
         """True for the rows this gate is about, and for skipped comparisons that would have held them."""
-        return self.covers_band(row) and self.names(row.product, row.subject, row.method, row.metric)
-
-    def covers_band(self, row: Result) -> bool:
-        """Whether the band of a row, if it has one, is among those that the gate is about."""
-        if self.bands_nm is None or row.metric == COMPARISON:
-            return True
-        return self.bands_nm[0] <= row.band_nm <= self.bands_nm[1]
-
-    def names(self, product: str, subject: str, method: str, metric: str) -> bool:
-        """Whether a row's names are those that the gate has."""
-        return (
-            product == self.product
-            and fnmatchcase(method, self.method)
-            and any(fnmatchcase(subject, pattern) for pattern in self.subjects)
-            and (metric == COMPARISON or any(fnmatchcase(name, self.metric) for name in (metric, base_name(metric))))
-        )
+        if row.product != self.product or not fnmatchcase(row.method, self.method):
+            return False
+        is_named = any(fnmatchcase(name, self.metric) for name in (row.metric, base_name(row.metric)))
+        is_inside = self.bands_nm is None or self.bands_nm[0] <= row.band_nm <= self.bands_nm[1]
+        is_compared = row.metric == COMPARISON or (is_named and is_inside)
+        return is_compared and any(fnmatchcase(row.subject, pattern) for pattern in self.subjects)
 
 
 _NAMED = 6  # rows that a message lists
@@ -159,9 +148,7 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     planned goes missing.  A pooled gate adds a row METRIC_fraction with the share and its Clopper-Pearson interval.
     """
     rows = list(rows)
-    # Bands of one spectrum have many rows under one name.
-    names = cache(lambda *name: [gate for gate in gates if gate.names(*name)])
-    covering = [[g for g in names(r.product, r.subject, r.method, r.metric) if g.covers_band(r)] for r in rows]
+    covering = [[gate for gate in gates if gate.covers(row)] for row in rows]
     out: list[Result] = []
     for row, about in zip(rows, covering, strict=True):
         alone = [_by_gate(row, gate) for gate in about if gate.fraction_at_least is None]

@@ -19,14 +19,14 @@ from scipy import ndimage
 from hyperval import pixels as px
 from hyperval.collection import Detection, DetectionTarget, Unmixing
 from hyperval.data import Array, Index, Mask, statistics_of
-from hyperval.errors import InputError, UsageError, needed, one_of, refusal, refuse
+from hyperval.errors import UsageError, needed, one_of, refusal, refuse
 from hyperval.executors import single_blas_thread
 from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, mask_window
 from hyperval.model import FEW_PER_BAND, PositiveDefinite, Sources, fully_constrained, own_mean_sampling
 from hyperval.model.classification import Unmixed, UnmixedSubject, unmixing_method
 from hyperval.model.filters import whitened
-from hyperval.observe.open import IMAGE, Place, number_rows
+from hyperval.observe.open import IMAGE, Place, number_rows, said
 from hyperval.paths import Resolve
 from hyperval.products import ANOMALIES, Abundance, ExceedanceCurve, ObjectScores, ScoreDistribution, background_of
 from hyperval.progress import track, watch_lines
@@ -71,10 +71,7 @@ _BRACES = re.compile(r"\{([^{}]*)\}")
 
 def _subject(form: str, words: Mapping[str, str]) -> str:
     unknown = [word for word in _BRACES.findall(form) if word not in words]
-    if unknown:
-        raise refusal(
-            "detection.group", form=form, word=unknown[0], known="names in braces out of " + ", ".join(sorted(words))
-        )
+    refuse(unknown, "detection.group", form=form, word="".join(unknown[:1]), known=", ".join(sorted(words)))
     return _BRACES.sub(lambda match: words[match[1]], form)
 
 
@@ -154,16 +151,7 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
         curve = curves.products["exceedance"].get((ANOMALIES, name))
         notes.append(_anomaly_note(place, name, scores, curve, noise.scores.size))
     _add_pools(curves.products["roc"], detection)
-    if detection.halo_pixels:
-        notes.append(
-            f"curves '{BY_PIXEL}' count every pixel as a false alarm and give an object the best of its halo, as "
-            "MUUFL's scoring does: they favour detection, those 'object' do not"
-        )
-    if detection.first_detection:
-        notes.append(
-            "alarms_before_first counts false alarms up to the best pixel of any object, as RIT's self-test does: "
-            "it favours targets of many pixels or pieces, of which the best counts for all"
-        )
+    notes += [said(rule) for rule in ("halo_pixels", "first_detection") if getattr(detection, rule)]
     areas, nominal = target_areas(place, detection, maps)
     outlines = {key: TargetMasks({t.name: t for t in members}) for key, members in outlined.items()}
     products = curves.products | {"abundance": areas}
@@ -182,8 +170,7 @@ def _by_number(target: DetectionTarget, bands: int, resolve: Resolve) -> Array:
     """(B,) spectrum of a target where bands go by number: a text file with a row for each; its last number counts."""
     path = resolve(needed(target.spectrum.file, "detection.by_number", name=target.name))
     values = number_rows(path, "spectrum by band")[0][:, -1]
-    if len(values) != bands or not np.all(np.isfinite(values)):
-        raise InputError(f"{len(values)} values for {bands} bands", where=str(path), expected="one row a band")
+    refuse(len(values) != bands or not np.isfinite(values).all(), "detection.rows", path, size=len(values), bands=bands)
     return values
 
 
@@ -274,11 +261,7 @@ def _score_maps(
     window = local.outer_pixels, local.inner_pixels
     around = place.pixels_of(IMAGE if IMAGE in detection.background else px.SCENE)
     maps, lonely = px.score_cube_locally(cube, bank.forms, whitener, window, around, line, bank.bands, **common)
-    return maps, [
-        f"background means from windows of {window[0]} less {window[1]} pixels; "
-        f"{lonely} pixels without neighbours in the window take the mean of the background. "
-        "Predicted scores are against that mean throughout"
-    ]
+    return maps, [said("local_window", outer=window[0], inner=window[1], lonely=lonely)]
 
 
 class _Curves:
@@ -314,8 +297,6 @@ class _Curves:
         if not np.array_equal(place.pixels_of(*detection.background), self.alarms):
             return found
         lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
-        order = np.lexsort((samples, lines))
-        lines, samples = lines[order], samples[order]
         pixels, usable = place.pixels_at(lines, samples, bank.bands)
         weights, stratum = bank.detectors[key].weights[0], place.classes[lines, samples][usable]
         error, bias = own_mean_sampling(weights, *bank.background, pixels[usable], stratum, noise.scores.size)
@@ -366,15 +347,14 @@ class _Curves:
         for item in objects:
             _, shape = mask_window(px.mask_with_halo(np.pad(item.part, halo), halo))
             shapes[shape.shape, shape.tobytes()] = shape
-            if any(np.greater(shape.shape, scores.shape)):
-                raise refusal("detection.halo", where, name=item.name, halo=halo, shape=scores.shape)
+            is_larger = any(np.greater(shape.shape, scores.shape))
+            refuse(is_larger, "detection.halo", where, name=item.name, halo=halo, shape=scores.shape)
         parts = [px.footprint_tiles(scores, shape, ~self.alarms) for shape in shapes.values()]
         looked_at = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
         maxima = np.concatenate([under.max(axis=1) for under, _, _ in parts])
         lines, samples = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
-        if maxima.size == 0:
-            what = f"with a halo of {halo} pixels no footprint of the targets fits on the background"
-            raise UsageError(f"{what} ({', '.join(o.name for o in objects)})", where=where)
+        names = ", ".join(item.name for item in objects)
+        refuse(maxima.size == 0, "detection.placements", where, halo=halo, names=names)
         # Blocks as large on the ground as those of the pixels.
         side = px.block_side(int(np.count_nonzero(self.alarms)))
         return px.AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), looked_at
@@ -418,11 +398,9 @@ def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceC
             x, y = place.cube.transform @ (sample + 0.5, line + 0.5)
             where += f" ({x:.2f}, {y:.2f})"
         words.append(f"{where}: {scores[line, sample]:.4g}, {size} pixel{'' if size == 1 else 's'}")
-    more = f"; and {count - MOST_NAMED} weaker" if count > MOST_NAMED else ""
-    return (
-        f"{detector}: {count} anomalies, groups of touching pixels beyond {threshold:.4g}, which {level:g} of the "
-        f"background exceeds: {'; '.join(words)}{more}"
-    )
+    words += [f"and {count - MOST_NAMED} weaker"] if count > MOST_NAMED else []
+    about = {"count": count, "threshold": threshold, "level": level, "strongest": "; ".join(words)}
+    return said("anomalies", detector=detector, **about)
 
 
 # Sum of scores or abundances over an object, the pixels summed, and the same sum elsewhere on the background.

@@ -22,7 +22,7 @@ from hyperval.imagery import Cube, TargetObject, all_pixels
 from hyperval.model import ClassLaw, Unmixed, class_features, covariance_directions, feature_bands, measured_error
 from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, detect, scored_part, target_groups, unmix
-from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place
+from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place, said
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.products import ClassificationError, EstimatedPart, ObservedProducts, PixelDistribution, SpectralEstimate
@@ -128,9 +128,7 @@ def observe(
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
     snr = {n: px.snr_decorrelated(_some_pixels(place, n), sampling[n].covariance) for n in collection.snr_regions}
-    remark = (
-        f"classifiers choose among {place.clear_bands.sum()} of {cube.bands} bands: usable, in the atmospheric windows"
-    )
+    remark = said("classifiers", used=place.clear_bands.sum(), bands=cube.bands)
     observation = ObservedProducts(
         axis=cube.axis,
         snr=snr,
@@ -188,21 +186,11 @@ def _notes(
         # How the pixels behind filter, false alarms and classes differ, where they do.
         filters, alarms = masks[BACKGROUND], place.pixels_of(*detection.false_alarms)
         if not np.array_equal(filters, alarms):
-            notes.append(
-                f"the filters have their statistics from {int(filters.sum())} pixels "
-                f"({', '.join(detection.background)}), false alarms are counted on {int(alarms.sum())} "
-                f"({', '.join(detection.false_alarms)})"
-            )
+            names = {key: ", ".join(getattr(detection, key)) for key in ("background", "false_alarms")}
+            notes.append(said("populations", filters=filters.sum(), alarms=alarms.sum(), **names))
         if IMAGE in detection.background:
-            within = int((filters & place.near_targets).sum())
-            notes.append(
-                f"{within} pixels of targets and their guard are in the filters' statistics, and in no class's"
-            )
-    notes += [
-        f"warning: region {name!r} is a single pixel: the spread from pixel to pixel is unknown and in no interval"
-        for name in place.regions
-        if measured[name].n == 1
-    ]
+            notes.append(said("image", within=(filters & place.near_targets).sum()))
+    notes += [said("single", name=name) for name in place.regions if measured[name].n == 1]
     notes += [] if place.line is None else sites.line_notes(place.line, axis)
     return (*notes, *(detected.notes if detected else ()))
 
@@ -291,12 +279,7 @@ def _some_pixels(place: Place, name: str) -> Array:
     region = place.region(name)
     count = int(np.count_nonzero(region))
     step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
-    lines, samples = px.nth_pixels(region, np.arange(0, count, step))
-    del region  # a byte a pixel
-    out, n = np.empty((lines.size, place.cube.bands)), 0
-    for part, _ in place.valid_pixels(lines, samples):  # without a second copy of all
-        out[n : n + len(part)], n = part, n + len(part)
-    return out[:n]
+    return place.cube.spectra(px.nth_pixels(region, np.arange(0, count, step)))
 
 
 def _classes(

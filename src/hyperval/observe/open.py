@@ -42,7 +42,7 @@ from hyperval.collection import (
 )
 from hyperval.config import twice
 from hyperval.data import Array, Index, Mask, SampleStatistics
-from hyperval.errors import InputError, UsageError, needed, one_of, reader, refusal, refuse
+from hyperval.errors import InputError, UsageError, needed, one_of, package_table, reader, refusal, refuse
 from hyperval.imagery import Cube, LocationTable, Raster, Region, TargetObject
 from hyperval.imagery.regions import connected_patches, outside_error
 from hyperval.imagery.truth import mask_window
@@ -195,19 +195,15 @@ class Place:
         values = (values if self.line is None else self.line.reflectance(values))[:, bands]
         return values, usable if isinstance(bands, slice) else usable & np.isfinite(values).all(axis=1)
 
-    def valid_pixels(
-        self, lines: Index, samples: Index, bands: npt.NDArray[Any] | None = None
-    ) -> Iterator[tuple[Array, Mask]]:
-        """Values (m, b) of those of the pixels (n,) that hold data, and which they are; some of the pixels at a time.
-
-        ``bands``: handed out, and known in every pixel; None: all, whatever they hold.
+    def valid_pixels(self, lines: Index, samples: Index, bands: npt.NDArray[Any]) -> Iterator[tuple[Array, Mask]]:
+        """Values (m, b) of those of the pixels (n,) that hold data in the ``bands``, and which they are; some of the
+        pixels at a time.
         """
         for start in range(0, lines.size, _TOGETHER):
             some = slice(start, start + _TOGETHER)
             values, valid = self.cube.marked_pixels((lines[some], samples[some]))
-            if bands is not None:
-                values = values[:, bands]
-                valid &= np.isfinite(values).all(axis=1)
+            values = values[:, bands]
+            valid &= np.isfinite(values).all(axis=1)
             yield values[valid], valid
 
     def region(self, name: str) -> Mask:
@@ -217,6 +213,11 @@ class Place:
     def _known(self, name: str) -> Mask:
         refuse(name not in self.regions, "place.region", name=name, known=one_of(self.regions, "a region"))
         return self.regions.members[name]
+
+
+def said(name: str, /, **values: object) -> str:
+    """What an observation says of itself: the words of a name in ``words.yaml``, filled with values."""
+    return str(package_table("observe/words.yaml")[name]).format(**values)
 
 
 def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping[str, float] | None = None) -> Place:
@@ -454,8 +455,7 @@ def _region_notes(regions: Iterable[Region], by_rule: frozenset[str]) -> list[st
     for region in listed:
         count, pixels = (0, 0) if region.name in by_rule else imagery.holes(region.mask)
         if count:
-            what = "a hole" if count == 1 else f"{count} holes"
-            notes.append(f"the region {region.name!r} has {what} of {pixels} pixels, which are not part of it")
+            notes.append(said("hole" if count == 1 else "holes", name=region.name, count=count, pixels=pixels))
     return notes + [f"the regions {a!r} and {b!r} share {n} pixels" for a, b, n in imagery.overlaps(listed)]
 
 
@@ -468,11 +468,9 @@ def _target_notes(regions: Iterable[Region], targets: Sequence[TargetObject], ne
         touched[target.window] += target.part
     for region in regions:
         inside, guarded = int(np.sum(region.mask & (touched > 0))), int(np.sum(region.mask & near))
-        what = f"the region {region.name!r} holds {inside} pixels of targets and {guarded - inside} of their guard"
-        if guarded == region.n:
-            yield f"warning: {what}, which is all of it: they stay in its statistics"
-        elif guarded:
-            yield f"{what} among {region.n}: left out of its statistics"
+        if guarded:
+            name = "guarded.all" if guarded == region.n else "guarded"
+            yield said(name, region=region, inside=inside, guard=guarded - inside)
     shared = int(np.sum(touched > 1))
     if shared:
         kinds = {m: [o for o in targets if o.material == m] for m in dict.fromkeys(o.material for o in targets)}
@@ -577,14 +575,8 @@ def image_targets(
         if error:
             note += f"; registration of {error:.3g} pixels makes {float(np.sqrt(np.mean(spread**2))):.2g} (RMS) of it"
         return out, [note]
-    least = f"those filled less than {LEAST_FILL:g} are none of a target, and count for its area where they touch it"
-    remarks = [f"{len(out)} targets of {mean.size} pixels by the abundances in {path.name}; {least}"]
-    if np.all(mean == 1.0):
-        remarks.append(
-            f"warning: no pixel in {path.name} is partly filled: was each pixel sampled by one ray? Fill "
-            "fractions are counted in rays per pixel"
-        )
-    return out, remarks
+    remarks = [said("abundances", count=len(out), pixels=mean.size, file=path.name, least=LEAST_FILL)]
+    return out, [*remarks, said("abundances.whole", file=path.name)] if np.all(mean == 1.0) else remarks
 
 
 def _grid(truth: FinerTruth, raster: Raster, cube: Cube, where: str) -> FinerGrid:
@@ -607,13 +599,13 @@ def _cells(
     raster: Raster, path: Path, classes: Mapping[str, int | BandRange], first: int | str = 1
 ) -> Iterator[tuple[str, Mask]]:
     """Class -> (lines, samples) which cells are of it: a value of the ``first`` band, or a range of another."""
-    if raster.lines * raster.samples > MAX_CELLS:
-        raise InputError(f"{raster.lines} x {raster.samples} cells", where=str(path), expected=f"at most {MAX_CELLS}")
+    lines, samples = raster.lines, raster.samples
+    refuse(lines * samples > MAX_CELLS, "finer.many", path, lines=lines, samples=samples, most=MAX_CELLS)
     for name, chosen in classes.items():
         one = chosen if isinstance(chosen, BandRange) else BandRange(above=chosen, below=chosen)
         band = _band(raster, one.band if one is chosen else first, path)
         low, high = -np.inf if one.above is None else one.above, np.inf if one.below is None else one.below
-        mask = np.empty((raster.lines, raster.samples), bool)
+        mask = np.empty((lines, samples), bool)
         for rows, values in _rows(raster, band):
             mask[rows] = (values >= low) & (values <= high)
         if not mask.any():
@@ -721,10 +713,8 @@ def _band(raster: Raster, wanted: int | str, path: Path) -> int:
         return wanted - 1
     fits = [i for i, name in enumerate(names) if name == wanted]
     fits = fits or [i for i, name in enumerate(names) if fnmatchcase(name.lower(), wanted.lower())]
-    if len(fits) != 1:
-        choices = f"a number, 1 to {raster.bands}: its header has no name for each band"
-        choices = f"one of {', '.join(names)}" if names else choices
-        raise InputError(f"{len(fits)} bands are called {wanted!r}", where=str(path), expected=choices)
+    known = one_of(names, f"a number, 1 to {raster.bands}: its header has no name for each band")
+    refuse(len(fits) != 1, "truth.bands", path, count=len(fits), wanted=wanted, known=known)
     return fits[0]
 
 

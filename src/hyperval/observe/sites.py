@@ -20,9 +20,9 @@ from hyperval.collection import (
     RadCalNetSource,
 )
 from hyperval.data import Array
-from hyperval.errors import InputError, UsageError, needed, one_of, refusal, refuse
+from hyperval.errors import UsageError, needed, one_of, refusal, refuse
 from hyperval.model import Origins, Sources, band_correlation, band_error_covariance, predict
-from hyperval.observe.open import Place, band_table_notes, read_band_table
+from hyperval.observe.open import Place, band_table_notes, read_band_table, said
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels, MeasuredPanel, fit_elm
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
@@ -173,21 +173,21 @@ def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, place: P
     """
     if source is None:
         return
-    cube, full = place.cube, np.full(place.cube.bands, np.nan)
-    if cube.dtype.kind in "iu":
-        full = cube.gain * float(np.iinfo(cube.dtype).max) + cube.offset
+    cube, good = place.cube, np.flatnonzero(place.cube.axis.good)
+    greatest = float(np.iinfo(cube.dtype).max) if cube.dtype.kind in "iu" else np.nan
+    full = (cube.gain * greatest + cube.offset)[good]
     limit = np.inf if source.saturation is None else source.saturation
     for region in (panel.region for panel in source.panels if panel.region in masks):
         lines, samples = np.nonzero(masks[region])
-        count, bands = 0, np.zeros(cube.bands, bool)
-        for values, _ in place.valid_pixels(lines, samples):
-            saturated = ((values == full) | (values >= limit)) & cube.axis.good
+        count, bands = 0, np.zeros(good.size, bool)
+        for values, _ in place.valid_pixels(lines, samples, good):
+            saturated = (values == full) | (values >= limit)
             count += int(saturated.any(axis=1).sum())
             bands |= saturated.any(axis=0)
         if count:
-            band, centre = int(np.argmax(bands)) + 1, cube.axis.centre_nm[np.argmax(bands)]
-            facts = {"region": region, "count": count, "size": lines.size, "band": band, "centre_nm": centre}
-            raise refusal("panel.saturated", WHERE, **facts)
+            first = int(good[np.argmax(bands)])
+            facts = {"count": count, "size": lines.size, "band": first + 1, "centre_nm": cube.axis.centre_nm[first]}
+            raise refusal("panel.saturated", WHERE, region=region, **facts)
 
 
 def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
@@ -201,13 +201,10 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
         for name, errors in left_out.items():
             if errors.size:
                 worst = errors[np.abs(errors).argmax()]
-                parts.append(f"{name} {np.median(errors):+.2g} (median over bands, at most {worst:+.2g})")
+                parts.append(said("line.error", name=name, median=np.median(errors), worst=worst))
             else:
                 parts.append(f"{name} unknown, the others do not fix a line")
-        notes.append(
-            "leave-one-panel-out error of the empirical line, reflectance by the other panels less that measured "
-            "on the ground: " + "; ".join(parts)
-        )
+        notes.append(said("line.left_out", panels="; ".join(parts)))
     chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
     if chi2.size:
         notes.append(f"empirical line: reduced chi-square of its panels {np.median(chi2):.3g} (median over bands)")
@@ -220,16 +217,10 @@ def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> Iterator[str]:
     if usable < FEWEST_USABLE * good:
         yield f"warning: the empirical line can be used in {usable} of {good} good bands only"
     if (factor := elm.contradiction) > 1.0:
-        yield (
-            "warning: the panels of the empirical line do not lie on one line within their stated errors: they are "
-            f"{np.sqrt(factor):.3g} times as great (median over bands), by which the line's errors are widened"
-        )
+        yield said("line.contradiction", times=np.sqrt(factor))
     for name, errors in _left_out(elm, axis).items():
         if errors.size and (off := np.median(np.abs(errors))) > MOST_LEFT_OUT:
-            yield (
-                f"warning: the other panels of the empirical line give {name} a reflectance that is off by {off:.2g} "
-                "(median over bands)"
-            )
+            yield said("line.off", name=name, off=off)
 
 
 def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
@@ -244,21 +235,15 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     """How far features of spectra (B,) lie from their places, in words, with a warning for each that is certain."""
     found = px.common_shifts(spectra, axis, reflectance=reflectance)
     if not found:
-        feature = "an absorption of oxygen or water vapour"
-        if reflectance:
-            feature = "a red edge of plants or a residual of the oxygen band"
-        return [f"the wavelengths could not be checked: no spectrum shows {feature}"]
+        return [said("wavelengths.reflectance" if reflectance else "wavelengths.radiance")]
     parts, warnings = [], []
     for s, count in found:
         error = f"standard uncertainty {s.uncertainty_nm:.1f}"
         parts.append(f"{s.feature} {s.nm:+.1f} nm ({error}, {count} spectra)")
         if s.certain:
-            side = "above" if s.nm > 0 else "below"
-            warnings.append(
-                f"warning: the {s.feature} lies {abs(s.nm):.1f} nm ({error}) {side} its place: the wavelengths of the "
-                "collection seem to be shifted"
-            )
-    return ["wavelengths as labelled less those of known features: " + "; ".join(parts), *warnings]
+            about = {"feature": s.feature, "nm": abs(s.nm), "error": error, "side": "above" if s.nm > 0 else "below"}
+            warnings.append(said("wavelengths.shifted", **about))
+    return [said("wavelengths", features="; ".join(parts)), *warnings]
 
 
 def observe_spectra(collection: CollectionSection, resolve: Resolve) -> ObservedProducts:
@@ -329,9 +314,9 @@ def _site_reflectance(
         return {}, []
     flights = {site.subject: site.line for site in collection.spectra}
     paths = {entry.line: entry for entry in source.path_radiance}
-    if lacking := [line for line in paths if line not in flights.values()]:
-        what, lines = f"path_radiance: no site of flight line {lacking[0]!r}", sorted(map(repr, set(flights.values())))
-        raise UsageError(what, where=WHERE, expected=one_of(lines))
+    known = one_of(sorted(map(repr, set(flights.values()))))
+    for stated in paths:
+        refuse(stated not in flights.values(), "path.line", WHERE, line=stated, known=known)
     panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
@@ -387,9 +372,7 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProd
     UsageError : a half hour without values.
     """
     day = read_radcalnet(resolve(source.path))
-    if day.quantity != TOP:
-        expected = "the day's file that ends in .output"
-        raise InputError("holds the reflectance of the surface", where=day.source, expected=expected)
+    refuse(day.quantity != TOP, "site.surface", day.source)
     times = tuple(source.times) or day.valid
     refuse(not times, "site.weather", day.source)
     rows = [day.column(time) for time in times]
