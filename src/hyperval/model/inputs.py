@@ -16,7 +16,7 @@ import numpy as np
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
 from hyperval.model.stated import SurfaceStatistics, Truth, band_correlation, band_error_covariance
-from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, SURROUNDINGS, World, find, fits, value_at
+from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
@@ -244,7 +244,8 @@ def _stated(world: World) -> Iterator[UncertainInput]:
             sd = form.relative if hasattr(form, "relative") else getattr(form, "absolute", 0.0)
             yield spectral_input(world, entry.name, "sensor", path, sd, form)
         else:
-            yield number_input(world, entry.name, "scene" if entry.name == SURROUNDINGS else "atmosphere", path, form)
+            kind: Kind = "scene" if entry.field == "surroundings" else "atmosphere"
+            yield number_input(world, entry.name, kind, path, form)
 
 
 def field_spectrum_of(subject: str) -> str:
