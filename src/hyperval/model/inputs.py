@@ -99,7 +99,6 @@ Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
 
 
 Source = Literal["stated", "usual"]
-_UNITS = {"_g_cm2": "g cm-2", "_atm_cm": "atm cm", "_km": "km", "_deg": "degrees"}  # by the end of a path
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +146,7 @@ class UncertainInput:
         """Standard uncertainty and its unit: per cent of what stands there where that is a spectrum or a factor."""
         sd = np.sqrt((self.rows**2).sum(axis=0))
         if self.path.startswith("atmosphere."):
-            unit = next((words for end, words in _UNITS.items() if self.path.endswith(end)), "")
-            return float(sd[0]), unit
+            return float(sd[0]), PATHS[self.path].unit.removeprefix("1")
         with np.errstate(divide="ignore", invalid="ignore"):
             return float(np.nanmedian(100.0 * sd / np.abs(self.nominal))), "%"
 

@@ -23,7 +23,7 @@ import numpy.typing as npt
 from scipy.special import gammainccinv, gammaincinv, gammaln, log_ndtr, ndtr, ndtri, ndtri_exp, stdtr, stdtrit
 
 from hyperval.data import Array, Index, Mask
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import refuse
 from hyperval.model.stated import distinct
 from hyperval.products import RocCurve, ScoreDistribution
 
@@ -409,8 +409,8 @@ class RocArea:
     logarithmic: bool = False
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.low < self.high <= 1.0 or (self.logarithmic and self.low <= 0.0):
-            raise UsageError(f"no range of false-alarm probabilities: {self.low:g} to {self.high:g}")
+        wrong = not 0.0 <= self.low < self.high <= 1.0 or (self.logarithmic and self.low <= 0.0)
+        refuse(wrong, "roc.range", low=self.low, high=self.high)
 
     def share(self, s: Array) -> Array:
         """g(s): the part of the range in which a target is declared that a share ``s`` of the background tops."""

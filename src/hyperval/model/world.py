@@ -134,8 +134,7 @@ def _found(stated: Stated, path: str) -> Path:
         refuse(any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:-1]), "path.light", path=path)
         if entry.field in ("atmosphere", "sensor"):
             return again
-    if entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels):
-        raise UsageError("uncertainty: elm_panels needs an empirical line of two panels")
+    refuse(entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels), "path.panels")
     if entry.field == "atmosphere":
         nodes = stated.atmosphere.nodes
         return again if parts[1] in ("engine", "table") or (nodes and parts[1] not in nodes) else entry
@@ -149,9 +148,7 @@ def _found(stated: Stated, path: str) -> Path:
         return entry._replace(populations={number_of: slice(None)})
     if entry.field in ("fill", "blur"):
         moves = _moved_fills(stated, entry.field, parts[1] if len(parts) > 1 else None)
-        if not moves:
-            what = "no target of the scene has one" if entry.field == "fill" else "no fill of the scene is of geometry"
-            raise UsageError(f"{path}: {what}", expected="a target of the scene")
+        refuse(not moves, "path.fill" if entry.field == "fill" else "path.blur", path=path)
         return entry._replace(populations=moves)
     if not entry.of:
         return entry
@@ -356,9 +353,8 @@ class World:
             refuse(np.any(out.sum(axis=1) <= 0.0), "path.area")
             return np.asarray(np.where(moved.any(axis=1, keepdims=True), out / out.sum(axis=1, keepdims=True), stated))
         total = stated.sum(axis=1)
-        if np.any(np.abs(total - 1.0) > 1e-6) or np.any(stated < 0.0):
-            words = f"the area fractions are no partition: they sum to {total.min():.6g} to {total.max():.6g}"
-            raise UsageError(words, expected="1")
+        wrong = np.any(np.abs(total - 1.0) > 1e-6) or np.any(stated < 0.0)
+        refuse(wrong, "path.partition", low=total.min(), high=total.max())
         return stated
 
     @cached_property
@@ -498,8 +494,7 @@ class World:
         if len(moved) == 1 and next(iter(moved)).endswith("fill.fixed") and stated.fixed is not None:
             (column,) = moved.values()
             values = np.nan_to_num(_numbers(column), nan=stated.fixed)[:, None]
-            if not np.all((values >= 0.0) & (values <= 1.0)):
-                raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
+            refuse(not np.all((values >= 0.0) & (values <= 1.0)), "fill.range", low=values.min(), high=values.max())
             return FillDistribution(values, np.ones((1, 1)))
         make = whole_object_fills if objects else fills_of_population
         if not moved:
