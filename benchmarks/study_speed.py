@@ -3,8 +3,7 @@
     OPENBLAS_NUM_THREADS=1 python benchmarks/study_speed.py
 
 The scenario of predict_speed.py: 360 bands (ProSpecTIR-VS), 5 classes, cached atmosphere.  An evaluation is the
-radiance of every class and target, the SNR of every class with and without calibration error, and the ROC at 181
-false-alarm probabilities.
+radiance of every class and target, the SNR of every class, and the ROC at 181 false-alarm probabilities.
 Every point of a design differs from all others in everything that the design moves.
 """
 
@@ -60,7 +59,7 @@ def full(piece: tuple[Parcel, Columns]) -> tuple[float, float]:
     total, names = 0.0, world.stated.classes
     for _, e in evaluations(with_values(world, columns)):
         total += sum(float(e.radiance(s).sum()) for s in (*names, "plank"))
-        total += sum(float(e.snr(s, calibration).sum()) for s in names for calibration in (True, False))
+        total += sum(float(e.snr(s).sum()) for s in names)
         total += float(e.scores("plank", "cem").detection(false_alarm_grid()[None, :]).sum())
     return total, time.process_time() - start
 

@@ -18,7 +18,7 @@ def at(x, scores: ClassScores) -> tuple[np.ndarray, ClassScores]:
 
 
 def log_alarms(x, scores: ClassScores) -> np.ndarray:
-    return log_false_alarm(*at(x, scores))[0]
+    return log_false_alarm(*at(x, scores))
 
 
 def thresholds(pfa, scores: ClassScores) -> np.ndarray:

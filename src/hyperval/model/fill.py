@@ -158,7 +158,7 @@ def _around(geometry: Geometry) -> tuple[npt.NDArray[Any], ...]:
     any_way = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
     heading = any_way if any_heading else np.full(count, geometry.heading_deg, dtype=float)
     fills = pixel_fills(geometry, offset, heading)
-    return _fixed(fills, _met(geometry, offset, heading, fills.shape[1]))
+    return fills, _met(geometry, offset, heading, fills.shape[1])
 
 
 def _met(geometry: Geometry, offset: Array, heading_deg: Array, size: int) -> Mask:
@@ -329,14 +329,7 @@ def _fullest(geo: Geometry, n: int) -> tuple[Array, ...]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
         at_pixels = np.pad(at_pixels, ((0, 0), (0, n - at_pixels.shape[1]), (0, 0)), constant_values=1e6)
     order = np.argsort(-fills, axis=1, kind="stable")[:, :n]
-    return _fixed(np.take_along_axis(fills, order, 1), np.take_along_axis(at_pixels, order[..., None], 1))
-
-
-def _fixed(*arrays: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], ...]:
-    """Arrays that are kept: not to be written to."""
-    for array in arrays:
-        array.setflags(write=False)
-    return arrays
+    return np.take_along_axis(fills, order, 1), np.take_along_axis(at_pixels, order[..., None], 1)
 
 
 @lru_cache(maxsize=64)
@@ -351,7 +344,7 @@ def _fill_table(geometry: Geometry) -> Array:
     # A centre at step i puts pixel p at p - step_i: rising with p, falling with i.
     fills = fills.reshape(_STEPS, _STEPS, across, across)[::-1, ::-1]
     values = fills.transpose(2, 0, 3, 1).reshape(across * _STEPS, across * _STEPS)
-    return _fixed(np.asarray(spline_filter(values, order=3, mode="constant")))[0]
+    return np.asarray(spline_filter(values, order=3, mode="constant"))
 
 
 def _looked_up(table: Array, away: Array) -> Array:
@@ -379,12 +372,10 @@ def fill_distribution(fill: Fill) -> FillDistribution:
 
 @lru_cache(maxsize=256)
 def _of_pixels(fill: Fill) -> FillDistribution:
-    """Over the pixels of its objects, each counted alike; kept, and not to be written to."""
+    """Over the pixels of its objects, each counted alike."""
     fills = fills_of_objects(fill)
     fills = fills[np.isfinite(fills)]
-    binned = FillDistribution(fills, np.full(fills.size, 1.0 / fills.size)).binned()
-    values, weights = _fixed(binned.values, binned.weights)
-    return FillDistribution(values, weights)
+    return FillDistribution(fills, np.full(fills.size, 1.0 / fills.size)).binned()
 
 
 def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:

@@ -116,9 +116,7 @@ def _normal_draws(directions: int) -> Array:
     """(N, directions) standard normal numbers, evenly spread (Sobol, scrambled), the same for all curves."""
     from scipy.stats import qmc  # a quarter of a second with what it loads, which a certain scenario does not need
 
-    draws = np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
-    draws.setflags(write=False)
-    return draws
+    return np.asarray(ndtri(qmc.Sobol(directions, seed=12).random(_CURVES)))
 
 
 def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dict[Any, Array]:
@@ -159,7 +157,7 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
         for key, x in thresholds.items():
             row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
             scores = [ClassScores(fraction, *class_scores(view, one), dof) for fraction, dof, view in laws]
-            out[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
+            out[key][region] = np.array([log_false_alarm(x, s.rows(row)) for s in scores])
     for key, regions in out.items():
         if regions:
             squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())
@@ -414,14 +412,9 @@ def combined(
     errors: Mapping[str, Errors], covariances: Mapping[str, Array], bands: int
 ) -> tuple[Array, dict[str, Array]]:
     """Error covariance (B, B) and budget from independent sources, some of them as covariances (B, B)."""
-    every = {source: known(c) for source, c in covariances.items()}
+    every = {source: np.nan_to_num(c) for source, c in covariances.items()}
     budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in every.items()}
     return sum((*(e.covariance for e in errors.values()), *every.values()), np.zeros((bands, bands))), budget
-
-
-def known(covariance: Array) -> Array:
-    """The matrix with 0 where nothing is known; unchanged, and not copied, where all is."""
-    return covariance if np.isfinite(np.sum(covariance)) else np.nan_to_num(covariance)
 
 
 def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
@@ -577,7 +570,7 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
         pixel, shapes = spreads.get((product, key), (None, {}))
         sources = (errors or {}).get((product, key), {})
         total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(sources, shapes, bands)
-        pixel, sources = None if pixel is None else known(pixel), {} if product == "snr" else sources
+        pixel, sources = None if pixel is None else np.nan_to_num(pixel), {} if product == "snr" else sources
         spread = spread_errors(errors, light, product, key) if errors and product in ("radiance", "reflectance") else []
         if (gain := sources.get("compensation (gain)")) is not None:  # of an image: it stretches the spread as the mean
             spread.append(np.stack([gain.rows / mean, 0.0 * gain.rows]))

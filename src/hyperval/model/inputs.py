@@ -16,7 +16,7 @@ import numpy as np
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
 from hyperval.model.stated import SurfaceStatistics, Truth, band_correlation, band_error_covariance
-from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, SURROUNDINGS, World, find, fits, value_at
+from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
@@ -99,7 +99,6 @@ Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
 
 
 Source = Literal["stated", "usual"]
-_UNITS = {"_g_cm2": "g cm-2", "_atm_cm": "atm cm", "_km": "km", "_deg": "degrees"}  # by the end of a path
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +146,7 @@ class UncertainInput:
         """Standard uncertainty and its unit: per cent of what stands there where that is a spectrum or a factor."""
         sd = np.sqrt((self.rows**2).sum(axis=0))
         if self.path.startswith("atmosphere."):
-            unit = next((words for end, words in _UNITS.items() if self.path.endswith(end)), "")
-            return float(sd[0]), unit
+            return float(sd[0]), PATHS[self.path].unit.removeprefix("1")
         with np.errstate(divide="ignore", invalid="ignore"):
             return float(np.nanmedian(100.0 * sd / np.abs(self.nominal))), "%"
 
@@ -244,7 +242,8 @@ def _stated(world: World) -> Iterator[UncertainInput]:
             sd = form.relative if hasattr(form, "relative") else getattr(form, "absolute", 0.0)
             yield spectral_input(world, entry.name, "sensor", path, sd, form)
         else:
-            yield number_input(world, entry.name, "scene" if entry.name == SURROUNDINGS else "atmosphere", path, form)
+            kind: Kind = "scene" if entry.field == "surroundings" else "atmosphere"
+            yield number_input(world, entry.name, kind, path, form)
 
 
 def field_spectrum_of(subject: str) -> str:

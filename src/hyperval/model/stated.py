@@ -439,10 +439,8 @@ def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
     for column in columns:
         if column.dtype == object:
             bits.append([repr(v) for v in column])
-        elif column.ndim == 1:
-            bits.append(column.astype(float).view(np.int64).tolist())
         else:
-            bits.append([row.tobytes() for row in column])
+            bits.append([row.tobytes() for row in column.astype(float)])
     keys = list(zip(*bits, strict=True)) or [()] * n
     order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     which = np.array([order[key] for key in keys], dtype=int)
@@ -511,16 +509,14 @@ class Atmosphere(Keeps):
             return
         grid = {n: np.asarray(v, dtype=float) for n, v in self.nodes.items()}
         for name, values in grid.items():
-            if not self.star and (values.size < 2 or np.any(np.diff(values) <= 0)):
-                raise UsageError(f"nodes of atmosphere.{name}: {values.tolist()}", expected="two or more, rising")
+            wrong = not self.star and (values.size < 2 or np.any(np.diff(values) <= 0))
+            refuse(wrong, "engine.nodes", name=name, values=values.tolist())
         what = "nodes" if grid else "states"
         if self.star:
             states = [{}, *({name: x} for name, values in grid.items() for x in values[1:].tolist())]
         elif grid:
             states = [dict(zip(grid, row, strict=True)) for row in product(*(v.tolist() for v in grid.values()))]
-        if len(states) > MOST_RUNS:
-            expected = f"at most {MOST_RUNS} runs of its engine"
-            raise UsageError(f"{len(states)} {what} of the atmosphere", expected=expected)
+        refuse(len(states) > MOST_RUNS, "engine.runs", count=len(states), what=what, most=MOST_RUNS)
         runs = [self.run(row) for row in track(states, f"atmosphere, {what}", len(states))]
         self._between = interpolated_terms(grid, runs, star=self.star) if grid else None
 

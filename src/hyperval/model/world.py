@@ -21,10 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Index
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import UsageError, package_table, refuse
 from hyperval.model.fill import (
     FillDistribution,
     fill_distribution,
@@ -51,6 +50,7 @@ class Path(NamedTuple):
     shape : of a value: a number, or a spectrum or list of numbers (vector)
     low, high : between which it can be
     name, stated : what it is called, and the entry of a scenario's ``uncertainty`` that says how far it may be off
+    neutral : what stands there where nothing is moved, of a factor 1, of what is added 0; None: what the scenario says
     item, populations : of a scenario, what its star names, by number; and of fills the populations that it moves, by
         number, with the part of its values that is of each
     """
@@ -63,102 +63,15 @@ class Path(NamedTuple):
     high: float = np.inf
     name: str = ""
     stated: str = ""
+    neutral: float | None = None
     item: int = 0
     populations: Mapping[int, slice] = {}
 
 
-_RADIANCE = "uW cm-2 sr-1 nm-1"
-AEROSOL, WATER, SURROUNDINGS = "aerosol optical depth", "water vapour", "surroundings"
-# Field of the state: what it is called, lowest and highest value.
-STATE: dict[str, tuple[str, float, float]] = {
-    "aot550": (AEROSOL, 0.0, 5.0),
-    "meteorological_range_km": ("meteorological range", SHORTEST_KM, LONGEST_KM),
-    "angstrom_exponent": ("Angstrom exponent", -1.0, 3.0),
-    "aerosol_share_below": ("share of aerosol below the sensor", 1e-3, 1.0),
-    "water_vapour_g_cm2": (WATER, 0.01, 10.0),
-    "ozone_atm_cm": ("ozone", 0.01, 1.0),
-    "solar_zenith_deg": ("solar zenith angle", -MAX_SOLAR_ZENITH_DEG, MAX_SOLAR_ZENITH_DEG - 0.1),
-    "solar_azimuth_deg": ("solar azimuth", -720.0, 720.0),
-    "view_zenith_deg": ("view zenith angle", -70.0, 70.0),
-    "view_azimuth_deg": ("view azimuth", -720.0, 720.0),
-    "sensor_altitude_km": ("sensor altitude", 0.01, 100_000.0),
-    "ground_altitude_km": ("ground height", 0.0, 5.0),
-}
-WIDEST_BLUR = 5.0  # [pixels]
-# Pattern -> where it leads; a star stands for a name, two for the rest.  The first that fits is taken.
-PATHS: Mapping[str, Path] = {
-    # a number of the state of the atmosphere, sun and view
-    **{
-        f"atmosphere.{key}": Path("atmosphere", low=low, high=high, name=name, stated=key)
-        for key, (name, low, high) in STATE.items()
-    },
-    "atmosphere.*": Path("atmosphere"),
-    # factors on all light, the path radiance (and added to it), the light reflected by the ground, the spherical
-    # albedo, and the reflectance of the surroundings
-    "light.irradiance": Path(
-        "irradiance", shape="vector", low=0.01, name="solar irradiance", stated="solar_irradiance_relative"
-    ),
-    "light.path": Path("path", shape="vector", low=0.0),
-    "light.path_error": Path("path_error", unit=_RADIANCE, shape="vector"),
-    "light.ground": Path("ground", shape="vector", low=0.0),
-    "light.spherical_albedo": Path("albedo", shape="vector", low=0.0),
-    "light.surroundings": Path(
-        "surroundings", shape="vector", low=0.01, name=SURROUNDINGS, stated="adjacency_reflectance_relative"
-    ),
-    # what is recorded is gain L + offset; where there is no atmosphere, the reflectance of all that was not measured
-    # on the imagery.  Factors on the noise, the electrons per radiance and the fixed noise; added to the true band
-    # centres, and a factor on the true widths
-    "sensor.gain": Path("gain", shape="vector", name="sensor gain", stated="sensor_gain"),
-    "sensor.offset": Path("offset", unit=_RADIANCE, shape="vector", name="sensor offset", stated="sensor_offset"),
-    "sensor.noise": Path("noise", shape="vector", low=1e-3, name="noise", stated="noise"),
-    "sensor.electrons": Path("electrons", shape="vector", low=1e-3, name="electrons per radiance", stated="electrons"),
-    "sensor.fixed_noise": Path("fixed_noise", shape="vector", low=0.0),
-    "sensor.wavelength_shift_nm": Path(
-        "", unit="nm", shape="vector", name="wavelength shift", stated="wavelength_shift"
-    ),
-    "sensor.band_width": Path("", low=0.1, high=10.0, name="band width"),
-    # for the detectors, as what the line says of collected reflectance is the collection's: factors on the true
-    # reflectance of a panel, which the line takes for what is stated; it gives gain rho + offset for rho
-    "line.dark": Path("dark", shape="vector", low=0.0, name="reflectance of the dark panel", stated="elm_panels"),
-    "line.bright": Path("bright", shape="vector", low=0.0, name="reflectance of the bright panel", stated="elm_panels"),
-    "line.gain": Path("line_gain", shape="vector"),
-    "line.offset": Path("line_offset", shape="vector"),
-    # mean reflectance, factor on its standard deviation, degrees of freedom of the tails of a class, part of a
-    # target's covariance that goes by its fill, not the fill's square
-    "surfaces.*.mean": Path("mean", "surface", shape="vector"),
-    "surfaces.*.spread": Path("spread", "surface", low=0.0),
-    "surfaces.*.tail_dof": Path("tail", "class", low=np.nextafter(2.0, 3.0)),
-    "surfaces.*.fine_texture": Path("fine_texture", "surface", low=0.0, high=1.0),
-    # mean fills of all targets, of one or of its subject; area fraction, the others give way in proportion; widths of
-    # the blur wherever a fill follows from geometry
-    "fill": Path("fill", shape="vector", low=0.0, high=1.0),
-    "fill.*": Path("fill", shape="vector", low=0.0, high=1.0),
-    "fraction.*": Path("share", "class", low=0.0, high=1.0),
-    "blur": Path("blur", unit="pixels", shape="vector", low=0.0, high=WIDEST_BLUR),
-    # entries of the file
-    "sensor_changes.*": Path("sensor"),
-    "sensor_operation.frames_averaged": Path("sensor"),
-    "sensor_operation.averaged": Path("sensor"),
-    "sensor_operation.spatial_binning": Path("sensor"),
-    "scene.adjacency.effective_neighbours": Path("neighbours", low=1.0),
-    "scene.classes.*.fraction": Path("fraction", "class", low=0.0, high=1.0),
-    "scene.classes.*.gain": Path("class_gain", "class", low=0.0),
-    "scene.classes.*.tail_dof": Path("tail", "class", low=np.nextafter(2.0, 3.0)),
-    "scene.targets.*.gain": Path("target_gain", "target", low=0.0),
-    "scene.targets.*.illumination.beam": Path("beam", "target", low=0.0, high=1.0),
-    "scene.targets.*.illumination.sky_view": Path("sky_view", "target", low=0.0, high=1.0),
-    "scene.targets.*.fill.**": Path("fill entry"),
-    "scene.targets.*.subjects.*.fill.**": Path("fill entry"),
-    "**": Path(""),
-}
+PATHS: Mapping[str, Path] = {pattern: Path(**row) for pattern, row in package_table("model/paths.yaml").items()}
 SHIFT, WIDTH = "sensor.wavelength_shift_nm", "sensor.band_width"
 # One number for all bands, or one for each, as it is where nothing is moved.
-NEUTRAL = {
-    **dict.fromkeys(
-        ("irradiance", "path", "ground", "albedo", "surroundings", "gain", "noise", "electrons", "fixed_noise",
-         "dark", "bright", "line_gain"), 1.0),
-    **dict.fromkeys(("path_error", "offset", "line_offset"), 0.0),
-}  # fmt: skip
+NEUTRAL = {entry.field: float(entry.neutral) for entry in PATHS.values() if entry.neutral is not None}
 NOT_WITHOUT_LIGHT = ("light.*", "sensor.noise", "sensor.electrons", "sensor.fixed_noise", "atmosphere.*")
 _OF_SENSOR = ("sensor_operation", "sensor_changes")
 # What leaves light, sensor and classes alone, and with them the filters.
@@ -221,8 +134,7 @@ def _found(stated: Stated, path: str) -> Path:
         refuse(any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:-1]), "path.light", path=path)
         if entry.field in ("atmosphere", "sensor"):
             return again
-    if entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels):
-        raise UsageError("uncertainty: elm_panels needs an empirical line of two panels")
+    refuse(entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels), "path.panels")
     if entry.field == "atmosphere":
         nodes = stated.atmosphere.nodes
         return again if parts[1] in ("engine", "table") or (nodes and parts[1] not in nodes) else entry
@@ -236,9 +148,7 @@ def _found(stated: Stated, path: str) -> Path:
         return entry._replace(populations={number_of: slice(None)})
     if entry.field in ("fill", "blur"):
         moves = _moved_fills(stated, entry.field, parts[1] if len(parts) > 1 else None)
-        if not moves:
-            what = "no target of the scene has one" if entry.field == "fill" else "no fill of the scene is of geometry"
-            raise UsageError(f"{path}: {what}", expected="a target of the scene")
+        refuse(not moves, "path.fill" if entry.field == "fill" else "path.blur", path=path)
         return entry._replace(populations=moves)
     if not entry.of:
         return entry
@@ -301,7 +211,7 @@ def value_at(world: World, path: str) -> Any:
         return np.concatenate([np.atleast_1d((g and g.psf_fwhm_pixels) or 0.0) for g in fills])[None].astype(float)
     if path in (SHIFT, WIDTH):
         return np.asarray(stated.shift_nm if path == SHIFT else stated.width, dtype=float)[None]
-    if parts[0] == "atmosphere" and len(parts) == 2 and parts[1] in STATE and stated.scenario.atmosphere:
+    if path.startswith("atmosphere.") and path in PATHS and stated.scenario.atmosphere:
         return np.array([state_value(stated.scenario.atmosphere, parts[1])])
     try:
         return column_of([setting(stated.scenario, path)])
@@ -443,9 +353,8 @@ class World:
             refuse(np.any(out.sum(axis=1) <= 0.0), "path.area")
             return np.asarray(np.where(moved.any(axis=1, keepdims=True), out / out.sum(axis=1, keepdims=True), stated))
         total = stated.sum(axis=1)
-        if np.any(np.abs(total - 1.0) > 1e-6) or np.any(stated < 0.0):
-            words = f"the area fractions are no partition: they sum to {total.min():.6g} to {total.max():.6g}"
-            raise UsageError(words, expected="1")
+        wrong = np.any(np.abs(total - 1.0) > 1e-6) or np.any(stated < 0.0)
+        refuse(wrong, "path.partition", low=total.min(), high=total.max())
         return stated
 
     @cached_property
@@ -585,8 +494,7 @@ class World:
         if len(moved) == 1 and next(iter(moved)).endswith("fill.fixed") and stated.fixed is not None:
             (column,) = moved.values()
             values = np.nan_to_num(_numbers(column), nan=stated.fixed)[:, None]
-            if not np.all((values >= 0.0) & (values <= 1.0)):
-                raise UsageError(f"fill {values.min():g} to {values.max():g}", expected="0 to 1")
+            refuse(not np.all((values >= 0.0) & (values <= 1.0)), "fill.range", low=values.min(), high=values.max())
             return FillDistribution(values, np.ones((1, 1)))
         make = whole_object_fills if objects else fills_of_population
         if not moved:

@@ -332,14 +332,10 @@ def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
         valid = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands
         rho = p.reflectance[valid]
         least_rho, most_rho = rho.min(initial=0.0), rho.max(initial=0.0)
-        for wrong, words, mend in (
-            (~valid.any(), " has no reflectance in any band", None),
-            (~np.isfinite(values[:, valid]), " holds NaN or infinity", "leave those bands out"),
-            (most_rho > PERCENT_LIMIT, f" has a reflectance of {most_rho:.4g}, not 0 to 1", "divide percent by 100"),
-            (least_rho < -0.05, f" has a reflectance of {least_rho:.3g}", None),
-        ):
-            if np.any(wrong):
-                raise UsageError(f"panel {p.name!r}{words}", mend=mend)
+        refuse(not valid.any(), "panel.unknown", name=p.name)
+        refuse(not np.isfinite(values[:, valid]).all(), "panel.finite", name=p.name)
+        refuse(most_rho > PERCENT_LIMIT, "panel.percent", name=p.name, rho=most_rho)
+        refuse(least_rho < -0.05, "panel.negative", name=p.name, rho=least_rho)
 
 
 def darkest_pixel_panel(

@@ -105,9 +105,7 @@ class AlarmBlocks:
         from scipy import sparse
 
         values = ascending(scores, "background")
-        out = cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
-        vars(out)["ascending"] = values  # sorted once
-        return out
+        return cls(values, np.zeros(values.size, np.int64), sparse.eye_array(1, format="csr"), np.zeros(1, np.int64))
 
     @cached_property
     def pixels(self) -> Counts:

@@ -45,8 +45,6 @@ SCENE = "scene"
 # Smaller blocks stay nearer to the core, but each costs its calls; larger ones take more memory.
 BLOCK_PIXELS = 1920
 BLOCKS_PER_SEGMENT = 16
-# NumPy asks for huge pages from 4 MiB on; with small ones the strided products wait for addresses.
-HUGE_PAGES_FROM = 1 << 22
 MAX_THREADS = 4  # more only wait for memory
 _LINES_LABELLED = 256  # at a time
 # Pixels are taken about the mean of at least so many of the first block.
@@ -56,11 +54,6 @@ CENTRED_ON = 64
 # Some lines of a cube: which they are; (F, N) stored numbers of the bands that are asked for, pixel by pixel, in memory
 # that the next block takes; and which pixels (lines, samples) hold data.
 StoredBlock = tuple[slice, Array, Mask]
-
-
-def _memory(size: int, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """A flat array of at least ``size``."""
-    return np.empty(max(size, HUGE_PAGES_FROM // np.dtype(dtype).itemsize), dtype)
 
 
 def _segments(lines: int, block_lines: int) -> list[range]:
@@ -128,7 +121,7 @@ def stream(
     count, most = chosen.size, step * cube.samples
 
     def blocks(firsts: range) -> Iterator[StoredBlock]:
-        buffer, memory = _memory(cube.raster.bands * most, cube.dtype), _memory(count * most, np.float64)
+        buffer, memory = np.empty(cube.raster.bands * most, cube.dtype), np.empty(count * most)
         for first in firsts:
             lines = min(step, cube.lines - first)
             pixels = lines * cube.samples
@@ -352,16 +345,13 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> tuple[
     -------
     correlation (K, 2R + 1, 2R + 1) at lags of -R to R lines and samples, and the pairs of pixels behind it
     """
-    power: dict[tuple[int, ...], Array | float] = {}
+    lags, summed = np.ix_(*2 * [np.arange(-reach, reach + 1)]), 0.0
     for values, mask in windows:
         # The mask is correlated with the rest: it counts the pairs.
         quantities = np.concatenate([np.where(mask, values, 0.0), mask[None].astype(float)])
         # So many zeros behind the window that no lag meets its other end.
         size = tuple(fft.next_fast_len(n + reach, real=True) for n in mask.shape)
-        spectrum = fft.fft(fft.rfft(quantities, size[1]), size[0], axis=-2)
-        power[size] = power.get(size, 0.0) + (spectrum.real**2 + spectrum.imag**2)
-    lags = np.ix_(*2 * [np.arange(-reach, reach + 1)])
-    summed = sum(fft.irfft2(p, size)[:, lags[0], lags[1]] for size, p in power.items())
+        summed = summed + fft.irfft2(np.abs(fft.rfft2(quantities, size)) ** 2, size)[:, *lags]
     total, counted = np.asarray(summed)[:-1], np.round(np.asarray(summed)[-1])
     with np.errstate(divide="ignore", invalid="ignore"):
         covariance = np.where(counted > 0, total / counted, 0.0)
