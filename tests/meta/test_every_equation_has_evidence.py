@@ -31,7 +31,7 @@ MODULES = (
 BESIDE = {
     "add_products", "at_rows", "class_features", "curve_area", "cut", "detect", "detection_at", "detection_bands",
     "evaluations", "feature_bands", "fill_distribution", "fill_squares", "fill_with_mean", "fills_of_objects",
-    "fills_of_population", "filter_base", "fully_constrained", "gaussian_classes", "library_names",
+    "fills_of_population", "filter_base", "fully_constrained", "gaussian_classes", "latest", "library_names",
     "light_of", "load_sensor", "log10_false_alarm_at", "mean_detection", "measured_error", "new_sensor_file",
     "of_truth", "on_bands", "own_mean_sampling", "packed", "pixels_of_object", "population_fill", "predicted_areas",
     "predicted_classification", "predicted_error", "probit", "read_statistics_library", "retrieved",

@@ -111,10 +111,10 @@ def test_thresholds_beside_a_class_that_hardly_varies():
     """A narrow class of a millionth of the area puts a small step into a smooth tail."""
     rows = [[1.0 - 1e-6, 1e-6], [0.0, 0.05], [0.02, 1e-9], [np.inf, np.inf]]
     scores = model.ClassScores(*np.array(rows)[:, None, :])
-    step = float(np.exp(model.log_false_alarm(np.array([0.05]), scores)[0]))
+    step = float(np.exp(model.log_false_alarm(np.array([0.05]), scores)[0][0]))
     pfa = step + np.linspace(-0.7e-6, 0.7e-6, 41)
     x = model.thresholds_at(pfa[None], scores)[0]
-    value = model.log_false_alarm(x, scores.rows(np.zeros(x.size, int)))
+    value, _ = model.log_false_alarm(x, scores.rows(np.zeros(x.size, int)))
     np.testing.assert_allclose(value, np.log(pfa), rtol=0, atol=1e-11)
 
 

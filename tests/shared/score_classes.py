@@ -18,7 +18,7 @@ def at(x, scores: ClassScores) -> tuple[np.ndarray, ClassScores]:
 
 
 def log_alarms(x, scores: ClassScores) -> np.ndarray:
-    return log_false_alarm(*at(x, scores))
+    return log_false_alarm(*at(x, scores))[0]
 
 
 def thresholds(pfa, scores: ClassScores) -> np.ndarray:

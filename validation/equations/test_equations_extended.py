@@ -131,7 +131,7 @@ def test_densities_are_the_derivatives():
     one = ClassScores(*np.array([[[0.6, 0.4]], [[0.0, 0.3]], [[0.2, 0.5]], [[np.inf, 4.0]]]))
     x, h = np.linspace(-1, 2, 13), 1e-5
     rows = one.rows(np.zeros(13, int))
-    slope = (np.exp(log_false_alarm(x - h, rows)) - np.exp(log_false_alarm(x + h, rows))) / (2 * h)
+    slope = (np.exp(log_false_alarm(x - h, rows)[0]) - np.exp(log_false_alarm(x + h, rows)[0])) / (2 * h)
     assert score_density(x[:, None], rows)[:, 0] == pytest.approx(slope, rel=1e-6)
     whole = integrate.quad(lambda v: float(score_density(np.array([[v]]), one)[0, 0]), -60, 60, points=[0, 0.3])[0]
     assert whole == pytest.approx(1.0, abs=1e-5)

@@ -107,7 +107,7 @@ CLASSES = classes((0.6, 0.0, 0.2), (0.3, 0.1, 0.3), (0.1, -0.2, 0.1, 5.0))
 def test_3_33_false_alarms_by_hand_and_heavy_tail():
     # 0.7 * Phi(-1) + 0.3 * Phi(-2) at x = 1
     two = classes((0.7, 0.0, 1.0), (0.3, 0.0, 0.5))
-    value = log_false_alarm(np.array([1.0]), two)
+    value, _ = log_false_alarm(np.array([1.0]), two)
     assert np.exp(value) == pytest.approx([0.7 * 0.158655254 + 0.3 * 0.022750132], rel=1e-8)
     # t with 3 degrees of freedom and sd 1 has scale 1/sqrt(3): at x = 2, z = 2 sqrt(3), z/sqrt(3) = 2;
     # the closed form is 1/2 - (2/5 + atan 2)/pi = 0.0202561...

@@ -79,7 +79,7 @@ def ratios(image: Image, share: Callable[[int, float], float], rows: Pixels) -> 
 
 
 def by_laws(models: list[ClassScores]) -> Callable[[int, float], float]:
-    return lambda f, x: float(np.exp(log_false_alarm(np.array([x]), models[f])[0]))
+    return lambda f, x: float(np.exp(log_false_alarm(np.array([x]), models[f])[0][0]))
 
 
 def by_pixels(image: Image, told: Pixels) -> Callable[[int, float], float]:

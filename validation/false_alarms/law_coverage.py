@@ -114,7 +114,7 @@ def fitted(kind: str, pixels: np.ndarray) -> list[ClassScores]:
 
 
 def log_tail(x: np.ndarray, law: ClassScores) -> np.ndarray:
-    return log_false_alarm(x, law.rows(np.zeros(x.size, int)))
+    return log_false_alarm(x, law.rows(np.zeros(x.size, int)))[0]
 
 
 def curve_of(fits: list[ClassScores]) -> ExceedanceCurve:

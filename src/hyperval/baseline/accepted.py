@@ -31,7 +31,6 @@ from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
 from hyperval.report import accepted_words, write_index, write_outputs
-from hyperval.report.html import stated_time
 from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import Sensor, library_names, load_sensor
@@ -253,6 +252,8 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
 
 def today() -> str:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
+    from hyperval.report.html import stated_time  # with its templates, not before the imagery is done with
+
     return (stated_time() or datetime.now(UTC)).date().isoformat()
 
 

@@ -425,8 +425,10 @@ class AcePixels(NamedTuple):
         """
         error = np.max([e.standard_error for e in self.at_nodes], axis=0)
         z = roc.probit([e.probability for e in self.at_nodes])  # (nodes, S)
-        passed = ndtr(np.stack([np.interp(fills, self.nodes, row) for row in z.T], axis=2))  # (K, n, S)
-        return Exceedance(self.background.scores, 1.0 - weights @ (1.0 - np.nan_to_num(passed)).prod(axis=1), error)
+        distinct, inverse = np.unique(np.nan_to_num(fills).round(6), return_inverse=True)
+        table = ndtr(np.stack([np.interp(distinct, self.nodes, row) for row in z.T], axis=1))  # (fills, S)
+        missed = np.where(np.isnan(fills)[..., None], 1.0, (1.0 - table)[inverse.reshape(fills.shape)]).prod(axis=1)
+        return Exceedance(self.background.scores, 1.0 - weights @ missed, error)
 
 
 class AceScores(NamedTuple):

@@ -21,7 +21,7 @@ from scipy.linalg.lapack import dpftrf, dpftrs, dpocon, dtfttr
 
 from hyperval.data import Array, Index
 from hyperval.errors import UsageError, refusal, refuse
-from hyperval.model.radiance import Retrieved, add_products, diagonal_places, of_truth, packed, unpacked
+from hyperval.model.radiance import Retrieved, add_products, diagonal_places, latest, of_truth, packed, unpacked
 from hyperval.model.stated import Stated
 
 # Beyond this the float64 solve keeps fewer than about three correct digits.
@@ -272,7 +272,8 @@ def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
 
     Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
     divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
-    matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal.
+    matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
+    the sensor changes is the diagonal alone, and the rest of the latest truth serves again.
 
     Raises
     ------
@@ -286,8 +287,16 @@ def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
     mean, under = f @ means, np.sqrt(f)[:, None] / slope
     around, between = under * of_truth(view.around, u)[used], under * (means - mean)
 
-    values = add_products(np.zeros(of.stack.shape[1]), around) * of.surroundings(u) + of.mixed(weights, u)
-    values = add_products(values, between)
+    def still() -> Array:
+        """The covariance over the slopes, but for the noise."""
+        inner = of.mixed(weights, u)
+        total = add_products(np.empty_like(inner), around, fresh=True)
+        total *= of.surroundings(u)
+        total += inner
+        return add_products(total, between)
+
+    key = b"".join([weights.tobytes(), around.tobytes(), between.tobytes(), of.key(u)])
+    values = np.array(latest(of.kept, "still", key, still))
     values[diagonal_places(slope.size)] += f @ noise / slope**2
     if choice is None:
         return FilterBase(mean, None, PositiveDefinite(values, slope))

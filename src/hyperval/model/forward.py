@@ -157,7 +157,7 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
         for key, x in thresholds.items():
             row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
             scores = [ClassScores(fraction, *class_scores(view, one), dof) for fraction, dof, view in laws]
-            out[key][region] = np.array([log_false_alarm(x, s.rows(row)) for s in scores])
+            out[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
     for key, regions in out.items():
         if regions:
             squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -580,6 +580,13 @@ def _darkest(light: Light, of: Background, pixels: int) -> Array:
     return darkest_level(fractions, level, np.sqrt(variance), pixels)[..., None, :]
 
 
+def latest(kept: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: Callable[[], Array]) -> Array:
+    """A matrix, kept while what it follows from stays."""
+    if name not in kept or kept[name][0] != key:
+        kept[name] = key, make()
+    return kept[name][1]
+
+
 # Symmetric matrices (F, F) are in LAPACK's rectangular full packed form: half the memory, the speed of whole ones.
 # What many settings of one scene put together, element by element, is put together in vectors of F (F + 1) / 2
 # numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
@@ -603,10 +610,11 @@ def diagonal_places(size: int) -> Index:
     return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
 
 
-def add_products(values: Array, rows: Array) -> Array:
-    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``."""
+def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
+    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: in place of the matrix."""
     count, size = rows.shape
-    return np.asarray(dsfrk(size, count, 1.0, rows.T, 1.0, values, uplo="L", overwrite_c=1))
+    keep = 0.0 if fresh else 1.0
+    return np.asarray(dsfrk(size, count, 1.0, rows.T, keep, values, uplo="L", overwrite_c=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -617,8 +625,9 @@ class Background:
     ----------
     fraction, gain : (U or 1, M) f_m, g_m
     means, between : (U or 1, M, F) rho_m, and how far they are from their average
-    covariances : M times (F, F), and ``stack`` packed;  stretch : (U or 1, M, F or 1) factors on both sides of them
+    covariances : M times (F, F);  stretch : (U or 1, M, F or 1) factors on both sides of them
     laws : what the classes are distributed as;  law_fraction : (U or 1, J) of them
+    kept : what follows from the covariances alone
     """
 
     fraction: Array
@@ -630,26 +639,26 @@ class Background:
     laws: tuple[Law, ...]
     law_fraction: Array
     of_pixels: Mask
-    stack: Array
+    kept: dict[Any, Any]
 
     @staticmethod
     def of(world: World, bands: Index) -> Background:
         """Of a world."""
         stated, classes = world.stated, len(world.stated.classes)
 
-        def on_bands() -> tuple[tuple[Array, ...], tuple[Law, ...], Array]:
+        def on_bands() -> tuple[tuple[Array, ...], tuple[Law, ...], dict[Any, Any]]:
             covariances = tuple(cut(stated.surfaces[n].covariance, bands) for n in stated.classes)
             laws = (x._replace(offset=x.offset[bands], covariance=cut(x.covariance, bands)) for x in stated.laws)
-            return covariances, tuple(laws), np.array([packed(c) for c in covariances])
+            return covariances, tuple(laws), {}
 
-        covariances, laws, stack = stated.once(("background", bands.tobytes()), on_bands)
+        covariances, laws, kept = stated.once(("background", bands.tobytes()), on_bands)
         means = world.surroundings[1]
         between = means - average_reflectance(world.fraction, means)[:, None, :]
         stretch = world.stretch[:, :classes]
         return Background(
             world.fraction, world.column("class_gain"), world.mean[:, :classes, bands], between[..., bands],
             covariances, stretch[..., bands] if stretch.shape[-1] > 1 else stretch, laws, world.law_fraction,
-            stated.of_pixels[:classes], stack,
+            stated.of_pixels[:classes], kept,
         )  # fmt: skip
 
     def rows(self, index: Index) -> Background:
@@ -657,24 +666,38 @@ class Background:
         return _rows_of(self, ("fraction", "gain", "means", "between", "stretch", "law_fraction"), index)
 
     def mixed(self, weights: Array, u: int = 0) -> Array:
-        """(P,) sum over classes of w_m Sigma_m of one truth, packed."""
+        """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
         stretch = of_truth(self.stretch, u)
-        if stretch.shape[1] == 1:
-            return np.asarray((weights * stretch[:, 0] ** 2) @ self.stack)
-        each = zip(weights, stretch, self.stack, strict=True)
-        return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
+        stack = latest(self.kept, "stack", b"", lambda: np.array([packed(c) for c in self.covariances]))
+
+        def made() -> Array:
+            if stretch.shape[1] == 1:
+                return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
+            each = zip(weights, stretch, stack, strict=True)
+            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
+
+        return latest(self.kept, "classes", weights.tobytes() + stretch.tobytes(), made)
 
     def surroundings(self, u: int = 0) -> Array:
-        """(P,) covariance of a pixel drawn from the whole scene, packed.
+        """(P,) covariance of a pixel drawn from the whole scene, packed; kept while it stays.
 
         Sigma_ave = sum f_m [Sigma_m + (rho_m - rho_ave)(rho_m - rho_ave)^T]: within the classes and between them.
         """
         f, between = (of_truth(x, u) for x in (self.fraction, self.between))
-        return add_products(self.mixed(f, u), np.sqrt(f)[:, None] * between)  # Sigma_ave of (3.11)
+
+        def made() -> Array:
+            return add_products(self.mixed(f, u).copy(), np.sqrt(f)[:, None] * between)  # Sigma_ave of (3.11)
+
+        return latest(self.kept, "around", self.key(u), made)
 
     def covariance(self, u: int = 0) -> Array:
         """(F, F) Sigma_ave of (3.11), whole."""
-        return unpacked(self.surroundings(u), self.means.shape[-1])
+        make = partial(unpacked, self.surroundings(u), self.means.shape[-1])
+        return latest(self.kept, "covariance", self.key(u), make)
+
+    def key(self, u: int) -> bytes:
+        """What Sigma_ave of one truth follows from."""
+        return b"".join(of_truth(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
 
     def variances(self) -> Array:
         """(U or 1, M, F) diagonals of the covariances of the classes."""

@@ -35,8 +35,12 @@ def probit(p: npt.ArrayLike) -> Array:
     return np.asarray(ndtri(np.clip(p, 1e-300, 1.0 - 1e-16)))
 
 
+_LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
 _STEPS = 80
 _FAR = 1e7  # standard deviations: beyond it even a t law of two degrees of freedom has less than 1e-14
+_TOGETHER = 16_384  # numbers of one array on the way to thresholds: they stay in the processor's cache
+# A step from nearer than this to the logarithm wanted is of third order: it ends within 1e-14 of it.
+_NEAR, _STRAIGHT = 1e-5, 1e-4
 
 
 @dataclass(frozen=True)
@@ -72,22 +76,54 @@ def false_alarm_grid(lowest: float = 1e-9, per_decade: int = 20) -> Array:
     return grid
 
 
-def _scales(scores: ClassScores) -> Array:
-    """(R, M) sigma_m, of nu degrees of freedom times sqrt((nu - 2)/nu): the scale of the t law of that variance."""
-    return np.asarray(np.maximum(scores.sd, SMALLEST_SD) * np.sqrt(1.0 - 2.0 / scores.dof))
+Laws = tuple[Array, Array, Array, Array, Array]
 
 
-def _log_tails(threshold: Array, scores: ClassScores) -> Array:
-    """(R, M) log P(score > x) at x (R,): Phi, of nu degrees of freedom F_t,nu, of (theta_m - x) over the scale."""
-    z, tailed = (scores.mean - threshold[:, None]) / _scales(scores), np.isfinite(scores.dof)
-    tail = np.asarray(log_ndtr(z))
+def _laws(scores: ClassScores, times: int = 1) -> Laws:
+    """log f_m, theta_m, scale, log density at the middle, and degrees of freedom, (M, n) each: each evaluation so many
+    times, and the classes first, so that sums over them run along the memory.
+
+    For a class with nu degrees of freedom the tail is 1 - F_t,nu((x - theta_m) / (sigma_m sqrt((nu-2)/nu))).
+    """
+    fraction, mean, sd, nu = (np.ascontiguousarray(a.T) for a in vars(scores).values())
+    scale, tailed = np.maximum(sd, SMALLEST_SD), np.isfinite(nu)
+    peak = np.full(nu.shape, -_LOG_ROOT_2PI)
+    if tailed.any():
+        dof = nu[tailed]
+        scale[tailed] *= np.sqrt((dof - 2.0) / dof)
+        peak[tailed] = gammaln(0.5 * (dof + 1)) - gammaln(0.5 * dof) - 0.5 * np.log(dof * np.pi)
     with np.errstate(divide="ignore"):
-        tail[tailed] = np.log(stdtr(scores.dof[tailed], z[tailed]))
-    return tail
+        each = np.log(fraction), mean, scale, peak - np.log(scale), nu
+    return each if times == 1 else tuple(np.repeat(a, times, axis=1) for a in each)  # type: ignore[return-value]
 
 
-def log_false_alarm(threshold: Array, scores: ClassScores) -> Array:
-    """log P_FA(x) = log sum f_m P(score of class m > x) (3.33, one threshold for the image).
+def _log_tails(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
+    """log P(score > x), log of the density, and the slope of that, (M, n) each, at x (n,)."""
+    _, mean, scale, peak, nu = laws
+    z, tailed = (mean - threshold) / scale, np.isfinite(nu)
+    tail, density, slope = log_ndtr(z), peak - 0.5 * z**2, z / scale
+    if tailed.any():
+        t, nu = z[tailed], nu[tailed]
+        with np.errstate(divide="ignore"):
+            tail[tailed] = np.log(stdtr(nu, t))
+        density[tailed] = peak[tailed] - 0.5 * (nu + 1) * np.log1p(t**2 / nu)
+        slope[tailed] = (nu + 1) * t / (nu + t**2) / scale[tailed]
+    return tail, density, slope
+
+
+def _log_false_alarm(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
+    """log P_FA(x) = log sum f_m P(score of class m > x) (3.33) and its two first derivatives (n,) at x (n,)."""
+    tail, density, bend = _log_tails(threshold, laws)
+    tail += laws[0]
+    top = tail.max(axis=0)
+    total = top + np.log(np.exp(tail - top).sum(axis=0))  # (3.33)
+    part = np.exp(density + laws[0] - total)
+    slope = -part.sum(axis=0)
+    return total, slope, -(part * bend).sum(axis=0) - slope**2
+
+
+def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array]:
+    """log P_FA(x) = log sum f_m P(score of class m > x) (3.33, one threshold for the image), and its derivative.
 
     Parameters
     ----------
@@ -95,11 +131,9 @@ def log_false_alarm(threshold: Array, scores: ClassScores) -> Array:
 
     Returns
     -------
-    (R,) natural logarithms
+    (R,) natural logarithms, and (R,) their derivatives by x
     """
-    with np.errstate(divide="ignore"):
-        parts = np.log(scores.fraction) + _log_tails(threshold, scores)
-    return np.asarray(np.logaddexp.reduce(parts, axis=1))  # (3.33)
+    return _log_false_alarm(threshold, _laws(scores))[:2]
 
 
 def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
@@ -108,7 +142,8 @@ def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
     x = max_m x_m(P) is where the class with the longest tail gives P and all others less.  A curve drawn against P
     is the reading of (3.32) without (3.33): it counts the worst class as if it covered the image.
     """
-    return np.asarray(np.exp(np.where(scores.fraction > 0, _log_tails(threshold, scores), -np.inf).max(axis=1)))
+    tail, _, _ = _log_tails(threshold, _laws(scores))
+    return np.asarray(np.exp(np.where(scores.fraction.T > 0, tail, -np.inf).max(axis=0)))
 
 
 def score_density(score: Array, scores: ClassScores) -> Array:
@@ -116,10 +151,9 @@ def score_density(score: Array, scores: ClassScores) -> Array:
 
     The derivative of (3.33).
     """
-    from scipy import stats  # a quarter of a second, which curves alone do not need
-
-    scale, mean, nu, part = (x[:, None, :] for x in (_scales(scores), scores.mean, scores.dof, scores.fraction))
-    return np.asarray((part * stats.t.pdf((score[:, :, None] - mean) / scale, nu) / scale).sum(axis=2))
+    laws = _laws(scores, score.shape[1])
+    _, density, _ = _log_tails(score.ravel(), laws)
+    return np.asarray(np.exp(density + laws[0]).sum(axis=0).reshape(score.shape))
 
 
 def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
@@ -134,32 +168,43 @@ def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
     refuse(not np.any(scores.fraction > 0, axis=1).all(), "roc.fraction")
     finite = np.isfinite(scores.mean).all(axis=1) & np.isfinite(scores.sd).all(axis=1)
     rows, roots = np.flatnonzero(finite & np.all((pfa > 0) & (pfa <= 1), axis=1)), np.full(pfa.shape, np.nan)
-    if rows.size:
-        roots[rows] = _thresholds(np.log(pfa[rows]), scores.rows(rows))
+    together = max(1, _TOGETHER // max(1, pfa.shape[1] * scores.fraction.shape[1]))
+    for start in range(0, rows.size, together):
+        some = rows[start : start + together]
+        roots[some] = _thresholds(np.log(pfa[some]), scores.rows(some))
     return roots
 
 
 def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
     """Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class alone already
-    gives P.
+    gives P.  Inside by steps of third order, halved where they leave the bracket.
     """
-    from scipy.optimize.elementwise import find_root  # a tenth of a second, which spectra alone do not need
-
-    used, classes = scores.fraction.T[:, :, None] > 0, range(scores.mean.shape[1])
+    used = scores.fraction.T[:, :, None] > 0
     with np.errstate(divide="ignore"):
         share = log_pfa - np.log(scores.fraction.T[:, :, None])
+    classes = range(len(used))
     each = np.array([class_threshold(log_pfa, scores, m) for m in classes])
     alone = np.array([class_threshold(np.minimum(share[m], -1e-300), scores, m) for m in classes])
-    high = np.where(used, each, -np.inf).max(axis=0)
-    low = np.maximum(np.where(used, each, np.inf).min(axis=0), np.where(used & (share < 0), alone, -np.inf).max(axis=0))
-    margin = 1e-9 * scores.sd.max(axis=1)[:, None] + 1e-15 * np.abs(high)  # what rounding may have taken off
-    row = np.arange(len(log_pfa))[:, None]
-
-    def beyond(x: Array, goal: Array, row: Index) -> Array:
-        return log_false_alarm(x.ravel(), scores.rows(row.ravel())).reshape(x.shape) - goal
-
-    found = find_root(beyond, (np.minimum(low, high) - margin, high + margin), args=(log_pfa, row))
-    return np.asarray(np.where(found.success, found.x, high))
+    low, high = np.where(used, each, np.inf).min(axis=0), np.where(used, each, -np.inf).max(axis=0)
+    low = np.minimum(np.maximum(low, np.where(used & (share < 0), alone, -np.inf).max(axis=0)), high).ravel()
+    high, goal, laws = high.ravel(), log_pfa.ravel(), _laws(scores, log_pfa.shape[1])
+    x, roots, open_rows = low, low.copy(), np.arange(goal.size)  # those not yet there
+    for _ in range(_STEPS):
+        value, slope, curve = _log_false_alarm(x, laws)
+        value -= goal
+        low, high = np.where(value > 0, x, low), np.where(value > 0, high, x)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            step = x - 2.0 * value * slope / (2.0 * slope**2 - value * curve)
+        inside = (step > low) & (step < high)  # False for NaN
+        last = inside & (np.abs(value) < _NEAR) & (np.abs(value * curve) < _STRAIGHT * slope**2)
+        roots[open_rows] = np.where(last, step, x)
+        go = ~last & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
+        if not go.any():
+            break
+        x = np.where(inside, step, 0.5 * (low + high))[go]
+        open_rows, low, high, goal = open_rows[go], low[go], high[go], goal[go]
+        laws = tuple(a[:, go] for a in laws)  # type: ignore[assignment]
+    return np.asarray(roots.reshape(log_pfa.shape))
 
 
 def class_threshold(log_pfa: Array, scores: ClassScores, m: int) -> Array:
@@ -169,9 +214,13 @@ def class_threshold(log_pfa: Array, scores: ClassScores, m: int) -> Array:
     class mean for P_FA < 0.5.
     """
     mean, sd, nu = (a[:, m, None] for a in (scores.mean, scores.sd, scores.dof))
-    x: Array = mean - sd * ndtri_exp(log_pfa)  # (3.30)
+    # Most batches ask all rows for the same probabilities: the quantile is looked up once.
+    same = bool(np.all(log_pfa == log_pfa[:1]))
+    x: Array = mean - sd * ndtri_exp(log_pfa[:1] if same else log_pfa)  # (3.30)
     t = np.isfinite(nu[:, 0])
-    x[t] = mean[t] - sd[t] * np.sqrt(1.0 - 2.0 / nu[t]) * stdtrit(nu[t], np.exp(log_pfa[t]))
+    if t.any():
+        quantile = stdtrit(nu[t], np.exp(log_pfa[:1] if same else log_pfa[t]))
+        x[t] = mean[t] - sd[t] * np.sqrt((nu[t] - 2.0) / nu[t]) * quantile
     return x
 
 
@@ -535,7 +584,7 @@ class RocScores:
             middle = 0.5 * (low + high)
             above = detection_probability(middle[:, None], self.means, self.sds, self.weights, self.host)[:, 0] > pd
             low, high = np.where(above, middle, low), np.where(above, high, middle)
-        log_pfa = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
+        log_pfa, _ = log_false_alarm(0.5 * (low + high), self.classes.rows(self.which))
         return np.asarray(np.minimum(log_pfa / np.log(10.0), 0.0))
 
     def auc(self, area: RocArea = WHOLE) -> Array:

@@ -9,6 +9,8 @@ from hyperval.data import Array
 from hyperval.errors import refuse
 from hyperval.products import SpectralEstimate
 
+_TOGETHER = 2048  # pixels whose distances from their mean are in memory at once
+
 
 def snr_decorrelated(pixels: npt.ArrayLike, mean_error: npt.ArrayLike | None = None) -> SpectralEstimate:
     """Mean over the noise that neighbouring bands do not explain.
@@ -48,7 +50,8 @@ def snr_decorrelated(pixels: npt.ArrayLike, mean_error: npt.ArrayLike | None = N
     n, bands = x.shape
     refuse(bands < 3, "snr.bands", bands=bands)
     mean = x.mean(axis=0)
-    variance, relative_variance, correlation = _noise(np.cov(x.T) * ((n - 1) / (n - 3)), mean, n - 3)
+    parts = (x[start : start + _TOGETHER] - mean for start in range(0, n, _TOGETHER))  # a copy of all takes 16 MB
+    variance, relative_variance, correlation = _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3)
     sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * (n - 3))) ** 1.5
     with np.errstate(divide="ignore", invalid="ignore"):
         snr = np.where(sd > 0, mean / sd, np.nan)

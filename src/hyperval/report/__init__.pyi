@@ -1,6 +1,7 @@
 """Figures, HTML, CSV, JSON, JUnit and NetCDF: views of one results table."""
 
-from .html import figures_to_folder, index_page, report_page, write_index, write_outputs
+from .html import figures_to_folder, index_page, report_page
+from .outputs import write_index, write_outputs
 from .side_by_side import compare_runs
 from .verdict import (
     accepted_words,

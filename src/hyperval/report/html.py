@@ -27,7 +27,7 @@ from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, grouped, row_name
-from hyperval.run import Run, file_stems, is_run, provenance_of, read_products, write_joined
+from hyperval.run import Run, is_run, provenance_of, read_products
 from hyperval.storage import installed_file, whole_folder
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
@@ -354,25 +354,6 @@ def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
     drawn = [one for one in figures if one]
     refuse(not drawn, "results.figures", run)
     return drawings_of(drawn, simulated=stored.simulated, kind=kind, journal=journal)
-
-
-def write_outputs(run: Run, folder: Path) -> None:
-    """Write everything of ``run`` into the existing ``folder``, its page and pictures besides."""
-    drawings = []
-    if run.quicklook is not None or run.score_maps:
-        from hyperval.figures.pictures import draw_pictures
-
-        drawings = draw_pictures(run.quicklook, run.score_maps, simulated=run.simulated)
-    # Its products.nc has a title, if nothing else.
-    full = replace(run, provenance={**run.provenance, "warnings": run.warnings}, given=run.given or {"observed": None})
-    full.write(folder, report_page(run, drawings), drawings)
-
-
-def write_index(runs: Sequence[Run], folder: Path, title: str = "Validation", parts: Path | None = None) -> None:
-    """Write the page and the tables of several campaigns, whose folders come into ``folder`` from ``parts``."""
-    folders = file_stems(run.campaign for run in runs)
-    rows = [row for run in runs for row in run.table]
-    write_joined(Path(folder), list(folders.values()), rows, index_page(runs, folders, title), parts)
 
 
 def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:

@@ -565,6 +565,7 @@ def new_sensor_file(name: str, arms: Sequence[str] = ("VNIR",), then: str = "hyp
     return str(Template(template, trim_blocks=True, keep_trailing_newline=True).render(name=name, arms=arms, then=then))
 
 
+@lru_cache(maxsize=1)
 def library_names() -> tuple[str, ...]:
     """Names of the sensors that ship with the project."""
     return tuple(shipped("hyperval.sensor", "library"))

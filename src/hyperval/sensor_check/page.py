@@ -133,11 +133,10 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     words = tuple(f"{p.computed:.0f} / {p.published:g}" for p in points)
     marks = Mark("dots", columns, words=words, beside="right").by_kind(kinds, looks)
     names = [f"{p.wavelength_nm:g} nm" for p in points]
-    title = f"Computed over published signal-to-noise ratio (dotted: 1, and within {100 * TOLERANCE:g} %)"
     rules, known = (1.0 - TOLERANCE, 1.0, 1.0 + TOLERANCE), columns["x"][np.isfinite(columns["x"])]
     x = Axis("computed / published", ends=(0.9 * min(*rules, *known), 1.15 * max(*rules, *known)))
     listed = "; ".join(f"{name} {p.computed:.0f} to {p.published:g}" for name, p in zip(names, points, strict=True))
-    yield of_rows("published-snr", "published_snr", title, x, Axis.named(names), marks, listed, rules=rules)
+    yield of_rows("published-snr", x, Axis.named(names), marks, listed, rules=rules, percent=100 * TOLERANCE)
 
 
 def _detection(check: SensorCheck) -> Iterator[Figure]:

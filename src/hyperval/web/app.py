@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
 from collections.abc import AsyncIterator
@@ -39,6 +40,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
     async def life(app: FastAPI) -> AsyncIterator[None]:
         # Requests that wait for a worker hold a thread each.
         anyio.to_thread.current_default_thread_limiter().total_tokens = 128
+        await anyio.to_thread.run_sync(_warm, settings)
         yield
         app.state.runs.close()
 
@@ -58,6 +60,14 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
         app.add_exception_handler(kind, _told)
     app.add_middleware(Guard, settings=settings)
     return app
+
+
+def _warm(settings: ServerSettings) -> None:
+    """Load what the first requests would wait for."""
+    predictions.warm()
+    list(runs.campaigns_of(settings))
+    gc.collect()
+    gc.freeze()  # what is loaded stays: to go through it again takes up to half a second, while somebody waits
 
 
 _WORDS = package_table("web/answers.yaml")["unsaid"]

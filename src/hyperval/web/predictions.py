@@ -25,6 +25,7 @@ from hyperval.data import LINEAR_DETECTORS
 from hyperval.errors import UsageError
 from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
+from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
 from hyperval.study.plan import MOST_TRIED, point_of, states_of, values_to_try
 from hyperval.study.schema import StudyFile
@@ -43,13 +44,24 @@ from hyperval.web.forms import (
     predefined,
     yaml_text,
 )
-from hyperval.web.pages import SentForm, api, owner_of, page, pages, store_of
+from hyperval.web.pages import TEMPLATES, SentForm, api, owner_of, page, pages, store_of
 from hyperval.web.refusal import FieldMistake, Refused, deny, mistakes_of, said, to_show
 from hyperval.web.runs import RunAnswer, Wait, answer_of, run, run_of
 from hyperval.web.store import Files, WebRun
 from hyperval.web.uploads import Uploads
 
 _FREE: dict[str, Any] = {"schema": 1, "name": "free", "sensor": "prospectir-vs", "atmosphere": {}, "scene": {}}
+
+
+def warm() -> None:
+    """Load what the first page would wait for."""
+    for scenario in predefined().values():
+        needs(scenario)
+        if scenario.sensor is not None:
+            load_sensor(scenario.sensor)
+        form_nodes(plain(scenario))
+    for name in TEMPLATES.list_templates():
+        TEMPLATES.get_template(name)
 
 
 @pages.get("/")
