@@ -92,6 +92,11 @@ def package_table(name: str) -> dict[str, Any]:
     return found
 
 
+def filled_words(table: str, name: str, /, **values: object) -> str:
+    """The words of a name in a YAML file of the package, filled with values in braces."""
+    return str(package_table(table)[name]).format(**values)
+
+
 @cache
 def worded(table: str, name: str) -> Callable[..., str]:
     """The words of a name in a YAML file of the package, a template to be filled with values.

@@ -689,7 +689,8 @@ def _all_spectra(sides: Mapping[str, Products]) -> Arrays:
     data = _bands(each[0].axis)
     subjects = list(dict.fromkeys(s for side in each for name in products for s in getattr(side, name)))
     data["side"] = (("side",), np.array(list(sides), dtype=object), {"long_name": "predicted or observed"})
-    data["subject"] = (("subject",), np.array(subjects, dtype=object), {"long_name": "target or background"})
+    words = {"long_name": package_table("products.yaml")["parts"]["subject"]}
+    data["subject"] = (("subject",), np.array(subjects, dtype=object), words)
     none = np.full(len(each[0].axis), np.nan)
     for name in products:
         for column in (c for c in _layouts()[name].columns if c.field in ("mean", "standard_uncertainty")):

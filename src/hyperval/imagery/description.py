@@ -23,7 +23,7 @@ from rasterio.errors import CRSError
 
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
-from hyperval.errors import needed, package_table, reader, refusal, refuse
+from hyperval.errors import filled_words, needed, reader, refusal, refuse
 from hyperval.paths import checked_file
 from hyperval.spectra.axis import SUNLIT_NM, SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
@@ -515,10 +515,10 @@ _SMOOTHED, _NONE = r"smooth(ing|ed)", re.compile(r"(0|no|none|off|false)(\s|$)",
 _TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
 
 
-def _said(sentence: str, text: str = "", **values: object) -> str:
+def _said(name: str, text: str = "", **values: object) -> str:
     """A sentence, filled."""
     text = text if len(text) <= 80 else text[:77] + "..."
-    return "warning: header: " + str(package_table(_WORDS)[sentence]).format(text=text, **values)
+    return "warning: header: " + filled_words(_WORDS, name, text=text, **values)
 
 
 def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: str) -> tuple[str, ...]:

@@ -116,8 +116,10 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
     """
     from scipy.optimize.elementwise import find_root  # a tenth of a second, which spectra alone do not need
 
-    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(k, n)
+    counts, totals = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    _check(counts, totals)
+    # A curve has few different counts.
+    (k, n), index = np.unique([counts.ravel(), totals.ravel()], axis=1, return_inverse=True)
 
     def beyond(p: Array, k: Array, n: Array, wanted: Array) -> Array:
         """By P(X >= k) and P(X > k), incomplete beta functions, 1 and 0 at the end counts."""
@@ -126,7 +128,8 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
         return np.asarray(0.5 * (at_least + more) - wanted)
 
     lower, upper = (find_root(beyond, (0.0, 1.0), args=(k, n, tail)).x for tail in (_TAIL, 1.0 - _TAIL))
-    return np.where(k > 0, lower, 0.0), np.where(k < n, upper, 1.0)
+    lower, upper = np.where(k > 0, lower, 0.0), np.where(k < n, upper, 1.0)
+    return lower[index].reshape(counts.shape), upper[index].reshape(counts.shape)
 
 
 def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[float, float]:

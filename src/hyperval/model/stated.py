@@ -440,7 +440,8 @@ def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
         if column.dtype == object:
             bits.append([repr(v) for v in column])
         else:
-            bits.append([row.tobytes() for row in column.astype(float)])
+            rows = np.ascontiguousarray(column, dtype=float).reshape(n, -1)
+            bits.append(rows.view(f"V{rows.itemsize * rows.shape[1]}")[:, 0].tolist())
     keys = list(zip(*bits, strict=True)) or [()] * n
     order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     which = np.array([order[key] for key in keys], dtype=int)

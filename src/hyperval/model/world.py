@@ -53,6 +53,13 @@ class Path(NamedTuple):
     neutral : what stands there where nothing is moved, of a factor 1, of what is added 0; None: what the scenario says
     item, populations : of a scenario, what its star names, by number; and of fills the populations that it moves, by
         number, with the part of its values that is of each
+
+    Limits that the state of the atmosphere has are the same here:
+
+    >>> from hyperval.atmosphere.state import LONGEST_KM, MAX_SOLAR_ZENITH_DEG, SHORTEST_KM
+    >>> haze, sun = (PATHS[f"atmosphere.{key}"] for key in ("meteorological_range_km", "solar_zenith_deg"))
+    >>> (haze.low, haze.high) == (SHORTEST_KM, LONGEST_KM), sun.low == -MAX_SOLAR_ZENITH_DEG
+    (True, True)
     """
 
     field: str

@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, partial
 from glob import escape
 from itertools import islice
 from pathlib import Path
@@ -42,7 +42,7 @@ from hyperval.collection import (
 )
 from hyperval.config import twice
 from hyperval.data import Array, Index, Mask, SampleStatistics
-from hyperval.errors import InputError, UsageError, needed, one_of, package_table, reader, refusal, refuse
+from hyperval.errors import InputError, UsageError, filled_words, needed, one_of, reader, refusal, refuse
 from hyperval.imagery import Cube, LocationTable, Raster, Region, TargetObject
 from hyperval.imagery.regions import connected_patches, outside_error
 from hyperval.imagery.truth import mask_window
@@ -215,9 +215,7 @@ class Place:
         return self.regions.members[name]
 
 
-def said(name: str, /, **values: object) -> str:
-    """What an observation says of itself: the words of a name in ``words.yaml``, filled with values."""
-    return str(package_table("observe/words.yaml")[name]).format(**values)
+said = partial(filled_words, "observe/words.yaml")  # what an observation says of itself
 
 
 def open_place(collection: CollectionSection, resolve: Resolve, mistake: Mapping[str, float] | None = None) -> Place:
