@@ -515,7 +515,7 @@ _SMOOTHED, _NONE = r"smooth(ing|ed)", re.compile(r"(0|no|none|off|false)(\s|$)",
 _TIMES = r"gps.*(time|start|stop|end)|^(start|stop) time$|^acquisition (date|time)$"
 
 
-def _said(name: str, text: str = "", **values: object) -> str:
+def _said(name: str, text: str = "", /, **values: object) -> str:
     """A sentence, filled."""
     text = text if len(text) <= 80 else text[:77] + "..."
     return "warning: header: " + filled_words(_WORDS, name, text=text, **values)
