@@ -141,12 +141,15 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
 def title_words(title: str) -> tuple[str, bool]:
     """What a title names beside what any column might be called, and whether it says standard deviation.
 
-    >>> [title_words(t) for t in ("Mean + Stdev", "mean-sd", "grass, +/- SD", "grass, mean of 9", "Uncertainty (k=2)")]
-    [('mean + stdev', False), ('mean-sd', False), ('grass', True), ('grass', False), ('', True)]
+    >>> [title_words(t) for t in ("Mean + Stdev", "mean-sd", "grass, +/- SD", "grass, mean of 9", "soil k=3")]
+    [('mean + stdev', False), ('mean-sd', False), ('grass', True), ('grass', False), ('soil', False)]
+    >>> [title_words(t) for t in ("Uncertainty (k=2)", "U(k=2)", "2-sigma")]
+    [('', True), ('', True), ('', True)]
     """
     if _SUM.search(title):
         return title.lower(), False
-    bare = _POWER.sub(lambda m: "" if power_unit(m.group().strip()) else m.group(), _COVERAGE.sub("sigma ", title))
+    title = _COVERAGE.sub(lambda m: "sigma" * (m.group()[0] in "uU"), title)
+    bare = _POWER.sub(lambda m: "" if power_unit(m.group().strip()) else m.group(), title)
     words = " ".join(re.findall(r"[^\W\d_]+|\d+", re.sub("(?<=[a-z])(?=[A-Z])", " ", bare))).lower()
     return " ".join(_NOTHING.sub("", _SPREAD.sub("", words)).split()), _SPREAD.search(words) is not None
 
