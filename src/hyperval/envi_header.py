@@ -27,9 +27,6 @@ _ORDER_WORDS = {
     1: r"network(\s*\(ieee\))?|msf|ieee-be|big([- ]endian)?|motorola|1\s*\(.*(ieee|network|big).*\)",
 }
 
-# How a header in UTF-16 begins, with its mark and without.
-_WIDE = {"utf-16-le": (b"\xff\xfe", b"E\0N\0V\0I\0"), "utf-16-be": (b"\xfe\xff", b"\0E\0N\0V\0I")}
-
 
 @dataclass(frozen=True)
 class EnviHeader:
@@ -174,10 +171,8 @@ def read_header(path: Path, *, sidecar: bool = False) -> EnviHeader:
     """
     path = Path(path)
     raw = content_of(path, ("header.none", "header.large"), most=MAX_HEADER_BYTES)
-    wide = next((name for name, start in _WIDE.items() if raw.startswith(start)), None)
-    text = decoded(raw) if wide is None else raw.decode(wide, errors="replace").lstrip("\ufeff")
-    header = parse_header(text, path, sidecar=sidecar)
-    return header if wide is None else replace(header, notes=("the header is written in UTF-16", *header.notes))
+    header = parse_header(decoded(raw), path, sidecar=sidecar)
+    return replace(header, notes=("the header is written in UTF-16", *header.notes)) if b"\0" in raw[:8] else header
 
 
 def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:

@@ -121,7 +121,14 @@ def scratch_folder(purpose: str) -> Iterator[Path]:
 
 
 def decoded(raw: bytes) -> str:
-    """Text in UTF-8 (with or without mark) or else Latin-1."""
+    """Text in UTF-16 or UTF-8, with or without their marks, or else Latin-1.
+
+    >>> [decoded("Größe;1".encode(name)) for name in ("utf-16", "utf-16-be", "utf-8-sig", "latin-1")]
+    ['Größe;1', 'Größe;1', 'Größe;1', 'Größe;1']
+    """
+    zero = raw[:8].find(0)  # beside a letter of UTF-16; others follow where a text is filled up
+    if zero >= 0 and raw[zero + 1 : zero + 2] != b"\0":
+        return raw.decode("utf-16-le" if zero % 2 else "utf-16-be", errors="replace").lstrip("\ufeff")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:

@@ -31,7 +31,8 @@ def sources(small) -> list[str]:
     axis = load_sensor(str(small.folder / "sensor.yaml")).axis
     means = np.array([builtin_class(material, axis).mean for material in ("grass", "yellow-paint-plank")])
     head = {"wavelength": axis.centre_nm, "spectra names": ["Field grass", "Yellow_Paint_Plank"]}
-    SpectralLibrary(means, head | {"wavelength units": "nm"}).save(str(spectra / "field"))  # two files
+    for name in ("field", "same"):  # two files each
+        SpectralLibrary(means, head | {"wavelength units": "nm"}).save(str(spectra / name))
     files = small.collection
     return [
         "init", "--cube", str(files / "small_rad.hdr"), "--regions", str(files / "regions.geojson"),
@@ -98,7 +99,7 @@ def delivery(tmp_path):
     rng, w = np.random.default_rng(5), W
     lawn, court, felt = 0.05 + 0.4 * (w > 700.0), 0.1 + 0.0002 * (w - 450.0), np.where(w < 600.0, 0.1, 0.6)
     image = np.where(np.arange(40)[None, :, None] < 20, lawn, court) * rng.normal(1.0, 0.05, (40, 40, 1))
-    names = {"court": np.s_[10:30, 30:38], "lawn": np.s_[34:39, 2:8], "black": np.s_[0:5, 22:28]}
+    names = {"court": np.s_[10:30, 30:38], "lawn": np.s_[34:39, 2:8], "black": np.s_[0:2, 22:24]}
     names |= {"white": np.s_[0:5, 32:38], "single pixel": np.s_[37:38, 15:16]}
     image[names["black"]], image[names["white"]] = 0.04, 0.6
     felts = [(8, 5, 1.0), (14, 10, 0.5), (20, 5, 1.0), (26, 10, 0.5)]
@@ -115,7 +116,7 @@ def delivery(tmp_path):
     head = "wavelength_nm,lawn,court,felt,black,white"
     np.savetxt(tmp_path / "field.csv", table, delimiter=",", header=head, comments="")
     rows = "".join(f"felt,{line + 0.5},{sample + 0.5},{side:g}\n" for line, sample, side in felts)
-    (tmp_path / "felts.csv").write_text("material,line,sample,side_m\n" + rows)
+    (tmp_path / "felts.csv").write_text("material,line,sample,side_m\n" + rows, "utf-16")  # as spreadsheets save it
     return [
         "init", "--cube", str(tmp_path / "line.img"), "--regions", str(tmp_path / "map.img"),
         "--targets", str(tmp_path / "felts.csv"), "--sensor", "aviris-ng", "--time", "2012-07-18T16:00:00Z",
@@ -129,7 +130,8 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     campaign = job_of(tmp_path / "new" / "campaign.yaml").campaign
     cube, line, scene = campaign.collection.cube, campaign.collection.empirical_line, campaign.scenarios[0].scene
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
-    assert [p.region for p in line.panels] == ["black", "white"]  # by their flat spectra: no name says panel
+    # Panels by their flat spectra, as no name says it; four pixels of black tell no SNR.
+    assert [[p.region for p in line.panels], campaign.collection.snr_regions] == [["black", "white"], ["white"]]
     assert [c.name for c in scene.classes] == ["court", "lawn"]  # a single pixel has no spread
     assert scene.targets[0].host == "lawn"  # no class is drawn around them: what is seen there is like the lawn
     subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
@@ -143,7 +145,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     }  # fmt: skip
 
     felts = tmp_path / "felts.csv"
-    felts.write_text(felts.read_text().replace(",0.5\n", ",1\n"))  # of one size
+    felts.write_text(felts.read_text("utf-16").replace(",0.5\n", ",1\n"))  # of one size
     assert cli.run([*delivery, str(tmp_path / "field.csv"), "-o", str(tmp_path / "one")]) == 0
     scene = job_of(tmp_path / "one" / "campaign.yaml").campaign.scenarios[0].scene
     assert scene.targets[0].fill.geometry.side_m == 1.0

@@ -285,7 +285,7 @@ def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path, end):
     with pytest.raises(InputError, match="geometry 'LineString'"):
         read_regions(path, SHAPE, **PLACED)
     points = [struct.pack("<BI2d", 1, 1, *p) for p in on_map([(0.5, 0.5), (1.5, 0.5), (7.9, 9.9)])]
-    path = write_vector(tmp_path / f"p.{end}", points, kind="Point", fields={"name": ["a", "a", "b"]})
+    path = write_vector(tmp_path / f"p.{end}", points, kind="Point", fields={"Material": ["a", "a", "b"]})
     found = {name: np.argwhere(r.mask).tolist() for name, r in read_regions(path, SHAPE, **PLACED).items()}
     assert found == {"a": [[0, 0], [0, 1]], "b": [[9, 7]]}
     if end == "shp":

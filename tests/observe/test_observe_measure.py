@@ -65,7 +65,7 @@ def test_a_table_of_bands_stands_for_a_header_without_wavelengths(world):
     with pytest.raises(InputError, match=r"collection\.bands"):
         world.observe()
     rows = [f"{1e-3 * c:.4f} {1e-3 * w:.4f}" for c, w in zip(AXIS.centre_nm, AXIS.fwhm_nm, strict=True)]
-    world.text("bands.txt", "\n".join(["centre width [um]", *rows]) + "\n")
+    world.text("bands.txt", "\n".join(["\ufeffcentre\tFWHM at 50%", "(um)\t(um)", *rows]) + "\n")
     world.collection["bands"] = {"path": "bands.txt", "wavelength_unit": "um", "fwhm_column": 1}
     axis = world.observe().observation.axis
     assert (axis.centre_nm, axis.fwhm_nm) == (pytest.approx(AXIS.centre_nm), pytest.approx(AXIS.fwhm_nm))

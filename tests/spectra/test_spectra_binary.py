@@ -211,8 +211,9 @@ def test_the_wavelengths_of_a_usgs_spectrum_are_named_or_those_beside_it(tmp_pat
         assert found.name == "Actinolite HS116.1B ASDFRb AREF"
         assert np.allclose(found.wavelength_nm, WAVE[[0, 2, 3]])  # the deleted channel is left out
         assert np.allclose([found.values, read_records(inner / "s07_AV14_Actinolite.txt")[0].values], RHO[[0, 2, 3]])
-        noted = "wavelengths from s07_AV14_Wavelengths.txt, which lies beside it" in found.notes
-        assert noted == (not options)
+        assert ("wavelengths from s07_AV14_Wavelengths.txt, which lies beside it" in found.notes) == (not options)
+    with pytest.raises(InputError, match="holds error bars, not reflectance"):
+        read(inner, text.replace("Actinolite HS116.1B", "error bars"), "s07_AV14_Actinolite_errors.txt")
     with pytest.raises(InputError, match="one column of 3 rows"):
         read(inner, text, "s07_AV14_Actinolite.txt", wavelengths=tmp_path / "s07_other_Wavelengths.txt")
     (inner / "second_wavelengths.txt").write_text(head + rows(WAVE / 1000))  # two would fit: none is taken

@@ -20,8 +20,7 @@ PLAIN = "nm,rho\n" + rows(WAVE, RHO)
 @pytest.mark.parametrize("text", TEXTS["read"])
 def test_text_with_one_meaning_is_read(tmp_path, text):
     found = read(tmp_path, text)
-    np.testing.assert_allclose(found.wavelength_nm, WAVE, rtol=1e-12)
-    np.testing.assert_allclose(found.values, RHO, rtol=1e-12)
+    np.testing.assert_allclose([found.wavelength_nm, found.values], [WAVE, RHO], rtol=1e-12)
     assert found.standard_deviation is None
     assert found.name == {"Name": "Paint", "///G": "lawn"}.get(text[:4], found.name)
 
@@ -86,8 +85,8 @@ def test_a_radiance_needs_its_unit(tmp_path):
 
 def test_units_that_nobody_states_or_that_disagree(tmp_path):
     found = read(tmp_path, rows(WAVE / 1000, RHO))
-    assert found.wavelength_nm[0] == pytest.approx(400.0)
-    assert found.notes == ("the file states no wavelength unit: 0.4 to 0.7 can only be um",)
+    note = "the file states no wavelength unit: 0.4 to 0.7 can only be um"
+    assert (found.wavelength_nm[0], *found.notes) == (pytest.approx(400.0), note)
     percent = read(tmp_path, rows(WAVE, (0.4 + RHO) * 100), reflectance_unit="percent")
     assert np.allclose(percent.values, 0.4 + RHO, rtol=1e-5)
     for text, options, message in (
@@ -107,10 +106,12 @@ def test_units_that_nobody_states_or_that_disagree(tmp_path):
 def test_a_mean_has_its_standard_deviation_and_number(tmp_path):
     text = "#Wavelength in nm, Average Reflectance, Standard Deviation: N = 68, Hours: ,17.5\n"
     found = read(tmp_path, text + rows(WAVE, RHO, RHO / 10))
-    assert np.allclose(found.standard_deviation, RHO / 10)
-    assert found.n == 68
+    assert (found.n, found.standard_deviation.tolist()) == (68, pytest.approx(RHO / 10))
     percent = read(tmp_path, text.replace("Average", "Average [%]") + rows(WAVE, RHO, RHO / 10))
     assert np.allclose(percent.standard_deviation, RHO / 1000)  # converted with its mean
+    for titles, k in (("Tile (mean of 9),Tile STDEV", 1), ("Factor,Expanded uncertainty U (k=2)", 2), ("a,2 sigma", 2)):
+        found = read(tmp_path, f"nm,{titles}\n" + rows(WAVE, RHO, RHO / 10))
+        assert np.allclose(found.standard_deviation, RHO / 10 / k)
     head = "Wavelength in microns   reflectance   standard deviation\n"
     part = read(tmp_path, head + "0.3 0.5 0.01\n0.4 0.6 -1.23e34\n0.5 0.7 0.02\n")
     assert part.wavelength_nm.tolist() == [300.0, 500.0]
@@ -138,9 +139,8 @@ def test_records_by_name_part_number_and_mean(tmp_path):
     text = "nm,red cloth,blue cloth,blue paint\n" + rows(WAVE, RHO, 2 * RHO, 3 * RHO)
     for record, factor in (("blue paint", 3), ("RED", 1), (1, 2), ("mean", 2)):
         assert np.allclose(read(tmp_path, text, record=record).values, factor * RHO)
-    mean = read(tmp_path, text, record="mean")
-    assert np.allclose(mean.standard_deviation, RHO)  # of rho, 2 rho, 3 rho with n - 1
-    assert mean.n == 3
+    mean = read(tmp_path, text, record="mean")  # of rho, 2 rho, 3 rho with n - 1
+    assert (mean.n, mean.standard_deviation.tolist()) == (3, pytest.approx(RHO))
     assert [r.name for r in read_records(tmp_path / "s.txt")] == ["red cloth", "blue cloth", "blue paint"]
     for record, message in ((None, "3 spectra"), ("blue", "2 records match"), ("green", "no record"), (3, "0 to 2")):
         with pytest.raises(UsageError, match=message):
@@ -204,17 +204,15 @@ def test_svc_joins_three_detectors_and_converts_percent(tmp_path):
     keep = [0, 1, 2, 7, 8, 12]  # joined at (1010 + 970) / 2 = 990 and (1900 + 1890) / 2 = 1895
     for head in (SVC, SVC.replace("comm=", "\r\ncomm=")):  # an empty line in it is none
         found = read(tmp_path, head + body, "a.sig")
-        assert found.wavelength_nm.tolist() == wave[keep].tolist()
+        assert (found.name, found.wavelength_nm.tolist()) == ("plank_1", wave[keep].tolist())
         assert np.allclose(found.values, rho[keep], rtol=1e-4)
-        assert found.name == "plank_1"
         assert any("990.0, 1895.0" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(("title", "factor"), [("Reflect. %", 100), ("Reflect. [1.0]", 1)])
 def test_spectral_evolution_is_as_long_as_it_says(tmp_path, title, factor):
     head = SED.format(title).replace("Columns", "Wavelength Range: 400,700\r\nChannels: 4\r\nColumns")
-    table = zip(WAVE, factor * RHO, strict=True)
-    body = "".join(f"{w:6.1f}\t{w:E}\t{w:E}\t{r:.5f}\r\n" for w, r in table)
+    body = "".join(f"{w:6.1f}\t{w:E}\t{w:E}\t{r:.5f}\r\n" for w, r in zip(WAVE, factor * RHO, strict=True))
     for end in (len(body), -2):  # only the end of the line lacks
         assert np.allclose(read(tmp_path, head + body[:end], "a.sed").values, RHO)
     for text, message in (

@@ -33,7 +33,7 @@ from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra import FieldSpectrum, in_window, read_records
-from hyperval.storage import write_text
+from hyperval.storage import decoded, write_text
 
 _UNITS = (None, "fraction", "percent", "scaled:1000", "scaled:10000")  # of reflectances; None: as the file states
 _RING_PIXELS = 4.0
@@ -90,6 +90,11 @@ class RecordedSpectrum(NamedTuple):
     name: str
     source: Entry
     record: FieldSpectrum
+
+    def is_again(self, other: RecordedSpectrum) -> bool:
+        """Whether both are one spectrum of one name, to the rounding of a text."""
+        alike = _words(self.name) == _words(other.name) and self.record.values.size == other.record.values.size
+        return alike and np.allclose(self.record.values, other.record.values, rtol=1e-3, atol=1e-3)
 
     @property
     def flat(self) -> bool:
@@ -154,8 +159,8 @@ class Draft:
             with told_of(option):
                 _ = value and read(value)
         numbered = about.listed() is None
-        silent = numbered or "MATLAB" in about.product  # which say nothing of their numbers
-        stated = "counts" if silent else about.quantity or told_quantity(self.raster)
+        # Numbers without wavelengths, or of MATLAB, say nothing of what they are.
+        stated = "counts" if numbered or "MATLAB" in about.product else about.quantity or told_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         refuse(quantity == "deviations", "scale.deviations", sources.cube, quantity="radiance or reflectance")
@@ -165,8 +170,8 @@ class Draft:
         entries = {"header": header, "variable": sources.key or None, "scale": sources.scale}
         cube: Entry = {"path": self.reference(sources.cube), "quantity": asked}
         cube |= {key: value for key, value in entries.items() if value is not None}
-        self.collection |= {"cube": cube, "regions": [{"file": self.reference(path)} for path in sources.regions]}
-        self.collection["regions"] = self.collection["regions"] or [_WHOLE]
+        regions: list[Entry] = [{"file": self.reference(path)} for path in sources.regions]
+        self.collection |= {"cube": cube, "regions": regions or [_WHOLE]}
         what = f"{quantity or 'unknown'} image of {lines} lines, {samples} samples and {bands} bands"
         self.content = {
             "schema": 1, "name": self.name, "title": f"{self.name}: {quantity or 'unknown'} of {sources.cube.name}",
@@ -259,7 +264,7 @@ class Draft:
             collection["empirical_line"] = {"panels": entries}
             self.guess("line", panels=", ".join(usable))
         if panels:
-            collection["leave_out"] = collection["snr_regions"] = panels
+            collection |= {"leave_out": panels, "snr_regions": [p for p in panels if place.pixels_of(p).sum() >= _FEW]}
         try:
             model = self._scenario(place, panels, matched)
             self._add_targets(place, model)
@@ -348,8 +353,8 @@ class Draft:
             truth = {"guard_pixels": 2} | ({"pixel_size_m": size} if size is not None else {})
             file = self.reference(self.sources.targets)
             listed: Entry = {"csv": file}
-            head = head_of(self.sources.targets, 4096).partition(b"\n")[0].lower()
-            if not (self.sources.targets.suffix.lower() == ".csv" and re.search(b"material|targets_type", head)):
+            head = decoded(head_of(self.sources.targets, 4096)).partition("\n")[0].lower()
+            if not (self.sources.targets.suffix.lower() == ".csv" and re.search("material|targets_type", head)):
                 every = {"material": "every region", "file": file}
                 whole = parts | {"targets": {"regions": [every], **truth}}
                 self._coordinates(every, **whole)
@@ -362,14 +367,13 @@ class Draft:
 
     @cached_property
     def spectra(self) -> list[RecordedSpectrum]:
-        """The reflectance spectra of the files, with the unit that each needs to be told."""
+        """The reflectance spectra of the files, with the unit that each needs to be told; one in two formats once."""
         out: list[RecordedSpectrum] = []
         for path in self.sources.spectra:
             # Of a library the header is read beside it.
             for file in sorted({*path.rglob("*")} - {*path.rglob("*.hdr")}) if path.is_dir() else [path]:
-                of_folder = () if file == path else (HypervalError,)  # of which only files that hold spectra count
-                with suppress(*of_folder):
-                    out += _records(file, self.reference(file))
+                with suppress(*([] if file == path else [HypervalError])):  # of a folder files of spectra count alone
+                    out += [one for one in _records(file, self.reference(file)) if not any(map(one.is_again, out))]
         return out
 
     def matching(self, name: str) -> RecordedSpectrum | None:
@@ -386,8 +390,7 @@ class Draft:
         keys = dict.fromkeys(("time_utc", "altitude_km", "sensor"), "atmosphere")
         keys |= {"unit": "unit", "pixel_size_m": "pixel_size_m"}
         unread = [k for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
-        if unread:
-            options = (f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread)
+        if options := [f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread]:
             self.guess("unread", names=", ".join(options), quantity=self.quantity)
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
@@ -498,7 +501,7 @@ class Draft:
         reflects = "empirical_line" in self.collection or self.quantity == "reflectance"
         subjects = {
             "RADIANCE": [*classes, *panels] if lit else [],
-            "PANELS": panels if lit and panels == self.collection.get("snr_regions") else [],
+            "PANELS": [panel for panel in panels if lit and panel in self.collection.get("snr_regions", ())],
             "REFLECTANCE": classes if reflects else [],
             "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
             "BACKGROUNDS": [background_of(target["name"]) for target in targets],

@@ -345,7 +345,7 @@ _NO_CLASS = re.compile(
     re.IGNORECASE,
 )
 _COLUMNS = {("row0", "col0"): 0, ("line", "sample"): 0, ("row1", "col1"): 1}
-REGION_COLUMNS = ("region", "name", "class", "class_name")  # the last is what ENVI writes
+REGION_COLUMNS = ("region", "name", "class", "class_name", "material", "label")  # the fourth is what ENVI writes
 _SIDECARS = (".dbf", ".shx", ".prj", ".cpg")
 
 
@@ -623,7 +623,7 @@ def is_kml(head: bytes) -> bool:
 def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
     """The polygons and points of every layer of a file that GDAL reads.
 
-    A name comes from the attribute ``name_field``, or else from ``region``, ``name``, ``class`` or ``class_name``;
+    A name comes from the attribute ``name_field``, or else from the first of ``REGION_COLUMNS``;
     a layer without attributes of text gives its own.  The file's coordinate system places them; where it has none,
     ``coordinates`` must say "pixel", "map" or "lonlat".
 

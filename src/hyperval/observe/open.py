@@ -47,7 +47,7 @@ from hyperval.imagery import Cube, LocationTable, Raster, Region, TargetObject
 from hyperval.imagery.regions import connected_patches, outside_error
 from hyperval.imagery.truth import mask_window
 from hyperval.model.fill import aperture_weights
-from hyperval.paths import Resolve, checked_file
+from hyperval.paths import Resolve, checked_file, read_text
 from hyperval.pixels import SCENE as SCENE
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
@@ -295,12 +295,12 @@ def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | Non
 def number_rows(path: Path, what: str) -> tuple[Array, int]:
     """Rows (n, columns) of a text table, and the line of the first; titles stand in one row, or begin with #."""
     checked_file(path, what=what, most=MAX_TABLE_BYTES)
-    lines = [line.split("#")[0] for line in path.read_text("utf-8", errors="replace").splitlines()]
+    lines = [line.split("#")[0] for line in read_text(path).splitlines()]
     start = next((number for number, line in enumerate(lines, start=1) if line.strip()), None)
     start = needed(start, "rows.none", path)
     header, rows, first = number_table("\n".join(lines), path)
-    titled = len(header) == 1 and re.search(r"(^|[\s,;])[-+.]?[0-9]", header[0]) is None  # no damaged row
-    refuse(header and not titled, "rows.heading", f"{path}:{start}")
+    damaged = r"^[-+.]?[0-9]|(?<![^\s,;])[-+.]?[0-9][-+.0-9eE]*(?![^\s,;])"  # begins with a number, or holds one
+    refuse(any(re.search(damaged, line) for line in header), "rows.heading", f"{path}:{start}")
     return rows, first
 
 

@@ -151,9 +151,8 @@ def spacing_note(lacking: str, apart: Array) -> str:
     ['warning', 'none']
     """
     note, first = f"{lacking}: band widths are taken as the band spacing", ", ".join(f"{nm:.4g}" for nm in apart[:5])
-    guess = (
-        f"warning: {note}; those of {apart.size} bands beside gaps (the first: {first} nm) are guesses by nearer bands"
-    )
+    beside = f"{apart.size} bands beside gaps (the first: {first} nm)"
+    guess = f"warning: {note}; those of {beside} are guesses by nearer bands"
     mend = "list all in the header (fwhm) or in a table of the bands (collection.bands: fwhm_column)"
     return f"{guess}: {mend}" if apart.size else note
 

@@ -66,10 +66,7 @@ def read_spectrum(
     UsageError : a unit that nobody states, an unknown record, or one of several not chosen.
     """
     path = checked_file(path, what="spectrum file")
-    if wavelengths is None:
-        chosen = _chosen(_records(path, columns, quantity), record, str(path))
-    else:
-        chosen = text.usgs_records(SpectraFile(path), wavelengths)[0]
+    chosen = _chosen(_records(SpectraFile(path, columns, quantity, wavelengths)), record, str(path))
     return finished(chosen, quantity, wavelength_unit, reflectance_unit, unit, unit_if_unstated)
 
 
@@ -94,7 +91,7 @@ def read_records(
     UsageError : the same, and numbers that the file does not have.
     """
     if isinstance(path, Path | str):
-        listed = _records(checked_file(path, what="spectrum file"), None, quantity)
+        listed = _records(SpectraFile(checked_file(path, what="spectrum file"), None, quantity))
     else:
         listed = _at_hand(path)
     numbers = {w for w in records or () if isinstance(w, int)}
@@ -148,14 +145,14 @@ FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile
     ("RadCalNet", lambda f: re.match(rb"Site:(?s:.*)\nLat:", f.head), networks.radcalnet_records),
     ("Spectral Evolution .sed", lambda f: b"Instrument:" in f.head and b"Columns [" in f.head, text.sed_records),
     ("ENVI spectral library with its header", lambda f: header_beside(f.path), binary.library_records),
-    ("USGS text of one column", lambda f: not f.columns and text.wavelengths_beside(f.path), text.usgs_records),
+    ("USGS text of one column", lambda f: not f.columns and text.wavelengths_of(f), text.usgs_records),
     ("text, a spectrum a row", lambda f: not f.columns and text.is_row_table(f), text.row_records),
     ("text, a spectrum a column; ENVI ASCII plot", lambda f: True, text.text_records),
 )
 
 
-def _records(path: Path, columns: tuple[str | int, ...] | None, quantity: str) -> list[FieldSpectrum]:
-    file = SpectraFile(path, columns, quantity, ", ".join(name for name, *_ in FORMATS if name))
+def _records(file: SpectraFile) -> list[FieldSpectrum]:
+    file, path = replace(file, known=", ".join(name for name, *_ in FORMATS if name)), file.path
     refuse_own(path)
     records = next(read for _, knows, read in FORMATS if knows(file))(file)
     # ..._rdn_... as the producers of images name what they cut out of them: it counts where the file says nothing.

@@ -32,13 +32,14 @@ class SpectraFile:
 
     Attributes
     ----------
-    columns, quantity : what the caller says of it
+    columns, quantity, wavelengths : what the caller says of it
     known : the formats that are read, for messages
     """
 
     path: Path
     columns: tuple[str | int, ...] | None = None
     quantity: str = "reflectance"
+    wavelengths: Path | str | None = None
     known: str = ""
 
     @cached_property
@@ -59,10 +60,9 @@ class SpectraFile:
     def text(self) -> str:
         """The file as text (InputError where it is none), without the NUL that ViewSpec pads a comment with."""
         raw, plain = self.raw, self.raw.replace(b"\0", b"")
-        if b"\0" in self.head and not plain.translate(None, _TEXT) and len(plain) >= 0.5 * len(raw):
-            raw = plain
-        refuse(b"\0" in raw[:4096], "record.binary", self.path, known=self.known)
-        return decoded(raw)
+        filled = plain.translate(None, _TEXT) or len(plain) < 0.5 * len(raw)
+        refuse(b"\0" in self.head and filled, "record.binary", self.path, known=self.known)
+        return decoded(raw).replace("\0", "")
 
 
 @dataclass(frozen=True, eq=False)

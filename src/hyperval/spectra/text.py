@@ -33,18 +33,21 @@ _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round number
 # or blanks would take hours.
 _NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
 is_number = _NUMBER.match  # a text, and nothing else
+_MISSING = ("", "na", "n/a", "#n/a", "#div/0!", "null")
 _DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 _WHOLE = re.compile(r"^[-+]?[0-9]+$")
 _OF_UNIT = re.compile(r"^(\s*[0-9]+(?:\.[0-9]+)?) ?[nuµ]m(?=[\t,;])")  # a wavelength with its unit, as of LI-COR
 _END = re.compile(r"^>+\s*End\b|^\[END\]")  # of the numbers, in files of Ocean Optics and TriOS
 _PER_SR = r"(?<![a-z])rrs(?![a-z])|[\[(] *(1 */ *sr|sr *\^? *[-−]1) *[\])]", "sr-1"
-_UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1)?$")
+_UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1|[-−–]|a\.?u\.?|unitless|none)?$", re.IGNORECASE)
 # Of the words of a title: those that say standard deviation, and those that name nothing of their own.
 _SPREAD = re.compile(
-    r"\b(st(d|and|andard)? dev[a-z]*|std(d?ev|v)?( err(or)?)?|sd|(1 )?sigma|(standard )?uncertaint(y|ies))\b"
+    r"\b(st(d|and|andard)? dev[a-z]*|std(d?ev|v)?( err(or)?)?|sd|sigma|((standard|expanded) )?uncertaint(y|ies))\b"
 )
 _SUM = re.compile(rf"(\w\s*\+|\b(mean|av\w*)\s*[-−–])\s*[0-9]?\s*{_SPREAD.pattern}", re.IGNORECASE)  # of a mean and it
-_NOTHING = re.compile(r"\b(mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent|n \d+|k 1)\b")
+_NOTHING = re.compile(r"\b((n|of) \d+|mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent)\b")
+# How many standard uncertainties a stated one is, as in U (k=2).
+_COVERAGE = re.compile(r"\b(?:u\W{1,2})?k ?= ?([1-9][0-9.]*)|\b([1-9])[- ]?(?=sigma\b)", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
 # What titles say of values that are no reflectance.
@@ -54,7 +57,7 @@ _QUANTITIES = {
     "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
     "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
     "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
-    r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed)",
+    r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed|error.?bars?|bandpass)",
 }
 # A line above a table that says what it holds, and the titles of the edges of its steps.
 _ABOVE = re.compile(r"(?im)^\W*(measurement type\W+\w+|ppfd\b|(spectral )?(ir)?radiance\s*[(\[].*[)\]]\W*$)")
@@ -109,7 +112,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
     records, others = list[FieldSpectrum](), {*spread.values(), *counted}
-    told, zero = dict[str, Any](), ("a standard deviation of 0 everywhere is none",)
+    zero = ("a standard deviation of 0 everywhere is none",)
     for i in range(1, table.shape[1]):
         steps = np.diff(table[np.isfinite(table[:, i]), i])
         is_again = titles[i] == titles[0] != "" and _UNIT_TITLE.match(titles[i])
@@ -117,7 +120,9 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
             nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
         if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
-        has, beside = np.isfinite(nm), table[:, spread[i]] if i in spread else None
+        has = np.isfinite(nm)
+        times = _COVERAGE.search(titles[spread.get(i, 0)])
+        beside = table[has, spread[i]] / float((times[1] or times[2]) if times else 1.0) if i in spread else None
         unmeasured = beside is not None and not beside.any()
         says = y_units or (titles[i] if quantity_in(titles[i]) or percent_in(titles[i]) else above or titles[i])
         factor, value_unit = percent_in(titles[spread.get(i, 0)]), power_unit_in(says) or percent_in(says)
@@ -125,9 +130,8 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         refuse(unlike, "text.spread", where, title=titles[spread.get(i, 0)])
         alone = columns is None and (words := title_words(titles[i]))[1] and (not words[0] or len(titles) == 2)
         quantity = "a standard deviation" if alone else quantity_in(says)
-        told = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n}
-        told["notes"] = middles + zero * unmeasured
-        told["standard_deviation"] = None if beside is None or unmeasured else beside[has]
+        told: dict[str, Any] = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n}
+        told |= {"notes": middles + zero * unmeasured, "standard_deviation": None if unmeasured else beside}
         records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **told))
     if len(records) == 1:
         return [replace(records[0], name=of_header or (titles[1] if whole.startswith(_PLOT) else path.stem))]
@@ -137,11 +141,14 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
 def title_words(title: str) -> tuple[str, bool]:
     """What a title names beside what any column might be called, and whether it says standard deviation.
 
-    >>> [title_words(title) for title in ("Mean + Stdev", "mean-sd", "grass, +/- SD")]
-    [('mean + stdev', False), ('mean-sd', False), ('grass', True)]
+    >>> [title_words(t) for t in ("Mean + Stdev", "mean-sd", "grass, +/- SD", "grass, mean of 9", "soil k=3")]
+    [('mean + stdev', False), ('mean-sd', False), ('grass', True), ('grass', False), ('soil', False)]
+    >>> [title_words(t) for t in ("Uncertainty (k=2)", "U(k=2)", "2-sigma")]
+    [('', True), ('', True), ('', True)]
     """
     if _SUM.search(title):
         return title.lower(), False
+    title = _COVERAGE.sub(lambda m: "sigma" * (m.group()[0] in "uU"), title)
     bare = _POWER.sub(lambda m: "" if power_unit(m.group().strip()) else m.group(), title)
     words = " ".join(re.findall(r"[^\W\d_]+|\d+", re.sub("(?<=[a-z])(?=[A-Z])", " ", bare))).lower()
     return " ".join(_NOTHING.sub("", _SPREAD.sub("", words)).split()), _SPREAD.search(words) is not None
@@ -183,7 +190,7 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
         if not line.strip().strip(" \t,;"):
             continue
         cells, where = _cells(_OF_UNIT.sub(r"\1", line)), f"{path}:{number}"
-        numbers = cells[0] and all(_NUMBER.match(c) for c in cells if c)
+        numbers = cells[0] and all(_NUMBER.match(c) for c in cells if c.lower() not in _MISSING)
         if not rows and not (numbers and (len(cells) > 1 or not header or is_number(line.strip()))):
             header.append(line.strip())
             continue
@@ -198,7 +205,7 @@ def number_table(text: str, path: Path, first: int = 1) -> tuple[list[str], Arra
         refuse(filled > width, "text.width", where, found=len(cells), wanted=wanted)
         refuse(len(rows) >= MAX_ROWS, "text.large", where, rows=MAX_ROWS)
         start = start or number
-        rows.append([float(c.replace("d", "e").replace("D", "e") or "nan") for c in cells])
+        rows.append([float("nan" if c in _MISSING else c.replace("d", "e")) for c in map(str.lower, cells)])
     if not rows and any(line[0] in ",;" for line in header):  # an empty first column
         return number_table(re.sub("(?m)^[ \t,;]+", "", text), path, first)
     refuse(not rows, "text.empty", path)
@@ -234,8 +241,7 @@ def check_last_line(text: str, where: str) -> None:
     if text and text[-1] not in "\r\n":
         above, last = (line.split() for line in text.splitlines()[-2:])
         digits = [len(cells[-1].partition(".")[2]) for cells in (above, last) if cells]
-        cut = len(above) != len(last) or digits[-1] < digits[0]
-        refuse(cut, "text.cut", where, text=" ".join(last)[:60])
+        refuse(len(above) != len(last) or digits[-1] < digits[0], "text.cut", where, text=" ".join(last)[:60])
 
 
 def percent_in(title: str) -> str | None:
@@ -415,13 +421,12 @@ def _delimiter(line: str) -> str:
 def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     """The spectra of a table with one in each row.
 
-    A name comes from the first column of an obvious title whose values differ, or the first of all where they are
-    no numbers; else the spectra are numbered.  The
-    columns ``Wavelength Units`` and ``Measurement Units`` are read where they stand; a percent that the values
-    contradict is not believed, and the unit must be stated.
+    A name comes from the first column of an obvious title whose values differ, or the first whose values differ and
+    are no numbers; else the spectra are numbered.  The columns ``Wavelength Units`` and ``Measurement Units`` are read
+    where they stand; a percent that the values contradict is not believed, and the unit must be stated.
 
     >>> file = SpectraFile(Path("a.csv"))
-    >>> vars(file)["text"] = "Wavelength,400,500,600,700\\ngrass,0.1,0.1,0.1,0.1\\nsoil,0.2,0.2,0.2,0.2"
+    >>> vars(file)["text"] = "No,Cover,400,500,600,700\\n7,grass,0.1,0.1,0.1,0.1\\n8,soil,0.2,0.2,0.2,NA"
     >>> [record.name for record in row_records(file)]
     ['grass', 'soil']
 
@@ -443,8 +448,8 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
     refuse(not rows, "text.no_spectrum", path)
     lower, columns = [t.lower() for t in titles[:first]], list(zip(*(cells for _, cells in rows), strict=True))
     differ = [i for i, values in enumerate(columns[:first]) if all(values) and len(set(values)) == len(values)]
-    first_of_all = 0 if 0 in differ and all(_value(cell) is None for cell in columns[0]) else None
-    named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), first_of_all)
+    of_words = next((i for i in differ if all(_value(cell) is None for cell in columns[i])), None)
+    named = next((lower.index(n) for n in _NAMES if n in lower and lower.index(n) in differ), of_words)
     names = columns[named] if named is not None else [f"row {i}" for i in range(1, len(rows) + 1)]
     records, of_axis = [], titles[0] if first and (_WAVE.search(titles[0]) or _WAVENUMBER.search(titles[0])) else ""
     for name, (where, cells) in zip(names, rows, strict=True):
@@ -497,7 +502,7 @@ def _without_end(cells: list[str], least: int = 0) -> list[str]:
 
 def _value(cell: str, delimiter: str = ",") -> float | None:
     """The number in a cell, NaN where it is empty or says so; None where it holds no number."""
-    text = "nan" if cell.lower() in ("", "na") else cell.strip() if delimiter == "," else cell.strip().replace(",", ".")
+    text = "nan" if cell.lower() in _MISSING else cell.strip() if delimiter == "," else cell.strip().replace(",", ".")
     return float(text.lower().replace("d", "e")) if is_number(text) else None
 
 
@@ -593,25 +598,26 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
-def usgs_records(file: SpectraFile, stated: Path | str | None = None) -> list[FieldSpectrum]:
+def usgs_records(file: SpectraFile) -> list[FieldSpectrum]:
     """The spectrum of a file of one column, at the wavelengths of another, which is stated or lies beside it."""
-    path, grid = file.path, checked_file(stated or wavelengths_beside(file.path) or "", what="wavelength file")
+    path, grid = file.path, checked_file(wavelengths_of(file) or "", what="wavelength file")
     (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     title = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     name, unit = title[1].strip() if title else path.stem, wavelength_unit_in(" ".join(above), "", str(grid))
-    notes = () if stated else (f"wavelengths from {grid.name}, which lies beside it",)
-    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], source=str(path), wavelength_unit=unit, notes=notes)]
+    told: dict[str, Any] = {"quantity": quantity_in(name), "wavelength_unit": unit}
+    notes = () if file.wavelengths else (f"wavelengths from {grid.name}, which lies beside it",)
+    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], notes=notes, **told)]
 
 
-def wavelengths_beside(path: Path) -> Path | None:
-    """The file of wavelengths of a USGS spectrum of one column, in its folder or the one above."""
-    rows = _usgs_rows(path)
+def wavelengths_of(file: SpectraFile) -> Path | str | None:
+    """The file of wavelengths of a USGS spectrum of one column: as stated, or in its folder or the one above."""
+    path, rows = file.path, None if file.wavelengths else _usgs_rows(file.path)
     near = (p for folder in (path.parent, path.parent.parent) if rows for p in sorted(folder.glob("*.txt")))
     named = (p for p in near if "wavelength" in p.name.lower() and p != path)
     fits = [p for p in islice(named, MAX_WAVELENGTH_FILES) if _usgs_rows(p) == rows]
-    return fits[0] if len(fits) == 1 else None
+    return fits[0] if len(fits) == 1 else file.wavelengths
 
 
 def _usgs_rows(path: Path) -> int | None:
