@@ -23,12 +23,10 @@ from hyperval.attribute.candidates import (
     SINGLE_BANDS,
     Candidate,
     arms_of,
-    assumed_inputs,
-    candidates,
+    every_input,
     exchanged_entries,
     further_candidates,
     rarer_candidates,
-    usual_inputs,
 )
 from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residuals, Whitened
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, Quantity, Stack, quantities, stack_of
@@ -37,7 +35,7 @@ from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
 from hyperval.data import Array, Index
 from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, needed, refuse
-from hyperval.model import Truth, World, inputs_of
+from hyperval.model import Truth, World
 from hyperval.products import Products, background_of
 from hyperval.progress import track
 from hyperval.results import Cause, Outcome, Result
@@ -154,7 +152,7 @@ class Causes:
 
         A size that was asked for beside it stays known:
 
-        >>> gain = Candidate("gain", "scene", "1 km", False, sizes=(-2.0, 2.0), moved=lambda z: [{"km": z}])
+        >>> gain = Candidate("gain", "scene", "1 km", False, (lambda _, z: {"km": z},), sizes=(-2.0, 2.0))
         >>> asked = lambda truths, title, budgeted: [truth["km"] * one[0] for (truth,) in truths]
         >>> tried = replace(causes(0.0), evaluate=asked)
         >>> told = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
@@ -228,7 +226,7 @@ class Causes:
 
         An atmosphere that explains a change is told by the engine itself, not by its emulator:
 
-        >>> air = Candidate("standard atmosphere", "atmosphere", "", False, labels=("winter",), moved=lambda i: [{}])
+        >>> air = Candidate("standard atmosphere", "atmosphere", "", False, (lambda *_: {},), labels=("winter",))
         >>> told = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 -0.3 0.2")}
         >>> tried = causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: {air: np.c_[[0.45, -0.33, 0.2]]}],
         ...                evaluate=lambda truths, title, budgeted: [np.array([0.5, -0.3, 0.2]) * budgeted])
@@ -448,7 +446,7 @@ class Causes:
             residuals = residuals._replace(columns=columns)
             found = residuals.posterior(ALL, noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
-            sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
+            sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and c.members}
             # At none of those that the model was asked at.
             sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
             labels = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.labels}
@@ -553,7 +551,8 @@ def causes_of(model: ScenarioModel) -> Causes:
     def evaluate(*asked: Any, **of: Any) -> list[Array]:
         return [stack.predicted(p) for p in predictions(*asked, **of)]
 
-    moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
+    further = further_candidates(worlds)
+    moved = every_input(worlds, further)
     steps = {
         of: [c.at(d, z) for c in moved if c.budgeted is of for d in range(c.size) for z in (1.0, -1.0)]
         for of in (True, False)
@@ -571,12 +570,8 @@ def causes_of(model: ScenarioModel) -> Causes:
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
     many = len(worlds) > MOST_SCENARIOS
     apart = [c for c in moved if many and c.of_engine and c.sizes]
-    further = further_candidates(worlds)
-    usable = (*candidates([], [[*usual_inputs(world)] for world in worlds]), *further)
-    usual = {key: c for c in usable for key in (c.name, c.path)}
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
-    far = (c.as_far_as(usual.get(c.path, usual.get(c.name, c))) for c in moved)
-    by_name = {c.name: c for c in (*further, *far) if c not in (*rare, *apart)}
+    by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *apart)}
     every = [c for c in by_name.values() if c.sizes or c.labels]
     columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(every, sides, predicted, evaluate)
     for c in apart:
@@ -629,7 +624,17 @@ def causes_of(model: ScenarioModel) -> Causes:
 def _columns_at(
     candidates: Sequence[Candidate], sides: Sides, predicted: Array, evaluate: Evaluate
 ) -> dict[Candidate, Array]:
-    """What candidates make at their sizes or by their alternatives, without what cannot be; some are known."""
+    """What candidates make at their sizes or by their alternatives, without what cannot be; some are known.
+
+    >>> def evaluate(truths, title):
+    ...     if ["kurucz"] in truths:
+    ...         raise MissingDataError("the solar spectrum 'kurucz' is not on this machine")
+    ...     return [np.zeros(1) for _ in truths]
+    >>> sun = Candidate("solar spectrum", "atmosphere", "", False, (lambda _, label: label,), labels=("kurucz", "tsis"))
+    >>> (there,) = _columns_at([sun], {}, np.zeros(1), evaluate)
+    >>> there.labels, there.at(0, 0.0)
+    (('tsis',), ['tsis'])
+    """
     places: dict[Candidate, Sequence[float]] = {c: c.sizes or range(len(c.labels)) for c in candidates}
     wanted = [(c, z) for c, sizes in places.items() for z in sizes if (c, z) not in sides]
     asked = _asked(evaluate, [c.at(0, z) for c, z in wanted]) if wanted else []
