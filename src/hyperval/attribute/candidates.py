@@ -177,6 +177,10 @@ def together(scenarios: Sequence[Iterable[Candidate]]) -> list[Candidate]:
     >>> (both,) = together([each[:1], each[1:]])
     >>> both.sizes, both.at(0, 9.0)
     ((-2.0, 9.0), [{'day': 9.0}, {'day': 9.0}])
+    >>> one, other = (next(_one_of("haze", "atmosphere", {name: {"haze": name}})) for name in ("rural", "urban"))
+    >>> date, haze = together([[each[0], one], [other]])
+    >>> date.at(0, 2.0), haze.labels, haze.at(0, 1)
+    ([{'day': 2.0}, {}], ('rural', 'urban'), [{}, {'haze': 'urban'}])
     """
     by_name = [{c.name: c for c in some} for some in scenarios]
     out = list[Candidate]()
@@ -203,6 +207,14 @@ def _one_of(name: str, kind: str, truths: Mapping[str, Truth]) -> Iterator[Candi
 
 
 def _of_input(item: UncertainInput, sizes: Sequence[float], *, budgeted: bool = False) -> Candidate:
+    """An input along its leading directions.
+
+    >>> few, many = (UncertainInput("gain", "sensor", "sensor.gain", np.ones(20), np.eye(20)[:k]) for k in (2, 12))
+    >>> (both,) = together([[_of_input(few, ())], [_of_input(many, ())]])
+    >>> both.size, [list(truth) for truth in both.at(3, 1.0)]
+    (8, [[], ['sensor.gain']])
+    """
+
     def moved(direction: int, units: float) -> Truth:
         return item.direction(direction, units) if direction < item.size else {}
 
@@ -228,11 +240,25 @@ def every_input(worlds: Sequence[World], further: Iterable[Candidate]) -> list[C
     """Inputs of a stated uncertainty, and the others that may be off, with a usual one.
 
     ``further`` : of :func:`further_candidates`, which tell how far a stated one may go
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read_world
+    >>> stated = {"solar_zenith_deg": 0.1, "wavelength_shift": {"absolute": 0.02, "correlation": "systematic"}}
+    >>> spectra = {"grass": {"correlation": "systematic"}, "asphalt": {"correlation_nm": 100.0}}
+    >>> stated["field_spectra"] = [{"subject": name, "relative": 0.02, **of} for name, of in spectra.items()]
+    >>> world = read_world(load_scenario("yellow-planks-asphalt").with_values({"uncertainty": stated}))
+    >>> for c in every_input([world], further_candidates([world])):
+    ...     if c.budgeted:
+    ...         print(c.name, [round(size) for size in c.sizes[:4]])
+    solar zenith angle [10, -10, -50, 50]
+    field spectrum of grass [1, -1]
+    field spectrum of asphalt []
+    wavelength shift [10, -10, -500, -250]
     """
     usual = together([usual_inputs(world) for world in worlds])
     stated = together([stated_inputs(world, [*usual, *further]) for world in worlds])
-    known = {key for c in stated for key in (c.name, c.path)}
-    return [*stated, *(c for c in usual if not known & {c.name, c.path})]
+    known = {c.path for c in stated}
+    return [*stated, *(c for c in usual if c.path not in known)]
 
 
 def stated_inputs(world: World, usual: Iterable[Candidate]) -> Iterator[Candidate]:
@@ -254,6 +280,9 @@ def stated_inputs(world: World, usual: Iterable[Candidate]) -> Iterator[Candidat
     >>> (stated,) = (c for c in stated_inputs(world, usual_inputs(world)) if c.path == "fraction.[grass]")
     >>> [round(size) for size in stated.sizes], [round(end) for end in stated.ends]  # of 0.002 in 0.3
     ([15, -15, -75, 75], [-120, 150])
+    >>> wide = world.stated.scenario.with_values({"uncertainty.fractions": [share | {"absolute": 0.1}]})
+    >>> [c.sizes for c in stated_inputs(read_world(wide), usual_inputs(world)) if c.path == "fraction.[grass]"]
+    [(1.0, -1.0)]
     """
     known = {key: c for c in usual if c.sizes for key in (c.name, c.path)}
     for item in inputs_of(world):
@@ -267,7 +296,15 @@ def stated_inputs(world: World, usual: Iterable[Candidate]) -> Iterator[Candidat
 
 
 def usual_inputs(world: World) -> Iterator[Candidate]:
-    """Every input of a scenario that may be off, with a usual uncertainty."""
+    """Every input of a scenario that may be off, with a usual uncertainty.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read_world
+    >>> heavy = load_scenario("yellow-planks-asphalt").with_values({"scene.classes.grass.tail_dof": 8.0})
+    >>> found = {c.name: c for c in usual_inputs(read_world(heavy))}
+    >>> [name for name in found if name.startswith("tails")], found["field spectrum of grass"].size
+    (['tails of grass'], 4)
+    """
     names = [c.name for c in world.stated.scenario.scene.classes]
     shares = [name for name in names if _there(world, f"fraction.[{name}]")]
     # Of two shares the other one's is the same input.
@@ -299,7 +336,13 @@ def _kinds(world: World) -> tuple[Sequence[Surface], ...]:
 
 
 def _state(world: World) -> AtmosphericState | None:
-    """What is stated of the atmosphere; a table is of one state."""
+    """What is stated of the atmosphere; a table is of one state.
+
+    >>> from types import SimpleNamespace as Of
+    >>> kinds = "sixs", "table"
+    >>> [_state(Of(stated=Of(scenario=Of(atmosphere=Of(engine=kind))))) is None for kind in kinds]
+    [False, True]
+    """
     state = world.stated.scenario.atmosphere
     return None if state is None or state.engine == "table" else state
 
@@ -331,6 +374,13 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> scale, some = of["scale of a spectrum"], ("grass", "black", "yello")  # that leaves a reflectance
     >>> [label for i, label in enumerate(scale.labels) if any(scale.at(0, i)) and label[:5] in some]
     ['grass x 0.1', 'black panel x 10', 'yellow plank x 0.1 or of another material']
+    >>> of["exchanged spectra or regions"].labels[:1], "rural" in of["aerosol type"].labels
+    (('asphalt and grass',), False)
+    >>> clear = {"atmosphere.aerosol": "none", "atmosphere.meteorological_range_km": None}
+    >>> clear["scene.targets.[yellow plank].subjects.0.fill"] = {"geometry": {"side_m": 0.4, "gsd_m": 1.0}}
+    >>> seen = {c.name for c in further_candidates([read_world(world.stated.scenario.with_values(clear))])}
+    >>> {"date of overflight", "size of yellow plank"} <= seen, "aerosol type" in seen
+    (True, False)
     """
     return together([_further(world) for world in worlds])
 
@@ -528,6 +578,8 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     ('yellow plank in full light', [1.0, 1.0])
     >>> entries.alone(1, "").at(0, spread)
     [{}, {'scene.classes.[asphalt].covariance': {'builtin': 'grass'}}]
+    >>> entries.labels.count("grass in the place of grass"), "level of the spectrum of grass" in both
+    (0, False)
     >>> both["host of the targets"].labels, both["host of the targets"].at(0, 0.0)[1]
     (('yellow plank on grass', 'yellow plank on soil'), {'scene.targets.[yellow plank].host': 'grass'})
     >>> plank = {"spectrum": {"builtin": "yellow-paint-plank"}, "host": "asphalt", "fill": {"fixed": 0.1}}
@@ -536,6 +588,12 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> hosts = next(c for c in several if c.name == "host of the targets")
     >>> hosts.labels[:3], sorted(hosts.at(0, 2.0)[0].values())
     (('a on grass', 'b on grass', 'all targets on grass'), ['grass', 'grass'])
+    >>> sum(c.name == "size of a" for c in _further(read_world(stated.with_values({"scene.targets": two}))))
+    1
+    >>> alone = {"scene.classes": [{"name": "lawn", "fraction": 1.0, "spectrum": {"builtin": "grass"}}]}
+    >>> lawn = read_world(stated.with_values(alone | {"scene.targets": [], "scene.panels": []}))
+    >>> [c.name for c in rarer_candidates([lawn]) if c.name.startswith("level")]  # all of it is that of one
+    []
     >>> arm = both["electrons per radiance of 942-2470 nm"]
     >>> [truth["sensor.electrons"].round(9).ravel()[[0, -1]].tolist() for truth in arm.at(0, 2.0)]
     [[1.0, 1.1], [1.0, 1.1]]
@@ -631,6 +689,12 @@ def _of_atmosphere(world: World, state: AtmosphericState) -> Iterator[Candidate]
     ['2012-08-21', '2012-10-20', '2012-07-22', '2012-11-19']
     >>> of["place on the globe"].labels, of["place on the globe"].at(0, 0.0)
     (('latitude with the other sign', 'longitude with the other sign'), [{'atmosphere.latitude_deg': -43.0}])
+    >>> of["standard atmosphere"].labels.count(there.atmosphere.model)
+    0
+    >>> of["solar spectrum"].labels.count(there.atmosphere.solar_spectrum)
+    0
+    >>> sorted({"time of overflight", "solar zenith angle"} & {c.name for c in _further(read_world(there))})
+    ['time of overflight']
     """
     for name, kind, path, step, sizes in CAUSES["state"]:
         if getattr(state, path.partition(".")[2], None) is not None:
@@ -666,10 +730,9 @@ def _files_changed(own: Mapping[str, Mapping[str, Array]], means: Mapping[str, A
     """
     out = dict[str, Truth]()
     for a, b in combinations((name for name in means if name.startswith("spectra of ")), 2):
-        if means[a].shape == means[b].shape:
-            one, other = (dict.fromkeys(own.get(x, {}), means[y]) for x, y in ((a, b), (b, a)))
-            out |= {f"{b} in the place of {a}": one, f"{a} in the place of {b}": other}
-            out[f"{b} exchanged with {a}"] = {**other, **one}
+        one, other = (dict.fromkeys(own.get(x, {}), means[y]) for x, y in ((a, b), (b, a)))
+        out |= {f"{b} in the place of {a}": one, f"{a} in the place of {b}": other}
+        out[f"{b} exchanged with {a}"] = {**other, **one}
     return out
 
 
@@ -706,7 +769,13 @@ def _covariances(classes: Sequence[BackgroundClass]) -> Iterator[tuple[str, Trut
 
 
 def _traded(a: BackgroundClass, b: BackgroundClass, units: float) -> Truth:
-    """Two classes, the first with so much more area, of the second."""
+    """Two classes, the first with so much more area, of the second.
+
+    >>> from types import SimpleNamespace as Of
+    >>> lawn, lot = Of(name="lawn", fraction=0.3), Of(name="lot", fraction=0.1)
+    >>> [[round(x, 9) for x in _traded(lawn, lot, units).values()] for units in (-8.0, 1.0, 8.0)]
+    [[0.0, 0.4], [0.35, 0.05], [0.4, 0.0]]
+    """
     area = min(max(0.05 * units, -a.fraction), b.fraction)
     return {f"scene.classes.[{c.name}].fraction": c.fraction + more for c, more in ((a, area), (b, -area))}
 
@@ -805,6 +874,14 @@ def _names(world: World, what: str) -> list[str]:
 
 
 def _times(world: World, *, path: str, factor: float) -> Truth:
+    """What stands at a path by a factor.
+
+    >>> from hyperval.api import load_scenario
+    >>> dark = load_scenario("yellow-planks-asphalt").with_values({"scene.targets.0.spectrum": {"constant": 0.0}})
+    >>> _times(read_world(dark), path="surfaces.[{target}].mean", factor=0.8)
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: surfaces.[yellow plank].mean is 0
+    """
     nominal = _each(world, path)
     refuse(not any(map(np.any, nominal.values())), "attribution.none", what=f"{' and '.join(nominal)} is 0")
     return {each: factor * value for each, value in nominal.items()}
