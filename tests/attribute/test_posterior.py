@@ -188,10 +188,11 @@ def test_usual_inputs_are_those_that_a_scenario_has_and_does_not_state(case):
     data = {"name": "s", "scene": scene, "processing": {"elm": "none", "detectors": []}, **case.get("more", {})}
     origins = Origins(axis=AXIS, engine=stand_in_atmosphere)
     world = read_world(Scenario.model_validate(data), origins)
-    found = {i.name for i in attribute.assumed_inputs(world)}
+    further = attribute.further_candidates([world])
+    found = {i.name for i in attribute.every_input([world], further) if not i.budgeted}
     assert {*case["among"]} <= found
     assert not {*case["absent"]} & found
-    level = next(c for c in attribute.further_candidates([world]) if c.name == "level of the spectrum of c0")
+    level = next(c for c in further if c.name == "level of the spectrum of c0")
     np.testing.assert_allclose(level.at(0, -4.0)[0]["surfaces.[c0].mean"], 0.16)  # 4 steps of 5 % less than 0.2
 
 

@@ -335,9 +335,9 @@ def test_errors_of_areas_by_hand():
     assert (row["area_inside_95"].value, row["area_in_predicted_95"].value) == (0.0, 0.0)
     near = areas(Abundance(4.9, 0.6), Abundance(4.0, 0.1, 9, 10.5))
     assert (near["area_inside_95"].value, near["area_in_predicted_95"].value) == (1.0, 1.0)
-    none = areas(Abundance(11.0, 0.0), Abundance(-1.0, 0.0))
-    assert {none[m].outcome for m in ("area_difference_ratio", "area_inside_95")} == {Outcome.SKIPPED}
-    assert areas(Abundance(0.0, 0.1), Abundance(3.0, 0.2, 9))["area_ratio"].cause is Cause.NOT_POSITIVE
+    none = areas(Abundance(0.0, 0.0), Abundance(-1.0, 0.0, 9, 0.0))
+    assert {none[f"area_{m}"].cause for m in ("ratio", "difference_ratio", "nominal_ratio")} == {Cause.NOT_POSITIVE}
+    assert none["area_inside_95"].outcome is Outcome.SKIPPED
 
 
 def test_intervals_of_the_errors_of_several_areas():

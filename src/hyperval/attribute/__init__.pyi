@@ -4,9 +4,8 @@ from .candidates import (
     Candidate,
     Family,
     NotInjectable,
-    assumed_inputs,
-    candidates,
     errors_of_file,
+    every_input,
     exchanged_pairs,
     further_candidates,
     injected_errors,
@@ -44,8 +43,8 @@ from .schema import AttributionOptions, WhatIf
 __all__ = [
     "COMMON", "DIFFERENT", "NONE", "NOTHING", "AttributionOptions", "Candidate", "Causes",
     "Family", "NotInjectable", "Posterior", "Reasoner", "ResidualBlock", "Residuals", "ScenarioModel", "Stack",
-    "Truths", "WhatIf", "Whitened", "alarm_ratios", "assumed_inputs", "attribute", "candidates", "causes_of",
-    "changed_scenarios", "common_and_individual", "errors_of_file", "exchanged_pairs", "few_objects",
+    "Truths", "WhatIf", "Whitened", "alarm_ratios", "attribute", "causes_of",
+    "changed_scenarios", "common_and_individual", "errors_of_file", "every_input", "exchanged_pairs", "few_objects",
     "further_candidates", "injected_errors", "injected_prediction", "kind_of", "others_in_place", "quantities",
     "rarer_candidates", "reason_for", "sampled_covariance", "scale_warnings", "shares_of_variance", "stack_of",
 ]  # fmt: skip

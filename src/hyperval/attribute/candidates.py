@@ -21,7 +21,7 @@ import numpy as np
 
 from hyperval.atmosphere.solar import SPECTRA as SOLAR_SPECTRA
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.atmosphere.state import AtmosphereModel
+from hyperval.atmosphere.state import AtmosphereModel, AtmosphericState
 from hyperval.config import load_yaml
 from hyperval.data import Array
 from hyperval.errors import UsageError, package_table, refuse
@@ -33,6 +33,7 @@ from hyperval.scenario import BackgroundClass, Scenario, SpectralForm, Surface, 
 from hyperval.statistics_library import BUILTIN_NAMES, builtin_mean
 
 Family = Callable[[World], Truth]  # what stands where with an error, for what a scenario says
+Moved = Callable[[int, Any], Truth]
 
 # Directions of an input that move all that is compared at once: of a smooth error nearly all of its variance, of a
 # rough one little.  The rest counts for each spectrum by itself (``stated_beyond``), and not for scores.
@@ -45,7 +46,7 @@ SINGLE_BANDS = "single bands"
 # A surface that is described by another one of its kind: part of its reflectance, over so many nm together, along
 # the directions that hold nine tenths of its variance between 400 and 2500 nm.
 SURFACE, SURFACE_NM, SURFACE_DIRECTIONS = 0.10, 300.0, 4
-_OTHER_SIZES, _BELOW, _ABOVE = (-5.0, 5.0), 1.6, 2.0
+_BELOW, _ABOVE = 1.6, 2.0
 # Tables of what may be wrong, and where the model is asked for it.
 CAUSES = package_table("attribute/causes.yaml")
 _SIZES: dict[str, list[float]] = {name: sizes for name, *_, sizes in CAUSES["usual"]} | CAUSES["sizes"]
@@ -55,57 +56,6 @@ LIGHT = ("sunlight", "path radiance", "spherical albedo")
 SCALES, DARKEST, BRIGHTEST = (0.01, 0.1, 10.0, 100.0), 0.02, 1.5
 HEIGHTS = ("sensor altitude", "ground height")
 HAZES = ("rural", "continental", "maritime", "urban", "desert")
-
-
-def assumed_inputs(world: World) -> list[UncertainInput]:
-    """Every input of a scenario that may be off and whose uncertainty it does not state, with a usual one."""
-    stated = {item.path for item in inputs_of(world)}
-    return [item for item in usual_inputs(world) if item.path not in stated]
-
-
-def usual_inputs(world: World) -> Iterator[UncertainInput]:
-    """Every input of a scenario that may be off, with a usual uncertainty."""
-    scene = world.stated.scenario.scene
-    yield from (_usual(world, *row) for *row, _ in CAUSES["usual"] if _there(world, row[2]))
-    for c in scene.classes:
-        yield _usual(world, f"spread of {c.name}", "surface", f"surfaces.[{c.name}].spread", "10 %")
-        if np.all(np.isfinite(np.asarray(value_at(world, f"surfaces.[{c.name}].tail_dof"), dtype=float))):
-            yield _usual(world, f"tails of {c.name}", "surface", f"surfaces.[{c.name}].tail_dof", "10 %")
-    # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
-    # hosts they look like their fill, which is there already.
-    form = SpectralForm(correlation_nm=SURFACE_NM)
-    for s in _of_ground(world):
-        if s.spectrum.measured is None:
-            sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
-            one = spectral_input(world, field_spectrum_of(s.name), "surface", f"surfaces.[{s.name}].mean", sd, form)
-            words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
-            yield replace(one, rows=one.rows[:SURFACE_DIRECTIONS], source="usual", correlation=words)
-    shares = [c for c in scene.classes if _there(world, f"fraction.[{c.name}]")]
-    for c in shares[:1] if len(scene.classes) == 2 else shares:  # of two the other one's is the same input
-        yield _usual(world, f"fraction of {c.name}", "scene", f"fraction.[{c.name}]", "10 %")
-
-
-def _of_ground(world: World) -> tuple[Surface, ...]:
-    scene = world.stated.scenario.scene
-    return (*scene.classes, *scene.panels, *scene.sites)
-
-
-def _usual(world: World, name: str, kind: Kind, path: str, step: str) -> UncertainInput:
-    """An input of which one unit is a step, in its own unit or in percent of what stands there."""
-    size = float(step.split()[0])
-    one = number_input(world, name, kind, path, size, source="usual", words=step)
-    return replace(one, rows=size / 100.0 * one.nominal[None, :]) if step.endswith("%") else one
-
-
-def _there(world: World, path: str) -> bool:
-    """Whether a scenario has something at a path that is not 0; an atmosphere's table is of one state."""
-    state = world.stated.scenario.atmosphere
-    if path.startswith("atmosphere.") and (state is None or state.engine == "table"):
-        return False
-    try:
-        return bool(np.any(np.nan_to_num(np.asarray(value_at(world, path), dtype=float))))
-    except UsageError:
-        return False
 
 
 @dataclass(frozen=True)
@@ -119,32 +69,24 @@ class Candidate:
     budgeted : its uncertainty is stated, and is in the covariance already
     knots_nm : where its directions stand, over wavelength
     unbounded : of a change: how far a user's mistake goes is not what the uncertainty says
-    members : the input that it is in each scenario, None where it is none there
+    members : of each scenario its truth so many units along a direction, or by the label of an alternative; None where
+        nothing is moved
     sizes : of one thing, in units: where the model is asked; without one it is a set of directions
     labels : of alternatives
-    moved : the truths of all scenarios at a size, or of an alternative by its number
+    path, size : of an input, with the directions that are followed
     """
 
     name: str
     kind: str
     step: str
     budgeted: bool
-    members: tuple[UncertainInput | None, ...] = field(default=(), compare=False, repr=False)
+    members: tuple[Moved | None, ...] = field(default=(), compare=False, repr=False)
     sizes: tuple[float, ...] = field(default=(), compare=False)
     labels: tuple[str, ...] = field(default=(), compare=False)
-    moved: Callable[[float], list[Truth]] | None = field(default=None, compare=False, repr=False)
     unbounded: bool = field(default=False, compare=False)
     knots_nm: tuple[float, ...] = field(default=(), compare=False)
-
-    @property
-    def size(self) -> int:
-        """Directions that are followed."""
-        return min(max((m.size for m in self.members if m is not None), default=0), MOST_DIRECTIONS)
-
-    @property
-    def path(self) -> str:
-        """Of the input that it moves; its name where it is none."""
-        return next((m.path for m in self.members if m is not None), self.name)
+    path: str = field(default="", compare=False)
+    size: int = field(default=1, compare=False)
 
     @property
     def unit(self) -> str:
@@ -179,28 +121,10 @@ class Candidate:
             low, high = min(low, (_LEAST - 1.0) * whole), max(high, (_MOST - 1.0) * whole)
         return max(low, -whole), high
 
-    def as_far_as(self, usual: Candidate) -> Candidate:
-        """A number of a small stated uncertainty, asked at the sizes of one of which nothing is stated: who mistypes it
-        is no more careful than another.
-
-        >>> stated, usual = (UncertainInput("time", "scene", "hour", np.ones(1), np.array([[sd]])) for sd in (0.1, 1.0))
-        >>> clock = Candidate("time", "scene", "1 h", False, (usual,), (1.0, -1.0, 4.0))
-        >>> watch = Candidate("time", "scene", "one number", True, (stated,), (1.0, -1.0)).as_far_as(clock)
-        >>> watch.sizes, watch.ends
-        ((10.0, -10.0, 40.0), (-16.0, 80.0))
-        """
-        first, other = (next((m for m in c.members if m is not None), None) for c in (self, usual))
-        if first is None or not (self.budgeted and self.sizes and usual.sizes):
-            return self
-        step = np.max(np.abs(other.rows)) if other is not None else float(usual.step.partition(" ")[0])
-        ratio = float(step / np.max(np.abs(first.rows)))
-        return replace(self, sizes=tuple(ratio * z for z in usual.sizes)) if ratio > 1.0 else self
-
     def at(self, direction: int, units: float) -> list[Truth]:
-        """The truth of each scenario so many units along one direction."""
-        if self.moved is not None:
-            return self.moved(units)
-        return [{} if m is None or direction >= m.size else m.direction(direction, units) for m in self.members]
+        """The truth of each scenario so many units along one direction, or with an alternative by its number."""
+        how = self.labels[int(units)] if self.labels else units
+        return [{} if moved is None else moved(direction, how) for moved in self.members]
 
     @property
     def makes_anything(self) -> bool:
@@ -210,21 +134,18 @@ class Candidate:
     @property
     def of_engine(self) -> bool:
         """Whether each value of it takes a run of the engine."""
-        return any(m is not None and m.path.startswith("atmosphere.") for m in self.members)
+        return self.path.startswith("atmosphere.")
 
     def alone(self, number: int, scenario: str) -> Candidate:
         """The same in one scenario.
 
-        >>> later = Candidate("time", "scene", "1 h", False, sizes=(1.0,), moved=lambda z: [{"hour": 9 + z}] * 2)
+        >>> later = Candidate("time", "scene", "1 h", False, 2 * (lambda _, z: {"hour": 9 + z},), (1.0,))
         >>> second = later.alone(1, "line 2")
         >>> second.name, second.at(0, 1.0)
         ('time in line 2', [{}, {'hour': 10.0}])
         """
-
-        def moved(units: float) -> list[Truth]:
-            return [truth if i == number else {} for i, truth in enumerate(self.at(0, units))]
-
-        return replace(self, name=f"{self.name} in {scenario}", members=(), moved=moved)
+        members = tuple(moved if i == number else None for i, moved in enumerate(self.members))
+        return replace(self, name=f"{self.name} in {scenario}", members=members)
 
     def in_words(self, amplitudes: Array) -> str:
         """How far it is from what is stated.
@@ -249,25 +170,192 @@ class Candidate:
         return f"x {1.0 + value / 100.0:.3g}" if unit == "%" and abs(value) >= 1.0 else f"{value:+.2g} {unit}"
 
 
-def candidates(
-    stated: Sequence[Sequence[UncertainInput]], assumed: Sequence[Sequence[UncertainInput]]
-) -> list[Candidate]:
-    """Inputs of all scenarios by name: what bears one name moves in all of them at once.
+def together(scenarios: Sequence[Iterable[Candidate]]) -> list[Candidate]:
+    """What bears one name in several scenarios moves all of them at once, by sizes that each may have.
 
-    ``stated, assumed`` : inputs of each scenario, those with a stated uncertainty and the others; one that is stated in
-    any scenario is left out of the others.
+    >>> each = [_move("date", "scene", "1 d", (z, 9.0), lambda z: {"day": z}) for z in (-9.0, -2.0)]
+    >>> (both,) = together([each[:1], each[1:]])
+    >>> both.sizes, both.at(0, 9.0)
+    ((-2.0, 9.0), [{'day': 9.0}, {'day': 9.0}])
+    >>> one, other = (next(_one_of("haze", "atmosphere", {name: {"haze": name}})) for name in ("rural", "urban"))
+    >>> date, haze = together([[each[0], one], [other]])
+    >>> date.at(0, 2.0), haze.labels, haze.at(0, 1)
+    ([{'day': 2.0}, {}], ('rural', 'urban'), [{}, {'haze': 'urban'}])
     """
-    out: dict[str, Candidate] = {}
-    for budgeted, groups in ((True, stated), (False, assumed)):
-        for name in dict.fromkeys(i.name for group in groups for i in group):
-            members = tuple(next((i for i in group if i.name == name), None) for group in groups)
-            first = next(m for m in members if m is not None)
-            one = Candidate(name, first.kind, first.correlation, budgeted, members)
-            if one.size == 1:
-                further = () if budgeted else _SIZES.get(name, _SIZES.get(name.partition(" of ")[0], _OTHER_SIZES))
-                one = replace(one, sizes=(1.0, -1.0, *further))
-            out.setdefault(name, one)
-    return list(out.values())
+    by_name = [{c.name: c for c in some} for some in scenarios]
+    out = list[Candidate]()
+    for name in dict.fromkeys(name for some in by_name for name in some):
+        there = [some[name] for some in by_name if name in some]
+        least = max(min(c.sizes, default=0.0) for c in there)
+        sizes = tuple(dict.fromkeys(max(z, least) for z in there[0].sizes))
+        labels = tuple(dict.fromkeys(label for c in there for label in c.labels))
+        members = tuple(some[name].members[0] if name in some else None for some in by_name)
+        size = max(c.size for c in there)
+        out.append(replace(there[0], members=members, sizes=sizes, labels=labels, size=size))
+    return out
+
+
+def _move(name: str, kind: str, step: str, sizes: Sequence[float], truth: Callable[[float], Truth]) -> Candidate:
+    """What is no input of a scenario: its truth so many units away."""
+    return Candidate(name, kind, step, False, (lambda _, units: truth(units),), tuple(sizes))
+
+
+def _one_of(name: str, kind: str, truths: Mapping[str, Truth]) -> Iterator[Candidate]:
+    """Alternatives of a scenario by their labels; nothing where there are none."""
+    if truths:
+        yield Candidate(name, kind, "", False, (lambda _, label: truths.get(label, {}),), labels=tuple(truths))
+
+
+def _of_input(item: UncertainInput, sizes: Sequence[float], *, budgeted: bool = False) -> Candidate:
+    """An input along its leading directions.
+
+    >>> few, many = (UncertainInput("gain", "sensor", "sensor.gain", np.ones(20), np.eye(20)[:k]) for k in (2, 12))
+    >>> (both,) = together([[_of_input(few, ())], [_of_input(many, ())]])
+    >>> both.size, [list(truth) for truth in both.at(3, 1.0)]
+    (8, [[], ['sensor.gain']])
+    """
+
+    def moved(direction: int, units: float) -> Truth:
+        return item.direction(direction, units) if direction < item.size else {}
+
+    size = min(item.size, MOST_DIRECTIONS)
+    return Candidate(
+        item.name, item.kind, item.correlation, budgeted, (moved,), tuple(sizes), path=item.path, size=size
+    )
+
+
+def _number(world: World, name: str, kind: Kind, path: str, step: str, sizes: Sequence[float]) -> Candidate:
+    """A number, of which one unit is a step in its own unit or in percent of what stands there; in its own unit down to
+    0 at most, which is what the smallest ones are mistaken for.
+    """
+    size = float(step.split()[0])
+    one = number_input(world, name, kind, path, size, words=step)
+    if step.endswith("%"):
+        return _of_input(replace(one, rows=size / 100.0 * one.nominal[None, :]), sizes)
+    least = -float(np.min(np.abs(one.nominal))) / size
+    return _of_input(one, [z for z in dict.fromkeys(max(z, least) for z in sizes) if z])
+
+
+def every_input(worlds: Sequence[World], further: Iterable[Candidate]) -> list[Candidate]:
+    """Inputs of a stated uncertainty, and the others that may be off, with a usual one.
+
+    ``further`` : of :func:`further_candidates`, which tell how far a stated one may go
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read_world
+    >>> stated = {"solar_zenith_deg": 0.1, "wavelength_shift": {"absolute": 0.02, "correlation": "systematic"}}
+    >>> spectra = {"grass": {"correlation": "systematic"}, "asphalt": {"correlation_nm": 100.0}}
+    >>> stated["field_spectra"] = [{"subject": name, "relative": 0.02, **of} for name, of in spectra.items()]
+    >>> world = read_world(load_scenario("yellow-planks-asphalt").with_values({"uncertainty": stated}))
+    >>> for c in every_input([world], further_candidates([world])):
+    ...     if c.budgeted:
+    ...         print(c.name, [round(size) for size in c.sizes[:4]])
+    solar zenith angle [10, -10, -50, 50]
+    field spectrum of grass [1, -1]
+    field spectrum of asphalt []
+    wavelength shift [10, -10, -500, -250]
+    """
+    usual = together([usual_inputs(world) for world in worlds])
+    stated = together([stated_inputs(world, [*usual, *further]) for world in worlds])
+    known = {c.path for c in stated}
+    return [*stated, *(c for c in usual if c.path not in known)]
+
+
+def stated_inputs(world: World, usual: Iterable[Candidate]) -> Iterator[Candidate]:
+    """The inputs of a stated uncertainty.
+
+    A number of a small one is asked at the sizes of one of which nothing is stated: who mistypes it is no more careful
+    than another.
+
+    Parameters
+    ----------
+    usual : how far the same go where nothing is stated
+
+    Examples
+    --------
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read_world
+    >>> share = {"subject": "grass", "absolute": 0.002}
+    >>> world = read_world(load_scenario("yellow-planks-asphalt").with_values({"uncertainty.fractions": [share]}))
+    >>> (stated,) = (c for c in stated_inputs(world, usual_inputs(world)) if c.path == "fraction.[grass]")
+    >>> [round(size) for size in stated.sizes], [round(end) for end in stated.ends]  # of 0.002 in 0.3
+    ([15, -15, -75, 75], [-120, 150])
+    >>> wide = world.stated.scenario.with_values({"uncertainty.fractions": [share | {"absolute": 0.1}]})
+    >>> [c.sizes for c in stated_inputs(read_world(wide), usual_inputs(world)) if c.path == "fraction.[grass]"]
+    [(1.0, -1.0)]
+    """
+    known = {key: c for c in usual if c.sizes for key in (c.name, c.path)}
+    for item in inputs_of(world):
+        sizes: tuple[float, ...] = (1.0, -1.0) if item.size == 1 else ()
+        if sizes and (other := known.get(item.path, known.get(item.name))) is not None:
+            number, _, unit = other.step.partition(" ")
+            step = float(number) * (float(np.max(np.abs(item.nominal))) / 100.0 if unit == "%" else 1.0)
+            ratio = step / float(np.max(np.abs(item.rows)))
+            sizes = tuple(ratio * z for z in other.sizes) if ratio > 1.0 else sizes
+        yield _of_input(item, sizes, budgeted=True)
+
+
+def usual_inputs(world: World) -> Iterator[Candidate]:
+    """Every input of a scenario that may be off, with a usual uncertainty.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read_world
+    >>> heavy = load_scenario("yellow-planks-asphalt").with_values({"scene.classes.grass.tail_dof": 8.0})
+    >>> found = {c.name: c for c in usual_inputs(read_world(heavy))}
+    >>> [name for name in found if name.startswith("tails")], found["field spectrum of grass"].size
+    (['tails of grass'], 4)
+    """
+    names = [c.name for c in world.stated.scenario.scene.classes]
+    shares = [name for name in names if _there(world, f"fraction.[{name}]")]
+    # Of two shares the other one's is the same input.
+    of = {"{class}": names, "{share}": shares[:1] if len(names) == 2 else shares}
+    for name, kind, path, step, sizes in CAUSES["usual"]:
+        what = next((what for what in of if what in path), "")
+        for each in of.get(what, [""]):
+            if _there(world, where := path.replace(what, each)):
+                yield _number(world, name.replace(what, each), kind, where, step, (1.0, -1.0, *sizes))
+    # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
+    # hosts they look like their fill, which is there already.
+    form = SpectralForm(correlation_nm=SURFACE_NM)
+    for s, path in _field_spectra(_of_ground(world)):
+        sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
+        one = spectral_input(world, field_spectrum_of(s.name), "surface", path, sd, form)
+        words = f"{100 * SURFACE:g} %, {form_in_words(form)}"
+        yield _of_input(replace(one, rows=one.rows[:SURFACE_DIRECTIONS], correlation=words), ())
+
+
+def _of_ground(world: World) -> tuple[Surface, ...]:
+    scene = world.stated.scenario.scene
+    return (*scene.classes, *scene.panels, *scene.sites)
+
+
+def _kinds(world: World) -> tuple[Sequence[Surface], ...]:
+    """Surfaces that may be taken for each other: classes, panels and sites, targets."""
+    scene = world.stated.scenario.scene
+    return scene.classes, (*scene.panels, *scene.sites), scene.targets
+
+
+def _state(world: World) -> AtmosphericState | None:
+    """What is stated of the atmosphere; a table is of one state.
+
+    >>> from types import SimpleNamespace as Of
+    >>> kinds = "sixs", "table"
+    >>> [_state(Of(stated=Of(scenario=Of(atmosphere=Of(engine=kind))))) is None for kind in kinds]
+    [False, True]
+    """
+    state = world.stated.scenario.atmosphere
+    return None if state is None or state.engine == "table" else state
+
+
+def _there(world: World, path: str) -> bool:
+    """Whether a scenario has a number at a path, which is not 0."""
+    if path.startswith("atmosphere.") and _state(world) is None:
+        return False
+    try:
+        value = np.asarray(value_at(world, path), dtype=float)
+        return bool(np.any(np.isfinite(value) & (value != 0.0)))
+    except UsageError:
+        return False
 
 
 def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
@@ -286,49 +374,50 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> scale, some = of["scale of a spectrum"], ("grass", "black", "yello")  # that leaves a reflectance
     >>> [label for i, label in enumerate(scale.labels) if any(scale.at(0, i)) and label[:5] in some]
     ['grass x 0.1', 'black panel x 10', 'yellow plank x 0.1 or of another material']
+    >>> of["exchanged spectra or regions"].labels[:1], "rural" in of["aerosol type"].labels
+    (('asphalt and grass',), False)
+    >>> clear = {"atmosphere.aerosol": "none", "atmosphere.meteorological_range_km": None}
+    >>> clear["scene.targets.[yellow plank].subjects.0.fill"] = {"geometry": {"side_m": 0.4, "gsd_m": 1.0}}
+    >>> seen = {c.name for c in further_candidates([read_world(world.stated.scenario.with_values(clear))])}
+    >>> {"date of overflight", "size of yellow plank"} <= seen, "aerosol type" in seen
+    (True, False)
     """
-    states = [world.stated.scenario.atmosphere for world in worlds]
-    if any(s is not None and s.engine == "table" for s in states):
-        states = [None for _ in states]
+    return together([_further(world) for world in worlds])
 
-    def wider(units: float) -> list[Truth]:  # or spectra that were smoothed over bands
-        return [{**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units} for world in worlds]
 
-    shifted, sizes = partial(_elsewhere, worlds, 1.0), (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
-    out = [Candidate("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", False, moved=shifted, sizes=sizes)]
-    out.append(Candidate("band width", "sensor", "10 %", False, moved=wider, sizes=(-4.0, 10.0, 30.0)))
-    if any(s is not None and s.time_utc for s in states):
-        later = partial(_later, worlds, timedelta(hours=1))
-        out.append(Candidate("time of overflight", "scene", "1 h", False, sizes=(1.0, -1.0), moved=later))
-    if all(s is not None and s.solar_zenith_deg is not None and not s.time_utc for s in states):
-        sun = "solar zenith angle", "scene", "atmosphere.solar_zenith_deg", "1 deg"
-        out.append(_of_input(worlds, sun, (1.0, -1.0, -5.0, 5.0)))
-        if len(days := [s.day_of_year for s in states if s is not None and s.day_of_year]) == len(states):
-            months, day = (-2.0, -1.0, 1.0, 2.0, 4.0, 6.0), partial(_on_day, days)
-            out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=months, moved=day))
-    if all(world.stated.noise is not None for world in worlds):
-        out.append(_noise(worlds, "fixed_noise", "noise without signal", (1.0, -1.0, -10.0, 10.0, 30.0)))
-    if hazes := {s.aerosol for s in states if s is not None and isinstance(s.aerosol, str) and s.aerosol in HAZES}:
-        kinds = {h: [{"atmosphere.aerosol": h} if s else {} for s in states] for h in HAZES if h not in hazes}
-        out.append(_one_of("aerosol type", "atmosphere", kinds))
-    pairs, scaled = dict[str, list[Truth]](), dict[str, list[Truth]]()
-    levels = defaultdict[str, list[dict[str, Array]]](lambda: [{} for _ in worlds])
-    for number, world in enumerate(worlds):
-        scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
-        for name in dict.fromkeys(p.name for _, _, p in world.stated.populations):
-            fill = f"fill fraction of {name}", "scene", f"fill.[{name}]", "5 %"
-            out.append(_of_input(worlds, fill, (-10.0, 12.0), number))
-        if len(scene.targets) > 1 or any(_side(p) for t in scene.targets for p in t.populations):
-            out += [_sized(target, number, worlds) for target in scene.targets]
-        for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
-            for names in combinations([x.name for x in kind], 2):
-                pairs[" and ".join(names)] = alone(_exchanged(world, names))
-            scaled |= {words: alone(truth) for words, truth in _rescaled(world, kind)}
-        for s, path in _field_spectra(_of_ground(world)):
-            levels[s.name][number][path] = np.asarray(value_at(world, path))[0]
-    out += [_level(f"the spectrum of {name}", means) for name, means in levels.items()]
-    found = {"exchanged spectra or regions": pairs, "scale of a spectrum": scaled}
-    return out + [_one_of(name, "scene", each) for name, each in found.items() if each]
+def _further(world: World) -> Iterator[Candidate]:
+    stated, state = world.stated, _state(world)
+    scene, sizes = stated.scenario.scene, (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
+    yield _move("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_elsewhere, world, 1.0))
+
+    def wider(units: float) -> Truth:  # or spectra that were smoothed over bands
+        return {**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units}
+
+    yield _move("band width", "sensor", "10 %", (-4.0, 10.0, 30.0), wider)
+    if state is not None and state.time_utc:
+        yield _move("time of overflight", "scene", "1 h", (1.0, -1.0), partial(_later, state, timedelta(hours=1)))
+    elif state is not None and state.solar_zenith_deg is not None:
+        path, angles = "atmosphere.solar_zenith_deg", (1.0, -1.0, -5.0, 5.0)
+        yield _number(world, "solar zenith angle", "scene", path, "1 deg", angles)
+        if state.day_of_year:
+            months, day = (-2.0, -1.0, 1.0, 2.0, 4.0, 6.0), partial(_on_day, state.day_of_year)
+            yield _move("date of overflight", "scene", "30 d", months, day)
+    if stated.noise is not None:
+        yield _noise("fixed_noise", "noise without signal", (1.0, -1.0, *_SIZES["noise without signal"]))
+    for name in dict.fromkeys(p.name for _, _, p in stated.populations):
+        yield _number(world, f"fill fraction of {name}", "scene", f"fill.[{name}]", "5 %", (-10.0, 12.0))
+    if len(scene.targets) > 1 or any(_side(p) for t in scene.targets for p in t.populations):
+        yield from (_sized(world, target) for target in scene.targets)
+    for s, path in _field_spectra(_of_ground(world)):
+        yield _level(f"the spectrum of {s.name}", {path: value_at(world, path)[0]})
+    if state is not None and state.aerosol in HAZES:
+        hazes = {haze: {"atmosphere.aerosol": haze} for haze in HAZES if haze != state.aerosol}
+        yield from _one_of("aerosol type", "atmosphere", hazes)
+    pairs = [names for kind in _kinds(world) for names in combinations([x.name for x in kind], 2)]
+    exchanged = {" and ".join(names): _exchanged(world, names) for names in pairs}
+    scaled = dict(item for kind in _kinds(world) for item in _rescaled(world, kind))
+    yield from _one_of("exchanged spectra or regions", "scene", exchanged)
+    yield from _one_of("scale of a spectrum", "scene", scaled)
 
 
 def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Truth]]:
@@ -343,65 +432,57 @@ def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Trut
             yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level} if possible else {}
 
 
-def _later(worlds: Sequence[World], step: timedelta, units: float) -> list[Truth]:
-    """Another time of overflight, where one is stated; another day at the same hour.
+def _later(state: AtmosphericState, step: timedelta, units: float) -> Truth:
+    """Another time of overflight; another day at the same hour.
 
     >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import read_world
     >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
-    >>> stated = load_scenario("green-planks-grass")
-    >>> there = stated.with_values({f"atmosphere.{name}": value for name, value in at.items()})
-    >>> _later([read_world(there), read_world(stated)], timedelta(hours=1), -2.0)
-    [{'atmosphere.time_utc': '2012-09-20T14:00:00+00:00'}, {}]
-    >>> _later([read_world(there)], timedelta(days=30), 0.52)
-    [{'atmosphere.time_utc': '2012-10-06T16:00:00+00:00'}]
+    >>> scenario = load_scenario("green-planks-grass")
+    >>> state = scenario.with_values({f"atmosphere.{name}": value for name, value in at.items()}).atmosphere
+    >>> _later(state, timedelta(hours=1), -2.0), _later(state, timedelta(days=30), 0.52)
+    ({'atmosphere.time_utc': '2012-09-20T14:00:00+00:00'}, {'atmosphere.time_utc': '2012-10-06T16:00:00+00:00'})
     """
     by = units * step if step < timedelta(days=1) else timedelta(days=round(units * step.days))
-    times = [s and s.time_utc and parse_utc(s.time_utc) + by for s in (w.stated.scenario.atmosphere for w in worlds)]
-    return [{"atmosphere.time_utc": t.isoformat()} if t else {} for t in times]
+    return {"atmosphere.time_utc": (parse_utc(str(state.time_utc)) + by).isoformat()}
 
 
-def _on_day(days: Sequence[int], units: float) -> list[Truth]:
+def _on_day(day: int, units: float) -> Truth:
     """Another day of the year.
 
-    >>> _on_day([264, 10], 4.0)
-    [{'atmosphere.day_of_year': 19}, {'atmosphere.day_of_year': 130}]
+    >>> _on_day(264, 4.0), _on_day(10, 4.0)
+    ({'atmosphere.day_of_year': 19}, {'atmosphere.day_of_year': 130})
     """
-    return [{"atmosphere.day_of_year": (round(day + 30.0 * units) - 1) % 365 + 1} for day in days]
+    return {"atmosphere.day_of_year": (round(day + 30.0 * units) - 1) % 365 + 1}
 
 
-def _noise(worlds: Sequence[World], key: str, name: str, sizes: Iterable[float], of: Array | float = 1.0) -> Candidate:
+def _noise(key: str, name: str, sizes: Sequence[float], of: Array | float = 1.0) -> Candidate:
     """Electrons per radiance or fixed noise of another size, in bands ``of`` (B,)."""
-
-    def other(units: float) -> list[Truth]:
-        return [{f"sensor.{key}": 1.0 + 0.05 * units * of}] * len(worlds)
-
-    return Candidate(name, "sensor", "5 %", False, sizes=tuple(sizes), moved=other)
+    return _move(name, "sensor", "5 %", sizes, lambda units: {f"sensor.{key}": 1.0 + 0.05 * units * of})
 
 
-def _sized(target: Target, number: int, worlds: Sequence[World]) -> Candidate:
+def _sized(world: World, target: Target) -> Candidate:
     """Targets of another size than stated: their sides, where fills follow from those; else their fills.
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import read_world
-    >>> worlds = [read_world(load_scenario("green-planks-grass"))]
-    >>> sized = _sized(worlds[0].stated.scenario.scene.targets[0], 0, worlds)
+    >>> world = read_world(load_scenario("green-planks-grass"))
+    >>> sized = _sized(world, world.stated.scenario.scene.targets[0])
     >>> {path: fill.round(9).tolist() for path, fill in sized.at(0, 2.0)[0].items()}  # sides longer by 10 %
     {'fill.[green plank 0.1]': [0.121], 'fill.[green plank 0.2]': [0.242], 'fill.[green plank 0.4]': [0.484]}
     """
 
-    def sized(units: float) -> list[Truth]:
+    def sized(units: float) -> Truth:
         factor, truth = 1.0 + 0.05 * units, dict[str, Any]()
         for p in target.populations:
             if side := _side(p):
                 truth[f"{_geometry(target, p)}.side_m"] = factor * side
             else:
-                fill = np.asarray(value_at(worlds[number], f"fill.[{p.name}]"), dtype=float)[0]
+                fill = np.asarray(value_at(world, f"fill.[{p.name}]"), dtype=float)[0]
                 truth[f"fill.[{p.name}]"] = np.minimum(factor**2 * fill, 1.0)
-        return _alone(number, len(worlds), truth)
+        return truth
 
-    return Candidate(f"size of {target.name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=sized)
+    return _move(f"size of {target.name}", "scene", "5 %", (-6.0, 8.0), sized)
 
 
 def _side(p: TargetSubject) -> float | None:
@@ -423,16 +504,16 @@ def exchanged_entries(worlds: Sequence[World], looked_for: Mapping[str, Any]) ->
     >>> classes.labels[0], classes.at(0, 0.0)[0]
     ('asphalt: that of grass', {'scene.classes.[asphalt].spectrum': {'builtin': 'grass'}})
     """
-    found: dict[str, dict[str, list[Truth]]] = {"targets": {}, "classes": {}}
-    for number, world in enumerate(worlds):
-        for kind, entries in found.items():
-            items = getattr(world.stated.scenario.scene, kind)
-            spectra = {x.name: x.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for x in items}
-            others = looked_for if kind == "targets" else {}
-            for words, changed in others_in_place(spectra, others, "looked for").items():
-                truth = {f"scene.{kind}.[{name}].spectrum": entry for name, entry in changed.items()}
-                entries[words] = _alone(number, len(worlds), truth)
-    return [_one_of(f"spectra of {kind} in the file", "scene", each) for kind, each in found.items() if each]
+    return together([_entries(world, looked_for) for world in worlds])
+
+
+def _entries(world: World, looked_for: Mapping[str, Any]) -> Iterator[Candidate]:
+    for kind, others in (("targets", looked_for), ("classes", {})):
+        items, truths = getattr(world.stated.scenario.scene, kind), dict[str, Truth]()
+        spectra = {x.name: x.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for x in items}
+        for words, changed in others_in_place(spectra, others, "looked for").items():
+            truths[words] = {f"scene.{kind}.[{name}].spectrum": entry for name, entry in changed.items()}
+        yield from _one_of(f"spectra of {kind} in the file", "scene", truths)
 
 
 def others_in_place(named: Mapping[str, Any], others: Mapping[str, Any], what: str) -> dict[str, dict[str, Any]]:
@@ -478,9 +559,9 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> def shown(name, units):
     ...     for truth in both[name].at(0, units):
     ...         print({path: np.round(value, 3).ravel()[[0, -1]].tolist() for path, value in truth.items()})
-    >>> shown("light of yellow plank", -4.0)  # of the first scenario: as stated it lies in full light
+    >>> shown("light of yellow plank", -4.0)  # as stated it lies in full light
     {'scene.targets.[yellow plank].illumination.beam': [0.6, 0.6]}
-    {}
+    {'scene.targets.[yellow plank].illumination.beam': [0.6, 0.6]}
     >>> shown("fraction of asphalt for grass", 2.0)
     {'scene.classes.[asphalt].fraction': [0.7, 0.7], 'scene.classes.[grass].fraction': [0.2, 0.2]}
     {'scene.classes.[asphalt].fraction': [0.7, 0.7], 'scene.classes.[grass].fraction': [0.2, 0.2]}
@@ -493,10 +574,12 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     0.0
     >>> entries = both["entry of a surface"]
     >>> lit, spread = len(entries.labels) - 1, entries.labels.index("covariance of grass in asphalt")
-    >>> entries.labels[lit], entries.at(0, lit)[0], sorted(entries.at(0, lit)[1].values())
-    ('yellow plank in full light', {}, [1.0, 1.0])
-    >>> entries.at(0, spread)
+    >>> entries.labels[lit], sorted(entries.at(0, lit)[1].values())
+    ('yellow plank in full light', [1.0, 1.0])
+    >>> entries.alone(1, "").at(0, spread)
     [{}, {'scene.classes.[asphalt].covariance': {'builtin': 'grass'}}]
+    >>> entries.labels.count("grass in the place of grass"), "level of the spectrum of grass" in both
+    (0, False)
     >>> both["host of the targets"].labels, both["host of the targets"].at(0, 0.0)[1]
     (('yellow plank on grass', 'yellow plank on soil'), {'scene.targets.[yellow plank].host': 'grass'})
     >>> plank = {"spectrum": {"builtin": "yellow-paint-plank"}, "host": "asphalt", "fill": {"fixed": 0.1}}
@@ -505,6 +588,12 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> hosts = next(c for c in several if c.name == "host of the targets")
     >>> hosts.labels[:3], sorted(hosts.at(0, 2.0)[0].values())
     (('a on grass', 'b on grass', 'all targets on grass'), ['grass', 'grass'])
+    >>> sum(c.name == "size of a" for c in _further(read_world(stated.with_values({"scene.targets": two}))))
+    1
+    >>> alone = {"scene.classes": [{"name": "lawn", "fraction": 1.0, "spectrum": {"builtin": "grass"}}]}
+    >>> lawn = read_world(stated.with_values(alone | {"scene.targets": [], "scene.panels": []}))
+    >>> [c.name for c in rarer_candidates([lawn]) if c.name.startswith("level")]  # all of it is that of one
+    []
     >>> arm = both["electrons per radiance of 942-2470 nm"]
     >>> [truth["sensor.electrons"].round(9).ravel()[[0, -1]].tolist() for truth in arm.at(0, 2.0)]
     [[1.0, 1.1], [1.0, 1.1]]
@@ -518,8 +607,7 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     [{'sensor_changes.bits': 12}, {'sensor_changes.bits': 12}]
     >>> [name for name in both if both[name].of_engine]
     ['Angstrom exponent', 'view zenith angle', 'ground height', 'sensor altitude']
-    >>> *row, sizes = CAUSES["state"][3]
-    >>> slanted = _of_input([read_world(stated.with_values({"atmosphere.view_zenith_deg": 6.0}))], row, sizes)
+    >>> slanted = _number(read_world(stated.with_values({"atmosphere.view_zenith_deg": 6.0})), *CAUSES["state"][3])
     >>> slanted.sizes, both["view zenith angle"].sizes, both["ground height"].sizes
     ((-6.0, 5.0, 20.0), (5.0, 20.0), (-1.7, 4.0, 12.0))
     >>> shown("ground height", both["ground height"].sizes[-2])
@@ -528,60 +616,67 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     >>> both["standard atmosphere"].labels[0], both["standard atmosphere"].at(0, 0.0)
     ('tropical', [{'atmosphere.model': 'tropical'}, {'atmosphere.model': 'tropical'}])
     """
-    out, pixels = list[Candidate](), [dict[str, Any]() for _ in worlds]
-    entries, hosts = dict[str, list[Truth]](), dict[str, list[Truth]]()
-    levels = defaultdict[str, list[dict[str, Array]]](lambda: [{} for _ in worlds])
-
-    def stretched(units: float) -> list[Truth]:
-        centres = (world.stated.axis.centre_nm for world in worlds)
-        return [_shifted(w, nm=1e-3 * units * (c - c.mean())) for w, c in zip(worlds, centres, strict=True)]
-
-    for number, world in enumerate(worlds):
-        scene, alone = world.stated.scenario.scene, partial(_alone, number, len(worlds))
-        for kind in (scene.classes, (*scene.panels, *scene.sites), scene.targets):
-            means = {s.name: np.asarray(value_at(world, path))[0] for s, path in _field_spectra(kind)}
-            for s, path in _field_spectra(kind):
-                of_file = [f"spectra of {s.spectrum.file} {s.spectrum.record or ''}".strip()] * bool(s.spectrum.file)
-                for name in (f"the spectrum of {s.name}", *of_file, "all spectra of the ground"):
-                    levels[name][number][path] = means[s.name]
-                entries |= {f"{by} in the place of {s.name}": alone({path: means[by]}) for by in means if by != s.name}
-        entries |= {words: alone(truth) for words, truth in _covariances(scene.classes)}
-        for t in scene.targets:
-            shapes = ((_geometry(t, p), p.fill and p.fill.geometry) for p in t.populations)
-            pixels[number] |= {f"{path}.gsd_m": shape.gsd_m for path, shape in shapes if shape}
-            path = f"scene.targets.[{t.name}].illumination"
-            light = f"light of {t.name}", "scene", f"{path}.beam", "10 %"
-            out.append(_of_input(worlds, light, (-9.0, -4.0, 7.0), number))
-            entries[f"{t.name} in full light"] = alone({f"{path}.beam": 1.0, f"{path}.sky_view": 1.0})
-        for c in scene.classes:
-            on = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
-            hosts |= {f"{name} on {c.name}": alone(truth) for name, truth in on.items()}
-            if len(on) > 1:
-                hosts[f"all targets on {c.name}"] = alone({k: v for truth in on.values() for k, v in truth.items()})
-    classes = [{c.name: c for c in world.stated.scenario.scene.classes} for world in worlds]
-    for a, b in dict.fromkeys(pair for of in classes for pair in combinations(of, 2)):
-        name, pairs = f"fraction of {a} for {b}", [(of[a], of[b]) if {a, b} <= of.keys() else () for of in classes]
-        traded = partial(_traded, pairs)
-        out.append(Candidate(name, "scene", "0.05 of the area", False, sizes=(-8.0, 8.0), moved=traded))
-    names = {str([sorted(means) for means in each]): name for name, each in reversed(levels.items())}
-    tried = {f"the spectrum of {s.name}" for world in worlds for s in _of_ground(world)}
-    out += [_level(name, levels[name]) for name in names.values() if name not in tried]  # of the same spectra the first
-    entries |= _files_changed(levels)
-    if any(pixels):
-        larger = partial(_levelled, pixels)
-        out.append(Candidate("pixel size of the fills", "sensor", "5 %", False, sizes=(-8.0, 12.0), moved=larger))
-    out += _of_arms(worlds)
-    if all(world.stated.noise is not None for world in worlds):
-        words = {f"{bits} bits": [{"sensor_changes.bits": bits} for _ in worlds] for bits in (8, 10, 12, 14, 16)}
-        out.append(_one_of("bits of a recorded number", "sensor", words))
-    out.append(Candidate("wavelength scale", "sensor", "0.1 %", False, sizes=(-8.0, 8.0), moved=stretched))
-    named = {"entry of a surface": entries, "host of the targets": hosts}
-    out += [_one_of(name, "scene", each) for name, each in named.items() if each]
-    is_engine = all(_there(world, "atmosphere.sensor_altitude_km") for world in worlds)
-    return [*out, *(_of_atmosphere(worlds) if is_engine else ())]
+    levels = [_spectra(world) for world in worlds]
+    means = {name: next(iter(of.values())) for own in levels for name, of in own.items()}
+    every = together([[_level(name, of) for name, of in own.items()] for own in levels])
+    first = {str([sorted(truth) for truth in c.at(0, 1.0)]): c for c in reversed(every)}.values()  # of the same spectra
+    tried = {f"level of the spectrum of {s.name}" for world in worlds for s in _of_ground(world)}
+    rarer = together([_rarer(world, _files_changed(of, means)) for world, of in zip(worlds, levels, strict=True)])
+    return [*(c for c in first if c.name not in tried), *rarer]
 
 
-def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
+def _spectra(world: World) -> dict[str, dict[str, Array]]:
+    """Field spectra by their paths: of a surface, of a file, of everything, which one mistake may be in."""
+    out = defaultdict[str, dict[str, Array]](dict)
+    for s, path in (item for kind in _kinds(world) for item in _field_spectra(kind)):
+        of_file = [f"spectra of {s.spectrum.file} {s.spectrum.record or ''}".strip()] * bool(s.spectrum.file)
+        for name in (f"the spectrum of {s.name}", *of_file, "all spectra of the ground"):
+            out[name][path] = np.asarray(value_at(world, path))[0]
+    return out
+
+
+def _rarer(world: World, of_files: Mapping[str, Truth]) -> Iterator[Candidate]:
+    scene, axis = world.stated.scenario.scene, world.stated.axis
+    pixels, hosts, entries = dict[str, Any](), dict[str, Truth](), dict[str, Truth]()
+    for kind in _kinds(world):
+        means = {s.name: np.asarray(value_at(world, path))[0] for s, path in _field_spectra(kind)}
+        for s, path in _field_spectra(kind):
+            entries |= {f"{by} in the place of {s.name}": {path: means[by]} for by in means if by != s.name}
+    entries |= dict(_covariances(scene.classes))
+    for t in scene.targets:
+        shapes = ((_geometry(t, p), p.fill and p.fill.geometry) for p in t.populations)
+        pixels |= {f"{path}.gsd_m": shape.gsd_m for path, shape in shapes if shape}
+        path = f"scene.targets.[{t.name}].illumination"
+        yield _number(world, f"light of {t.name}", "scene", f"{path}.beam", "10 %", (-9.0, -4.0, 7.0))
+        entries[f"{t.name} in full light"] = {f"{path}.beam": 1.0, f"{path}.sky_view": 1.0}
+    for c in scene.classes:
+        on = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
+        hosts |= {f"{name} on {c.name}": truth for name, truth in on.items()}
+        if len(on) > 1:
+            hosts[f"all targets on {c.name}"] = {path: host for truth in on.values() for path, host in truth.items()}
+    for a, b in combinations(scene.classes, 2):
+        name, traded = f"fraction of {a.name} for {b.name}", partial(_traded, a, b)
+        yield _move(name, "scene", "0.05 of the area", (-8.0, 8.0), traded)
+    if pixels:
+        yield _move("pixel size of the fills", "sensor", "5 %", (-8.0, 12.0), partial(_levelled, pixels))
+    noises = {"electrons": "electrons per radiance", "fixed_noise": "noise without signal"}
+    for where, arm in arms_of(world).items():
+        for key, name in noises.items() if world.stated.noise is not None else ():
+            yield _noise(key, f"{name} of {where}", _SIZES[name], arm)
+        name, sizes = f"wavelength shift of {where}", (-25.0, -5.0, 5.0, 25.0)
+        yield _move(name, "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_elsewhere, world, arm))
+    if world.stated.noise is not None:
+        words = {f"{bits} bits": {"sensor_changes.bits": bits} for bits in (8, 10, 12, 14, 16)}
+        yield from _one_of("bits of a recorded number", "sensor", words)
+    from_middle = (axis.centre_nm - axis.centre_nm.mean()) / (1e3 * SHIFT_NM)
+    yield _move("wavelength scale", "sensor", "0.1 %", (-8.0, 8.0), partial(_elsewhere, world, from_middle))
+    yield from _one_of("entry of a surface", "scene", {**entries, **of_files})
+    yield from _one_of("host of the targets", "scene", hosts)
+    if (state := _state(world)) is not None:
+        yield from _of_atmosphere(world, state)
+
+
+def _of_atmosphere(world: World, state: AtmosphericState) -> Iterator[Candidate]:
     """What is stated of atmosphere, sun and view, at other values.
 
     >>> from hyperval.api import load_scenario
@@ -589,41 +684,31 @@ def _of_atmosphere(worlds: Sequence[World]) -> list[Candidate]:
     >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
     >>> there = load_scenario("green-planks-grass").with_values({f"atmosphere.{name}": v for name, v in at.items()})
-    >>> of = {c.name: c for c in _of_atmosphere([read_world(there)])}
+    >>> of = {c.name: c for c in _of_atmosphere(read_world(there), there.atmosphere)}
     >>> [of["date of overflight"].at(0, z)[0]["atmosphere.time_utc"][:10] for z in of["date of overflight"].sizes]
     ['2012-08-21', '2012-10-20', '2012-07-22', '2012-11-19']
     >>> of["place on the globe"].labels, of["place on the globe"].at(0, 0.0)
     (('latitude with the other sign', 'longitude with the other sign'), [{'atmosphere.latitude_deg': -43.0}])
+    >>> of["standard atmosphere"].labels.count(there.atmosphere.model)
+    0
+    >>> of["solar spectrum"].labels.count(there.atmosphere.solar_spectrum)
+    0
+    >>> sorted({"time of overflight", "solar zenith angle"} & {c.name for c in _further(read_world(there))})
+    ['time of overflight']
     """
-    states = [world.stated.scenario.atmosphere for world in worlds]
-    rows = {path.partition(".")[2]: (row, sizes) for *row, sizes in CAUSES["state"] for path in row[2:3]}
-    out = [_of_input(worlds, *of) for key, of in rows.items() if all(getattr(s, key, None) is not None for s in states)]
-    if any(s is not None and s.time_utc for s in states):
-        later = partial(_later, worlds, timedelta(days=30))
-        out.append(Candidate("date of overflight", "scene", "30 d", False, sizes=(-1.0, 1.0, -2.0, 2.0), moved=later))
-    signs = {
-        f"{key.partition('_')[0]} with the other sign": [{} if x is None else {f"atmosphere.{key}": -x} for x in values]
-        for key in ("latitude_deg", "longitude_deg") if any(values := [getattr(s, key, None) for s in states])
-    }  # fmt: skip
-    out += [_one_of("place on the globe", "atmosphere", signs)] if signs else []
-    models, suns = get_args(AtmosphereModel), tuple(SOLAR_SPECTRA)
-    for name, key, words in (("solar spectrum", "solar_spectrum", suns), ("standard atmosphere", "model", models)):
-        stated = [getattr(s, key, None) for s in states]
-        others = {word: [{f"atmosphere.{key}": word} for _ in worlds] for word in words if word not in stated}
-        out.append(_one_of(name, "atmosphere", others))
-    return out
-
-
-def _of_input(
-    worlds: Sequence[World], row: Sequence[Any], sizes: Sequence[float], only: int | None = None
-) -> Candidate:
-    """A number of all scenarios, or of one of them."""
-    inputs = [_usual(world, *row) if only in (None, i) else None for i, world in enumerate(worlds)]
-    name, kind, _, step = row
-    if not step.endswith("%"):  # down to 0 at most, which is what the smallest ones are mistaken for
-        least = -min(float(np.min(np.abs(one.nominal))) for one in inputs if one) / float(step.split()[0])
-        sizes = tuple(dict.fromkeys(z for z in (max(z, least) for z in sizes) if z))
-    return Candidate(name, kind, step, False, tuple(inputs), tuple(sizes))
+    for name, kind, path, step, sizes in CAUSES["state"]:
+        if getattr(state, path.partition(".")[2], None) is not None:
+            yield _number(world, name, kind, path, step, sizes)
+    if state.time_utc:
+        later = partial(_later, state, timedelta(days=30))
+        yield _move("date of overflight", "scene", "30 d", (-1.0, 1.0, -2.0, 2.0), later)
+    place = {"latitude": state.latitude_deg, "longitude": state.longitude_deg}
+    signs = {f"{key} with the other sign": {f"atmosphere.{key}_deg": -x} for key, x in place.items() if x}
+    suns = {sun: {"atmosphere.solar_spectrum": sun} for sun in SOLAR_SPECTRA if sun != state.solar_spectrum}
+    models = {air: {"atmosphere.model": air} for air in get_args(AtmosphereModel) if air != state.model}
+    yield from _one_of("place on the globe", "atmosphere", signs)
+    yield from _one_of("solar spectrum", "atmosphere", suns)
+    yield from _one_of("standard atmosphere", "atmosphere", models)
 
 
 def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
@@ -631,35 +716,32 @@ def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
     return [(s, f"surfaces.[{s.name}].mean") for s in kind if s.spectrum.measured is None]
 
 
-def _files_changed(levels: Mapping[str, Sequence[Mapping[str, Array]]]) -> dict[str, list[Truth]]:
-    """One file of field spectra in the place of another, or both exchanged, wherever they are read.
+def _files_changed(own: Mapping[str, Mapping[str, Array]], means: Mapping[str, Array]) -> dict[str, Truth]:
+    """One file of field spectra in the place of another, or both exchanged, where a scenario reads them.
 
     >>> a, b = {"surfaces.[red].mean": np.array([0.1])}, {"surfaces.[green].mean": np.array([0.4])}
-    >>> changed = _files_changed({"spectra of a.txt": [a], "spectra of b.txt": [b], "all": [{**a, **b}]})
-    >>> for words, (truth,) in changed.items():
+    >>> means = {"spectra of a.txt": np.array([0.1]), "spectra of b.txt": np.array([0.4])}
+    >>> changed = _files_changed({"spectra of a.txt": a, "spectra of b.txt": b, "all": {**a, **b}}, means)
+    >>> for words, truth in changed.items():
     ...     print(words, {path: value.tolist() for path, value in truth.items()})
     spectra of b.txt in the place of spectra of a.txt {'surfaces.[red].mean': [0.4]}
     spectra of a.txt in the place of spectra of b.txt {'surfaces.[green].mean': [0.1]}
     spectra of b.txt exchanged with spectra of a.txt {'surfaces.[green].mean': [0.1], 'surfaces.[red].mean': [0.4]}
     """
-    files = [name for name in levels if name.startswith("spectra of ")]
-    means = {file: next(mean for each in levels[file] for mean in each.values()) for file in files}
-    out = dict[str, list[Truth]]()
-    for a, b in combinations(files, 2):
-        if means[a].shape == means[b].shape:
-            one: list[Truth] = [dict.fromkeys(of, means[b]) for of in levels[a]]
-            other: list[Truth] = [dict.fromkeys(of, means[a]) for of in levels[b]]
-            out |= {f"{b} in the place of {a}": one, f"{a} in the place of {b}": other}
-            out[f"{b} exchanged with {a}"] = [{**i, **j} for i, j in zip(other, one, strict=True)]
+    out = dict[str, Truth]()
+    for a, b in combinations((name for name in means if name.startswith("spectra of ")), 2):
+        one, other = (dict.fromkeys(own.get(x, {}), means[y]) for x, y in ((a, b), (b, a)))
+        out |= {f"{b} in the place of {a}": one, f"{a} in the place of {b}": other}
+        out[f"{b} exchanged with {a}"] = {**other, **one}
     return out
 
 
-def _level(name: str, means: Sequence[Mapping[str, Array]]) -> Candidate:
-    return Candidate(f"level of {name}", "scene", "5 %", False, sizes=(-6.0, 8.0), moved=partial(_levelled, means))
+def _level(name: str, means: Mapping[str, Array]) -> Candidate:
+    return _move(f"level of {name}", "scene", "5 %", (-6.0, 8.0), partial(_levelled, means))
 
 
-def _levelled(values: Sequence[Mapping[str, Any]], units: float) -> list[Truth]:
-    return [{path: (1.0 + 0.05 * units) * value for path, value in each.items()} for each in values]
+def _levelled(values: Mapping[str, Any], units: float) -> Truth:
+    return {path: (1.0 + 0.05 * units) * value for path, value in values.items()}
 
 
 def arms_of(world: World) -> dict[str, Array]:
@@ -672,20 +754,8 @@ def arms_of(world: World) -> dict[str, Array]:
     return {"{:.0f}-{:.0f} nm".format(*axis.centre_nm[arm][[0, -1]]): 1.0 * arm for arm in arms if several}
 
 
-def _elsewhere(worlds: Sequence[World], of: Array | float, units: float) -> list[Truth]:
-    return [_shifted(world, nm=SHIFT_NM * units * of) for world in worlds]
-
-
-def _of_arms(worlds: Sequence[World]) -> list[Candidate]:
-    """Wavelengths, electrons per radiance and fixed noise of one arm."""
-    out = list[Candidate]()
-    for where, arm in arms_of(worlds[0]).items():
-        noises = {"electrons": "electrons per radiance", "fixed_noise": "noise without signal"}
-        for key, name in noises.items() if all(world.stated.noise is not None for world in worlds) else ():
-            out.append(_noise(worlds, key, f"{name} of {where}", _SIZES[name], arm))
-        name, moved = f"wavelength shift of {where}", partial(_elsewhere, worlds, arm)
-        out.append(Candidate(name, "sensor", f"{SHIFT_NM:g} nm", False, sizes=(-25.0, -5.0, 5.0, 25.0), moved=moved))
-    return out
+def _elsewhere(world: World, of: Array | float, units: float) -> Truth:
+    return _shifted(world, nm=SHIFT_NM * units * of)
 
 
 def _covariances(classes: Sequence[BackgroundClass]) -> Iterator[tuple[str, Truth]]:
@@ -698,24 +768,16 @@ def _covariances(classes: Sequence[BackgroundClass]) -> Iterator[tuple[str, Trut
                 yield f"covariance of {of} in {c.name}", {f"scene.classes.[{c.name}].covariance": spread}
 
 
-def _traded(pairs: Sequence[Sequence[BackgroundClass]], units: float) -> list[Truth]:
-    """Of each scenario two classes, the first with so much more area, or none."""
-    truths = list[Truth]()
-    for pair in pairs:
-        area = min(max(0.05 * units, -pair[0].fraction), pair[1].fraction) if pair else 0.0
-        changed = zip(pair, (area, -area), strict=False)
-        truths.append({f"scene.classes.[{c.name}].fraction": c.fraction + more for c, more in changed})
-    return truths
+def _traded(a: BackgroundClass, b: BackgroundClass, units: float) -> Truth:
+    """Two classes, the first with so much more area, of the second.
 
-
-def _alone(number: int, of: int, truth: Truth) -> list[Truth]:
-    """What is moved in one scenario."""
-    return [truth if i == number else {} for i in range(of)]
-
-
-def _one_of(name: str, kind: str, truths: Mapping[str, Sequence[Truth]]) -> Candidate:
-    each = [list(truth) for truth in truths.values()]
-    return Candidate(name, kind, "", False, labels=tuple(truths), moved=lambda i: each[int(i)])
+    >>> from types import SimpleNamespace as Of
+    >>> lawn, lot = Of(name="lawn", fraction=0.3), Of(name="lot", fraction=0.1)
+    >>> [[round(x, 9) for x in _traded(lawn, lot, units).values()] for units in (-8.0, 1.0, 8.0)]
+    [[0.0, 0.4], [0.35, 0.05], [0.4, 0.0]]
+    """
+    area = min(max(0.05 * units, -a.fraction), b.fraction)
+    return {f"scene.classes.[{c.name}].fraction": c.fraction + more for c, more in ((a, area), (b, -area))}
 
 
 NORMAL_DOF = 1e6  # degrees of freedom of tails that are left out
@@ -812,8 +874,16 @@ def _names(world: World, what: str) -> list[str]:
 
 
 def _times(world: World, *, path: str, factor: float) -> Truth:
+    """What stands at a path by a factor.
+
+    >>> from hyperval.api import load_scenario
+    >>> dark = load_scenario("yellow-planks-asphalt").with_values({"scene.targets.0.spectrum": {"constant": 0.0}})
+    >>> _times(read_world(dark), path="surfaces.[{target}].mean", factor=0.8)
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: surfaces.[yellow plank].mean is 0
+    """
     nominal = _each(world, path)
-    refuse(not any(map(np.any, nominal.values())), "attribution.none", what=f"{path} is 0")
+    refuse(not any(map(np.any, nominal.values())), "attribution.none", what=f"{' and '.join(nominal)} is 0")
     return {each: factor * value for each, value in nominal.items()}
 
 

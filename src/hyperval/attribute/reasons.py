@@ -23,12 +23,10 @@ from hyperval.attribute.candidates import (
     SINGLE_BANDS,
     Candidate,
     arms_of,
-    assumed_inputs,
-    candidates,
+    every_input,
     exchanged_entries,
     further_candidates,
     rarer_candidates,
-    usual_inputs,
 )
 from hyperval.attribute.posterior import ALL, NONE, NOTHING, Posterior, Residuals, Whitened
 from hyperval.attribute.residuals import LIT, POINTS, SPECTRUM_FLOOR, Quantity, Stack, quantities, stack_of
@@ -37,7 +35,7 @@ from hyperval.compare.detection import compare_exceedance
 from hyperval.compare.rows import named, row, scientific
 from hyperval.data import Array, Index
 from hyperval.errors import EngineError, HypervalError, MissingDataError, UsageError, needed, refuse
-from hyperval.model import Truth, World, inputs_of
+from hyperval.model import Truth, World
 from hyperval.products import Products, background_of
 from hyperval.progress import track
 from hyperval.results import Cause, Outcome, Result
@@ -154,7 +152,7 @@ class Causes:
 
         A size that was asked for beside it stays known:
 
-        >>> gain = Candidate("gain", "scene", "1 km", False, sizes=(-2.0, 2.0), moved=lambda z: [{"km": z}])
+        >>> gain = Candidate("gain", "scene", "1 km", False, (lambda _, z: {"km": z},), sizes=(-2.0, 2.0))
         >>> asked = lambda truths, title, budgeted: [truth["km"] * one[0] for (truth,) in truths]
         >>> tried = replace(causes(0.0), evaluate=asked)
         >>> told = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
@@ -228,7 +226,7 @@ class Causes:
 
         An atmosphere that explains a change is told by the engine itself, not by its emulator:
 
-        >>> air = Candidate("standard atmosphere", "atmosphere", "", False, labels=("winter",), moved=lambda i: [{}])
+        >>> air = Candidate("standard atmosphere", "atmosphere", "", False, (lambda *_: {},), labels=("winter",))
         >>> told = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 -0.3 0.2")}
         >>> tried = causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: {air: np.c_[[0.45, -0.33, 0.2]]}],
         ...                evaluate=lambda truths, title, budgeted: [np.array([0.5, -0.3, 0.2]) * budgeted])
@@ -448,7 +446,7 @@ class Causes:
             residuals = residuals._replace(columns=columns)
             found = residuals.posterior(ALL, noisy)
             named = [f for h in found.hypotheses[:MOST_REFINED] for f in h.causes] + list(found.fits[:MOST_REFINED])
-            sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and (c.members or c.moved)}
+            sizes = {c: float(f.amplitudes[0]) for f in named if (c := f.candidate).sizes and c.members}
             # At none of those that the model was asked at.
             sizes = {c: a for c, a in sizes.items() if min(abs(a - s) for s in (0.0, *c.sizes)) > 0.005 * abs(a) + 1e-4}
             labels = {f.candidate: float(f.amplitudes[0]) for f in named if f.candidate.labels}
@@ -553,7 +551,8 @@ def causes_of(model: ScenarioModel) -> Causes:
     def evaluate(*asked: Any, **of: Any) -> list[Array]:
         return [stack.predicted(p) for p in predictions(*asked, **of)]
 
-    moved = candidates([inputs_of(world) for world in worlds], [assumed_inputs(world) for world in worlds])
+    further = further_candidates(worlds)
+    moved = every_input(worlds, further)
     steps = {
         of: [c.at(d, z) for c in moved if c.budgeted is of for d in range(c.size) for z in (1.0, -1.0)]
         for of in (True, False)
@@ -571,12 +570,8 @@ def causes_of(model: ScenarioModel) -> Causes:
     # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
     many = len(worlds) > MOST_SCENARIOS
     apart = [c for c in moved if many and c.of_engine and c.sizes]
-    further = further_candidates(worlds)
-    usable = (*candidates([], [[*usual_inputs(world)] for world in worlds]), *further)
-    usual = {key: c for c in usable for key in (c.name, c.path)}
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
-    far = (c.as_far_as(usual.get(c.path, usual.get(c.name, c))) for c in moved)
-    by_name = {c.name: c for c in (*further, *far) if c not in (*rare, *apart)}
+    by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *apart)}
     every = [c for c in by_name.values() if c.sizes or c.labels]
     columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(every, sides, predicted, evaluate)
     for c in apart:
@@ -629,7 +624,17 @@ def causes_of(model: ScenarioModel) -> Causes:
 def _columns_at(
     candidates: Sequence[Candidate], sides: Sides, predicted: Array, evaluate: Evaluate
 ) -> dict[Candidate, Array]:
-    """What candidates make at their sizes or by their alternatives, without what cannot be; some are known."""
+    """What candidates make at their sizes or by their alternatives, without what cannot be; some are known.
+
+    >>> def evaluate(truths, title):
+    ...     if ["kurucz"] in truths:
+    ...         raise MissingDataError("the solar spectrum 'kurucz' is not on this machine")
+    ...     return [np.zeros(1) for _ in truths]
+    >>> sun = Candidate("solar spectrum", "atmosphere", "", False, (lambda _, label: label,), labels=("kurucz", "tsis"))
+    >>> (there,) = _columns_at([sun], {}, np.zeros(1), evaluate)
+    >>> there.labels, there.at(0, 0.0)
+    (('tsis',), ['tsis'])
+    """
     places: dict[Candidate, Sequence[float]] = {c: c.sizes or range(len(c.labels)) for c in candidates}
     wanted = [(c, z) for c, sizes in places.items() for z in sizes if (c, z) not in sides]
     asked = _asked(evaluate, [c.at(0, z) for c, z in wanted]) if wanted else []
@@ -699,8 +704,8 @@ def shares_of_variance(base: float, ends: Sequence[tuple[float, float]]) -> Arra
     --------
     >>> f = lambda z, w: 3.0 * z + w**2
     >>> ends = [(f(1.0, 0.0), f(-1.0, 0.0)), (f(0.0, 1.0), f(0.0, -1.0))]
-    >>> (11.0 * shares_of_variance(f(0.0, 0.0), ends)).round(9).tolist()
-    [9.0, 2.0]
+    >>> (11.0 * shares_of_variance(f(0.0, 0.0), ends)).round(9).tolist(), shares_of_variance(1.0, [(1.0, 1 + 1e-13)])
+    ([9.0, 2.0], array([nan]))
     """
     alone = np.array([0.25 * (up - down) ** 2 + 0.5 * (up + down - 2.0 * base) ** 2 for up, down in ends])
     variance = alone.sum()
@@ -827,6 +832,18 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
 def _sensitivity_rows(
     quantity: Quantity, gap: float, ends: Ends, shares: Mapping[Candidate, float]
 ) -> Iterator[Result]:
+    """Rows of one number, by input: its change with one unit, and how many units would close the gap.
+
+    >>> quantity, gain = ("roc", "lawn", "cem/pixel", "pd@1e-2"), Candidate("gain", "sensor", "1 %", True)
+    >>> moves = {gain: (0.6, 0.4), Candidate("haze", "scene", "10 %", False): (0.5, 0.5 + 1e-15)}
+    >>> ends = {candidate: tuple({quantity: pd} for pd in both) for candidate, both in moves.items()}
+    >>> for r in _sensitivity_rows(quantity, 0.05, ends, {gain: 0.25}):
+    ...     print(r.method, round(r.value, 9), r.before, r.reason)
+    gain / cem/pixel 0.1 0.05 per stated uncertainty; gap 0.05, closed by +0.5 units; share of the variance 0.25
+    haze / cem/pixel -0.0 0.05 per 10 %; gap 0.05, which this input cannot close
+    >>> next(_sensitivity_rows(quantity, 0.05, ends, {gain: math.nan})).reason[-5:]
+    'units'
+    """
     product, subject, numbered, metric = quantity
     for candidate, (up, down) in ends.items():
         change = 0.5 * (up[quantity] - down[quantity])
@@ -905,7 +922,24 @@ def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scena
 
 
 def gaps_of(numbers: Numbers, predicted: Products, observed: Products) -> dict[str, float]:
-    """Summary gaps: median relative difference of spectra, mean difference of P_D; without what is measured no more."""
+    """Summary gaps: median relative difference of spectra, mean difference of P_D; without what is measured no more.
+
+    >>> from hyperval.products import RocCurve, SpectralEstimate
+    >>> from hyperval.spectra import SpectralAxis
+    >>> pfa = np.array([1e-2, 1.0])
+    >>> def side(*levels):
+    ...     each = dict(zip("abc", levels))
+    ...     light = {name: SpectralEstimate(np.full(1, x), np.eye(1)) for name, x in each.items()}
+    ...     curves = {(n, "cem", "pixel"): RocCurve(pfa, *3 * [x / 4.0 * pfa**0], -pfa) for n, x in each.items()}
+    ...     return Products(SpectralAxis([500.0], 5.0), radiance=light, roc=curves)
+    >>> told, seen = side(1.1, 0.8, 2.0), side(1.0, 1.0, 1.0)
+    >>> known = quantities(told, seen)
+    >>> {name: round(gap, 9) for name, gap in gaps_of(known, told, seen).items()}
+    {'median |radiance difference ratio|': 0.2, 'mean |pd@1e-2 difference|': 0.108333333}
+    >>> fewer = {quantity: value for quantity, value in known.items() if quantity[1] != "c"}
+    >>> [round(gap, 9) for gap in gaps_of(fewer, told, seen).values()]
+    [0.15, 0.0375]
+    """
     parts, measured = defaultdict[str, list[float]](list), quantities(observed, observed)
     for quantity, value in quantities(predicted, observed).items():
         product, *_, metric = quantity
@@ -916,7 +950,16 @@ def gaps_of(numbers: Numbers, predicted: Products, observed: Products) -> dict[s
 
 
 def alarm_ratios(predicted: Products, observed: Products) -> dict[Key, Result]:
-    """Rows of P_FA predicted over measured by (background, detector, metric), at 1e-2 and 1e-3 where both have it."""
+    """Rows of P_FA predicted over measured by (background, detector, metric), at 1e-2 and 1e-3 where both have it.
+
+    >>> from hyperval.products import ExceedanceCurve
+    >>> from hyperval.spectra import SpectralAxis
+    >>> p = np.geomspace(0.5, 1e-5, 200)
+    >>> curves = (ExceedanceCurve(-np.log(p), p, p / 2.0, p, n) for n in (None, 5000))
+    >>> sides = (Products(SpectralAxis([500.0], 5.0), exceedance={("roof", "cem"): curve}) for curve in curves)
+    >>> [(r.subject, r.method, r.n, r.metric, round(r.value, 9)) for r in alarm_ratios(*sides).values()]
+    [('roof background', 'cem', None, 'pfa_ratio@1e-2', 1.0)]
+    """
     wanted = {f"pfa_ratio@{scientific(level)}" for level in POINTS}
     return {
         (background_of(name), detector, one.metric): replace(one, subject=background_of(name), method=detector, n=None)
@@ -956,7 +999,15 @@ def reason_for(before: Result, tried: Iterable[tuple[str, Result]]) -> str:
 
 
 def _alarm_rows(before: Mapping[Key, Result], outcomes: Sequence[tuple[str, Mapping[Key, Result]]]) -> Iterator[Result]:
-    """Every ratio of false alarms with its reason, then the ratio after each experiment."""
+    """Every ratio of false alarms with its reason, then the ratio after each experiment.
+
+    >>> ratio, after = (replace(row("pfa_ratio@1e-2", v, (v / 2, v * 2)), method="cem") for v in (6.0, 1.5))
+    >>> key = "roof background", "cem", "pfa_ratio@1e-2"
+    >>> for r in _alarm_rows({key: ratio, ("other", *key[1:]): ratio}, [("local", {key: after})]):
+    ...     print(r.product, r.method, r.value, r.reason)
+    attribution cem 6.0 off by a factor of 6; 'local' leaves 1.5, which would explain it
+    what-if local / cem 1.5 6 before (3 to 12)
+    """
     tried = {k: each for k in before if (each := [(name, alarms[k]) for name, alarms in outcomes if k in alarms])}
     for key, each in tried.items():
         yield replace(before[key], product="attribution", reason=reason_for(before[key], each))

@@ -43,7 +43,27 @@ Quantity = tuple[str, str, str, str]  # a number of both sides: product, subject
 
 
 def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
-    """Mean over the observed one in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3."""
+    """Mean over the observed one in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3.
+
+    >>> axis = SpectralAxis(np.array([500.0, 600.0, 700.0, 1400.0]), 10.0)  # the last absorbs
+    >>> means = [2.0, 4.0, 9.0, 9.0], [1.0, 3.0, np.nan, 1.0]
+    >>> told, seen = ({"lawn": SpectralEstimate(np.array(mean), np.eye(4))} for mean in means)
+    >>> kinds = "radiance", "reflectance", "snr", "toa_reflectance"
+    >>> found = quantities(*(Products(axis, **dict.fromkeys(kinds, side)) for side in (told, seen)))
+    >>> [product for product, *_ in found] == [*kinds], set(found.values())
+    (True, {1.5})
+
+    No curve goes on before its first point.
+
+    >>> from hyperval.products import RocCurve
+    >>> def side(first, power=0.5):
+    ...     pfa = np.array([1e-4, 1e-3, 1e-2, 0.1, 1.0])[first:]
+    ...     return Products(axis, roc={("p", "cem", "pixel"): RocCurve(pfa, *3 * [pfa**power], -pfa)})
+    >>> {metric: round(pd, 3) for (*_, metric), pd in quantities(side(1, 0.25), side(0)).items()}
+    {'pd@1e-2': 0.316, 'pd@1e-3': 0.178}
+    >>> [len(quantities(side(some), side(other))) for some, other in ((2, 0), (0, 2))]
+    [1, 1]
+    """
     found = dict[Quantity, float]()
     for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
         for subject, estimate in getattr(observed, product).items():

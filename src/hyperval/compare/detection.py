@@ -435,7 +435,10 @@ def compare_abundance(predicted: Abundance, observed: Abundance) -> Iterator[Res
     if (nominal := observed.nominal_m2) is not None:
         yield row("area_error_predicted", p - nominal, half=Z95 * up, n=predicted.n)
         yield row("area_error_observed", o - nominal, half=Z95 * uo, n=n)
-        yield row("area_nominal_ratio", o / nominal, half=Z95 * uo / nominal, n=n)
+        if nominal > 0:
+            yield row("area_nominal_ratio", o / nominal, half=Z95 * uo / nominal, n=n)
+        else:
+            yield from without("not_positive.area", "area_nominal_ratio", side="nominal")
         yield row("area_in_predicted_95", abs(p - o) <= Z95 * up, n=n)
     if (u := float(np.hypot(up, uo))) > 0:
         yield row("area_z", (p - o) / u, evidence=evidence)

@@ -122,7 +122,16 @@ class Gate(Model):
         return Result(*names, outcome=outcome, role=self.role, cause=cause, reason=reason)
 
     def covers(self, row: Result) -> bool:
-        """True for the rows this gate is about, and for skipped comparisons that would have held them."""
+        """True for the rows this gate is about, and for skipped comparisons that would have held them.
+
+        >>> row = Result("", "roc", "lawn", "cem/pixel", "pd_difference@1e-2")
+        >>> def covers(metric, *subjects):
+        ...     return Gate(product="roc", metric=metric, subjects=subjects, within=(-0.1, 0.1), reason="r").covers(row)
+        >>> [covers(f"pd_difference{point}", "*") for point in ("", "@1e-2", "@1e-1")]
+        [True, True, False]
+        >>> covers("pd_difference", "court*"), covers("pd_difference", "court*", "la*")
+        (False, True)
+        """
         if row.product != self.product or not fnmatchcase(row.method, self.method):
             return False
         is_named = any(fnmatchcase(name, self.metric) for name in (row.metric, base_name(row.metric)))
@@ -146,6 +155,11 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     gates cover stands once for each.  A row that no gate covers and whose metric has a usual range is judged by
     that, and informs.  A subject pattern that no row meets gives an ERROR row, for ``gate: false`` too: nothing
     planned goes missing.  A pooled gate adds a row METRIC_fraction with the share and its Clopper-Pearson interval.
+
+    >>> rows = [Result("", "radiance", "lawn", "", "p_value_full", 1e-9)]
+    >>> together = Gate(product="radiance", metric="p_value_full", at_least=0.01, fraction_at_least=0.5, reason="r")
+    >>> [str(judged(rows, gates)[0].outcome) for gates in ([], [together])]  # by its usual level, or all rows together
+    ['disagrees', 'none']
     """
     rows = list(rows)
     covering = [[gate for gate in gates if gate.covers(row)] for row in rows]

@@ -98,9 +98,6 @@ def spectrum_error_rows(item: SpectrumUncertainty, surface: SurfaceStatistics, s
 Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]
 
 
-Source = Literal["stated", "usual"]
-
-
 @dataclass(frozen=True, eq=False)
 class UncertainInput:
     """An uncertain input.
@@ -115,7 +112,6 @@ class UncertainInput:
         uncertainty
     low, high : where it is stopped
     correlation : how errors hang together over wavelength, in words
-    source : whether the scenario states the uncertainty, or a usual one is taken
     """
 
     name: str
@@ -126,7 +122,6 @@ class UncertainInput:
     low: float | Array = -np.inf
     high: float | Array = np.inf
     correlation: str = "one number"
-    source: Source = "stated"
 
     @cached_property
     def size(self) -> int:
@@ -180,7 +175,7 @@ def drawn_truths(inputs: Sequence[UncertainInput], count: int, seed: int) -> lis
 
 
 def number_input(
-    world: World, name: str, kind: Kind, path: str, spread: float | Array, *, source: Source = "stated",
+    world: World, name: str, kind: Kind, path: str, spread: float | Array, *,
     words: str = "one number", rows: Array | None = None,
 ) -> UncertainInput:  # fmt: skip
     """An input of one number, or of several that move together.
@@ -201,7 +196,7 @@ def number_input(
         low = state.ground_altitude_km + 0.01
     elif path == "atmosphere.ground_altitude_km" and state is not None:
         high = min(high, state.sensor_altitude_km - 0.01)
-    return UncertainInput(name, kind, path, nominal, np.asarray(rows), low, high, words, source)
+    return UncertainInput(name, kind, path, nominal, np.asarray(rows), low, high, words)
 
 
 def spectral_input(
