@@ -136,10 +136,7 @@ def _read(place: Path) -> WebRun | None:
 
 @lru_cache(maxsize=10_000)
 def _parsed(path: Path, *_: int) -> WebRun:
-    run = WebRun.model_validate_json(path.read_bytes())
-    if run.id != path.parent.name:
-        raise ValueError(run.id)
-    return run
+    return WebRun.model_validate_json(path.read_bytes())
 
 
 @reader
@@ -276,8 +273,6 @@ class Runs:
         run = run.model_copy(update=changes)
         try:
             self._write(run)
-        except FileNotFoundError:
-            pass  # removed meanwhile
         except OSError as full:
             lost = {"state": "failed", "reason": f"its results could not be stored: {full.strerror}", "summary": {}}
             self._unwritten[run.id] = run.model_copy(update=lost)
@@ -447,7 +442,7 @@ class WorkerPool(TaskPool):
     ----------
     count : of processes;  most : tasks that wait;  seconds : for a task;  memory_bytes : of a process
     scheduler : address of a Dask scheduler, whose workers then take the place of processes and have limits of their own
-    module : what holds the tasks: ``TASKS`` by name, and ``warm``, which loads what they need
+    module : what holds the tasks, ``TASKS`` by name, of which ``warm`` loads what the others need
 
     Raises
     ------
@@ -460,8 +455,8 @@ class WorkerPool(TaskPool):
     ):  # fmt: skip
         self._stack = ExitStack()
         set_forkserver_preload([module])
-        perform, prepare = partial(carried_out, module), partial(_warm, module)
-        start: Callable[[], Worker] = partial(Process, perform, prepare, memory_bytes)
+        perform = partial(carried_out, module)
+        start: Callable[[], Worker] = partial(Process, perform, partial(perform, "warm", {}), memory_bytes)
         if scheduler is not None:
             places = self._stack.enter_context(workers(scheduler=scheduler))
             start, count = partial(_Place, places, module), places.width
@@ -471,10 +466,6 @@ class WorkerPool(TaskPool):
         """Call off what is on its way, and end the workers or leave their scheduler."""
         super().close()
         self._stack.close()
-
-
-def _warm(module: str) -> None:
-    importlib.import_module(module).warm()
 
 
 def carried_out(module: str, task: str, arguments: Mapping[str, Any]) -> Any:
