@@ -382,8 +382,8 @@ def mistakes_in(
         elif kind == "extra_forbidden":  # what is looked for takes long beside what is listed
             yield at, _unknown_key(at, model if number < MOST_MISTAKES else None)
         elif kind == "string_pattern_mismatch":
-            letters = re.findall(r"\w-\w|[^]]", item["ctx"]["pattern"].rpartition("[")[2].rpartition("]")[0])
-            yield at, f"expected a name of {' '.join(letters)}, a letter or digit first"
+            first, letters = (re.findall(r"\w-\w|.", part) for part in re.findall(r"\[(.*?)\]", item["ctx"]["pattern"]))
+            yield at, f"expected a name of {' '.join(letters)}, a letter {'or digit ' if '0-9' in first else ''}first"
         elif kind == "value_error" and (of_key := re.fullmatch(r"([a-z_0-9.]+): (.*)", words, re.DOTALL)):
             yield (*at, *of_key[1].split(".")), of_key[2]
         else:

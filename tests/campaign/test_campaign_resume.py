@@ -200,6 +200,7 @@ def test_a_single_campaign_is_taken_over_and_what_is_interrupted_goes_on(two, qu
         quick.clear()
         assert validate([path], out, *more) == code
         assert (quick, files_of(out)) == (ran, first)
+    assert validate([path], out, "--again", "--scheduler", "no-such-protocol://nowhere:1") == 2  # it was left out
     with monkeypatch.context() as patch:
         patch.setattr(f"{RUN}.write_index", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
         assert validate(two, tmp_path / "both") == 130

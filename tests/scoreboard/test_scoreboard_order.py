@@ -11,6 +11,11 @@ from hyperval.scoreboard import LOG_AREA, MEASURES, BlockCounts, counts_by_block
 # Ranks with their confidence sets: closed forms, limits, and coverage by Monte Carlo.
 
 
+def background_of(scores: np.ndarray, block: np.ndarray) -> AlarmBlocks:
+    blocks = int(block.max()) + 1
+    return AlarmBlocks(scores, block, sparse.eye_array(blocks), np.zeros(blocks, dtype=np.int64))
+
+
 def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 2000) -> BlockCounts:
     """Detectors that see the same objects and pixels, each with noise of its own on top."""
     block = np.repeat(np.arange(20), pixels // 20)
@@ -18,10 +23,7 @@ def counts_of_detectors(shift: list[float], objects: int, rng, pixels: int = 200
     pairs = []
     for s in shift:
         t = s + common_t + 0.5 * rng.normal(size=objects)
-        background = AlarmBlocks(
-            common_b + 0.5 * rng.normal(size=pixels), block, sparse.eye_array(20), np.zeros(20, dtype=np.int64)
-        )
-        pairs.append(counts_by_block(t, background))
+        pairs.append(counts_by_block(t, background_of(common_b + 0.5 * rng.normal(size=pixels), block)))
     over, tie = (np.stack([p[i] for p in pairs], axis=1) for i in (0, 1))
     names = tuple(f"d{i}" for i in range(len(shift)))
     return BlockCounts(names, over, tie, np.bincount(block), np.arange(objects), {})
@@ -101,11 +103,8 @@ def test_the_interval_holds_the_value_and_narrows_with_objects(name):
 
 
 def one_detector(targets: np.ndarray, background: np.ndarray, block: np.ndarray) -> BlockCounts:
-    blocks = int(block.max()) + 1
-    alike = np.zeros(blocks, dtype=np.int64)
-    over, tie = counts_by_block(targets, AlarmBlocks(background, block, sparse.eye_array(blocks), alike))
-    number = np.arange(targets.size)
-    return BlockCounts(("a",), over[:, None], tie[:, None], np.bincount(block), number, {"all": number})
+    over, tie = counts_by_block(targets, background_of(background, block))
+    return BlockCounts(("a",), over[:, None], tie[:, None], np.bincount(block), np.arange(targets.size), {})
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from hyperval import cli
 from hyperval.pixels import DETECTORS, detect
@@ -200,15 +201,7 @@ def test_where_nothing_could_be_ranked_the_exit_code_is_5_and_the_reason_is_said
 
 
 @pytest.mark.parametrize(
-    ("text", "code", "words"),
-    [
-        (None, 3, "no such file"),
-        ("raise ValueError('oops')", 2, "ValueError: oops"),
-        ("from hyperval.pixels import register_detector\nregister_detector('cem', print)", 2, "'cem'"),
-        ("from hyperval.pixels import register_detector\nregister_detector('A b', print)", 2, "'A b'"),
-        ("from hyperval.pixels import register_estimator\nregister_estimator('a', 1)", 2, "int scores nothing"),
-    ],
-    ids=["missing", "fails", "taken", "unfit", "estimator"],
+    ("text", "code", "words"), yaml.safe_load(Path(__file__).with_name("extensions.yaml").read_text())
 )
 def test_bad_extensions_are_refused_before_anything_runs(tmp_path, capsys, text, code, words):
     if text is not None:

@@ -50,7 +50,8 @@ def test_limits_are_those_of_a_prediction(tmp_path):
     curve = predict(prepare(str(file), trade).scenario).roc["yellow plank 0.02", "cem", "pixel"]
     at = int(np.argmin(abs(curve.pfa - 1e-3)))
     assert now.limits[0, 0, 0] == pytest.approx([curve.pd_lower[at], curve.pd_upper[at]], rel=1e-3)
-    assert np.all(now.limits[0, :, 0, 0] <= now.values[0, :, 0] + 1e-3)
+    low, high = now.limits[0, :, 0].T  # at every point, and not where they were predicted alone
+    assert np.all((low <= now.values[0, :, 0]) & (now.values[0, :, 0] <= high))
 
 
 def test_a_target_with_a_side_has_a_gsd_and_overlays_are_curves():
@@ -58,7 +59,10 @@ def test_a_target_with_a_side_has_a_gsd_and_overlays_are_curves():
     trade, now = whole(PLANKS, **asked, wanted=0.5)
     assert (trade.x.rpartition(".")[2], now.values.shape) == ("gsd_m", (4, 33, 1))
     assert [round(words.count("hyspex")) for _, words in now.needed] == [0, 1, 0, 1]
-    assert len(live_figure(PLANKS, trade)["values"]) == 4
+    told = live_figure(PLANKS, complete(Trade(**asked, output="snr", from_nm=1500, to_nm=1600), prepare(PLANKS, trade)))
+    assert [value is None for _, value in told["values"]] == [False, True]
+    assert ". hyspex-vnir-1600: output 'snr': no usable band from 1500" in told["error"]
+    assert len(live_figure(PLANKS, trade, with_limits=True)["values"]) == 4
 
 
 def test_the_second_input_stands_where_its_slider_does():

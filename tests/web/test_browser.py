@@ -130,6 +130,8 @@ def test_cube_is_brought(page, small_collection, tmp_path):
     page.wait_for_selector("#files, #reason", timeout=60_000)
     assert page.locator("#reason").count() == 0, page.locator("#reason").inner_text()
     assert "samples" in page.locator("dl").inner_text()
+    page.goto("/bring")
+    assert page.get_by_text("Kept: panel_spectra.csv.").count() == 1, "for the scenarios of the session"
 
 
 def test_what_is_too_large_is_not_sent(page, tmp_path):

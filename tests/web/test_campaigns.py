@@ -11,7 +11,7 @@ import pytest
 import rasterio
 from typer.testing import CliRunner
 from web_browser import NEEDS_BROWSER, WIDER_THAN_SCREEN, careful_page, picture, serious
-from web_server import ORDERED, serve
+from web_server import ORDERED, finished, serve
 
 from hyperval import api, model
 from hyperval.cli import app as command
@@ -44,9 +44,7 @@ def run(own):
     with pytest.MonkeyPatch.context() as patch:
         undrawn(patch, lambda *_, **__: DRAWINGS)
         told = client.post(f"{own.address}/api/v1/validations", json={"campaign": "small"}).json()
-        told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
-    assert told["state"] == "finished", told
-    return client, told
+        return client, finished(own, client, told)
 
 
 def test_campaign_runs_to_the_verdict_of_the_command(own, run, tmp_path):
@@ -291,14 +289,12 @@ def test_cube_of_the_data_folder_becomes_a_campaign_that_runs_unchanged(own, tmp
     with monkeypatch.context() as patch:
         undrawn(patch)
         run = client.post(url, files={k: (None, v) for k, v in ORDERED["brought"].items()}).json()["run"]
-        told = client.get(f"{own.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
-    assert told["state"] == "finished", told
+        finished(own, client, run)
     campaign = f"run:{run['id']}"
     with monkeypatch.context() as patch:
         undrawn(patch)
         compared = client.post(f"{own.address}/api/v1/validations", json={"campaign": campaign}).json()
-        compared = client.get(f"{own.address}/api/v1/runs/{compared['id']}", params={"wait": 60}).json()
-    assert compared["state"] == "finished", compared
+        compared = finished(own, client, compared)
     pixel = client.get(f"{own.address}/runs/{compared['id']}/pixel.json", params={"line": 6, "sample": 6})
     assert pixel.status_code == 200, pixel.text  # it was said that there is no such campaign any more
     section = client.get(f"{own.address}/validate").text.partition(f'value="{campaign}"')[2].partition("</section>")[0]
@@ -335,8 +331,7 @@ def test_no_name_leads_out_of_the_data_folder(own, name):
 def test_study_gives_what_the_api_gives_and_the_value_that_is_needed(own, tmp_path):
     client = own.session()
     told = client.post(f"{own.address}/api/v1/studies", json={"study": ORDERED["study"]}).json()
-    told = client.get(f"{own.address}/api/v1/runs/{told['id']}", params={"wait": 60}).json()
-    assert told["state"] == "finished", told
+    told = finished(own, client, told)
     place = own.app.state.runs.place(told["id"])
     shown = [float(r["value"]) for r in told["summary"]["rows"] if r["value"]]
     table = api.open(place / "results").to_dataframe()

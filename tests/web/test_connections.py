@@ -45,14 +45,11 @@ def still_open(sockets: list[socket.socket], seconds: float) -> int:
     end, left = time.monotonic() + seconds, list(sockets)
     while left and time.monotonic() < end:
         for one in list(left):
-            try:
-                one.settimeout(0.05)
-                while one.recv(65536):
-                    pass
-                left.remove(one)
-            except TimeoutError:
-                pass
-            except OSError:
+            one.settimeout(0.05)
+            with suppress(TimeoutError):
+                with suppress(ConnectionError):
+                    while one.recv(65536):
+                        pass
                 left.remove(one)
     return len(left)
 

@@ -44,12 +44,15 @@ def test_form_of_a_scenario_holds_the_scenario(client, server, name):
 
 
 def test_form_tells_section_title_unit_limits_and_default():
-    sections = form_nodes({})
+    sections = form_nodes({"scene": {"classes": [{}]}})
     assert [s.title.partition(",")[0] for s in sections[:5]] == ["Name", "Scene", "Atmosphere", "Sensor", "Processing"]
     nodes = {n.path: n for n in walk(sections)}
     water = nodes["atmosphere.water_vapour_g_cm2"]
     assert (water.title, water.unit, water.limits) == ("water vapour column", "g cm-2", "0.01 to 10")
     assert nodes["formulation"].default == "corrected"
+    surface = nodes["scene.classes.0.spectrum.builtin"]
+    assert (surface.is_shown, "grey-panel-24" in surface.choices) == (True, True)
+    assert not [path for path in nodes if path.endswith((".library", ".measured", ".table", ".replicates", ".records"))]
 
 
 def test_rest_of_a_form_is_folded_and_opened_by_a_mistake(client, server):
@@ -57,6 +60,7 @@ def test_rest_of_a_form_is_folded_and_opened_by_a_mistake(client, server):
     assert nodes["scene.classes.0.fraction"].is_shown
     assert nodes["scene.classes.0"].is_open
     assert not nodes["scene.classes.0.gain"].is_shown
+    assert not nodes["processing.bands"].is_shown, "though it is given"
     assert not nodes["scene.panels.0"].is_open
     told = nodes["scene.targets.0.subjects.1"].gist, nodes["processing.detectors"].limits
     assert told == ("fill fraction 0.05", ""), "boxes to tick are no list to type"
@@ -108,6 +112,8 @@ def test_scene_of_a_collection_needs_its_files(client, server, monkeypatch):
         assert run["state"] == "finished", run
         assert {"red metal 0.25 m", "bitumen 3 m"} <= {row["subject"] for row in run["summary"]["detection"]}
     monkeypatch.setattr("hyperval.web.forms.missing", lambda name: [name])
+    offered = {one["name"]: one["needs"] for one in client.get(f"{server.address}/api/v1/scenarios").json()}
+    assert (list(offered), offered["hysu"], offered["panels"]) == ([*predefined()], "hysu", "")
     assert "<code>hyperval data fetch hysu</code>" in client.get(server.address).text
     assert client.post(f"{server.address}/api/v1/predictions", json={"name": "hysu"}).json()["errors"][0] == {
         "field": "scene.targets.0.spectrum.file", "message": "this server lacks the data set hysu"}  # fmt: skip

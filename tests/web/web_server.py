@@ -13,9 +13,7 @@ import uvicorn
 import yaml
 
 from hyperval import web
-from hyperval.errors import HypervalError
 from hyperval.progress import set_listener
-from hyperval.web import tasks
 
 REFUSED, ORDERED = (
     yaml.safe_load((Path(__file__).parent / f"{name}.yaml").read_text("utf-8")) for name in ("refused", "ordered")
@@ -53,13 +51,9 @@ class Crew:
             job.started = time.monotonic()
             set_listener(lambda what, done, total, job=job: self._report(job, what, done, total))
             try:
-                result = tasks.TASKS[job.task](**job.arguments)
-            except HypervalError as error:
-                job.future.set_exception(web.TaskFailed(web.said(error)))
-            except Exception as error:
+                job.future.set_result(web.carried_out(web.TASKS, job.task, job.arguments))
+            except web.TaskFailed as error:
                 job.future.set_exception(error)
-            else:
-                job.future.set_result(result)
             finally:
                 set_listener(None)
 
@@ -85,6 +79,14 @@ class Server:
         own = requests.Session()
         own.get(f"{self.address}/api/v1/sensors", timeout=20)
         return own
+
+
+def finished(server: Server, client: requests.Session, run: dict[str, Any]) -> dict[str, Any]:
+    """What is told of a run when it has finished, within ten minutes of a busy machine."""
+    for _ in range(10):
+        run = client.get(f"{server.address}/api/v1/runs/{run['id']}", params={"wait": 60}).json()
+    assert run["state"] == "finished", run
+    return run
 
 
 def serve(folder: Path, campaigns: Path | None = None, data: Path | None = None, **limits: Any) -> Iterator[Server]:

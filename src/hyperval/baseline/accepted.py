@@ -7,13 +7,13 @@ that later runs must give.
 
 from __future__ import annotations
 
+import datetime
 import json
 import math
 import platform
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
@@ -95,7 +95,7 @@ class Baseline(Model):
     kind: Kind
     name: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     reason: str = Field(min_length=1, description="why these numbers were accepted")
-    date: str = Field(pattern=r"^\d{4}-\d{2}-\d{2}$", description="when they were last accepted")
+    date: datetime.date = Field(description="when they were last accepted")
     versions: dict[str, str] = Field(description="versions they were computed with")
     metrics: dict[str, Accepted] = Field(min_length=1, description='"product | subject | method | metric": number')
 
@@ -250,11 +250,11 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
     return Accepted(accepted=value, tolerance=limit.tolerance, of=limit.of, **more)
 
 
-def today() -> str:
+def today() -> datetime.date:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
     from hyperval.report.html import stated_time  # with its templates, not before the imagery is done with
 
-    return (stated_time() or datetime.now(UTC)).date().isoformat()
+    return (stated_time() or datetime.datetime.now(datetime.UTC)).date()
 
 
 def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:

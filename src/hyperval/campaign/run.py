@@ -284,8 +284,8 @@ def validate(
 
     Parameters
     ----------
-    scheduler : address of a Dask scheduler whose workers run the campaigns, where there are several; they see the
-        output folder and the data under the same names
+    scheduler : address of a Dask scheduler whose workers run the campaigns; they see the output folder and the data
+        under the same names
     strict : undecided and skipped gates give 1, too
     again : run also what stands unchanged in ``output``
     tell : is given a line on what was not run again
@@ -302,7 +302,7 @@ def validate(
     with whole_folder(output) as folder:
         earlier = None if again else output.resolve()
         if len(jobs) == 1:
-            done = _run_all([CampaignRun(jobs[0], folder, earlier, True)], None, tell)
+            done = _run_all([CampaignRun(jobs[0], folder, earlier, True)], scheduler, tell)
             return done[0][0].table.exit_code(strict=strict)
         kept, names = partial_folder(output) / "campaigns", [job.outline.name for job in jobs]
         pieces = [

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NoReturn, TypeVar
 
 import typer
 from typer import Argument, Option
-from typer.exceptions import Abort, TyperException
+from typer.exceptions import TyperException
 
 import hyperval
 from hyperval import __version__, baseline, campaign, scoreboard
@@ -652,17 +652,15 @@ def keep_caches(place: Path) -> None:
 
 
 INTERRUPTED, OUTPUT_CLOSED, TERMINATED = 130, 141, 143
+_SIGNALS = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # Files and folders that a command was told to use and that cannot be.
 _PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
 
 
-class _Terminated(BaseException):
-    """SIGTERM came: unwinds like an interrupt, so that half-written files are removed."""
-
-
 def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
-    raise _Terminated
+    """SIGTERM came: unwind like an interrupt, so that half-written files are removed."""
+    sys.exit(TERMINATED)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -670,16 +668,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
     settings.quiet = settings.debug = False
     try:
         _check_date()
-        code: Any = app(args=arguments, prog_name="hyperval", standalone_mode=False)
+        code: int = app(args=arguments, prog_name="hyperval", standalone_mode=False)
         sys.stdout.flush()
-    except (KeyboardInterrupt, Abort):
-        return _error("interrupted", INTERRUPTED)
-    except _Terminated:
-        return _error("terminated", TERMINATED)
+    except KeyboardInterrupt:
+        code = INTERRUPTED
     except SystemExit as ended:
         # typer stops with 1 when the reader of our output went away (`hyperval ... | head`), but 1 would
         # mean that a comparison failed; with 0 once it has completed a word for a shell.
-        return OUTPUT_CLOSED if ended.code else 0
+        code = TERMINATED if ended.code == TERMINATED else OUTPUT_CLOSED if ended.code else 0
     except BrokenPipeError:
         # The same, met at the last flush: nothing more can be written.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -688,9 +684,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return _usage(error)
     except Exception as error:
         return _stopped(error)
-    if code in (INTERRUPTED, TERMINATED):
-        _error("interrupted" if code == INTERRUPTED else "terminated", code)
-    return code if isinstance(code, int) else 0
+    return _error(_SIGNALS[code], code) if code in _SIGNALS else code
 
 
 def _check_date() -> None:
@@ -704,7 +698,7 @@ def _check_date() -> None:
 
 def _usage(error: TyperException) -> int:
     context = getattr(error, "ctx", None)
-    text = error.format_message().strip().replace("Value error, ", "")
+    text = error.format_message().strip()
     if text.startswith("Usage: "):  # no command given: the help
         print(text)
         return 2

@@ -127,8 +127,7 @@ def extremes(values: pd.Series) -> tuple[int, dict[str, float]]:
     (3, {'least': 1.0, 'median': 2.0, 'greatest': 3.0})
     """
     finite = values[np.isfinite(values)]
-    named = zip(("least", "median", "greatest"), finite.agg(["min", "median", "max"]).tolist(), strict=True)
-    return len(finite), dict(named)
+    return len(finite), finite.agg(least="min", median="median", greatest="max").to_dict()
 
 
 def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> ResultTable:

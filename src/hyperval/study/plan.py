@@ -234,6 +234,13 @@ def plan_study(study: StudyFile) -> Plan:
     ------
     UsageError : inputs or outputs that the scenario does not have, or values that it does not take.
     InputError, EngineError : as ``predict``.
+
+    >>> sun, water = ({"name": n, "path": f"atmosphere.{n}"} for n in ("solar_zenith_deg", "water_vapour_g_cm2"))
+    >>> inputs, snr = [sun | {"values": [50]}, water | {"random": {"uniform": [1, 2]}}], {"name": "s", "kind": "snr"}
+    >>> study = StudyFile(name="a", scenario="panels", settings={"atmosphere.engine": "emulator"}, inputs=inputs,
+    ...                   outputs=[snr | {"subject": "grass", "band_nm": 550}], atmosphere={"checked": 1})
+    >>> plan_study(study).scenario.atmosphere.solar_zenith_deg, list(plan_study(study).world.stated.atmosphere.nodes)
+    (50.0, ['water_vapour_g_cm2'])
     """
     file = study.folder / study.scenario if study.folder and study.scenario not in builtin_scenarios() else None
     scenario = load_scenario(file or study.scenario)

@@ -78,9 +78,7 @@ class Moving(Model):
     name: Name
     label: str = Field("", description="in words, for axes; default: the name")
     unit: str = "1"
-    path: str | None = Field(
-        None, description="dotted path into the scenario, or pfa: the false-alarm probability of the outputs"
-    )
+    path: str | None = Field(None, description=Move.model_fields["path"].description)
     moves: list[Move] = Field([], description="in place of path: several entries together")
 
     refused: ClassVar = {"give either path or moves": lambda m: (m.path is None) == (not m.moves)}

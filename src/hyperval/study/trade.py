@@ -29,7 +29,7 @@ from hyperval.model import Origins, World, evaluations, every_path, predict, rea
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
 from hyperval.model.roc import detection_at
-from hyperval.model.world import column_of, fits, in_file
+from hyperval.model.world import column_of, fits, in_file, with_truths
 from hyperval.scenario import Scenario, load_scenario
 from hyperval.sensor.specification import library_names
 from hyperval.settings import numbers_of, path_parts, setting, with_settings
@@ -454,7 +454,7 @@ def next_piece(source: str, trade: Trade, before: Progress | None = None) -> Pro
         remarks |= {int(rows[i]): words for i, words in notes.items()}
         needed = _required(p, trade, study) if trade.wanted is not None and step == _STRIDES[-1] else ()
     else:
-        limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()})
+        limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()}, values[step])
     stride = step if what == "points" else _STRIDES[-1]
     drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, along, values, limits, labels)
     return Progress(values, limits, needed, statement(drawn), before.left - 1, remarks)
@@ -523,23 +523,21 @@ def _limits_in(p: Prepared, trade: Trade, truth: Mapping[str, Any], pfa: Array) 
     return out
 
 
-def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any]) -> Array:
-    """(K, O, 2) limits along x, predicted at some of its values and between them as the curve runs."""
+def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any], values: Array) -> Array:
+    """(K, O, 2) limits of values (K, O) along x, predicted at some of them and between them as the curve runs."""
     _, x = _axis(along)
     if trade.x == plan.PFA:
         return np.moveaxis(_limits_in(p, trade, family, x), 0, 1)
-    nodes = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int)
-    ends = np.full((nodes.size, len(trade.subject), 2), np.nan)
+    nodes, top = np.linspace(0, x.size - 1, _LIMITS_AT).round().astype(int), np.inf if trade.is_spectral else 1.0
+    ends = np.full((nodes.size, len(trade.subject) * 2), np.nan)  # from the values
     for i, k in enumerate(nodes):
         truth = {**family, **{move.path: float(x[k]) for move in along.targets}}
-        try:
-            ends[i] = _limits_in(p, trade, truth, np.array([trade.pfa]))[:, 0]
-        except UsageError:  # that the value is not taken is seen in the curve
-            continue
-        if np.isnan(ends[i]).all():
-            break
-    flat = ends.reshape(nodes.size, -1)
-    return np.stack([np.interp(np.arange(x.size), nodes, column) for column in flat.T], axis=1).reshape(x.size, -1, 2)
+        with suppress(UsageError):  # that the value is not taken is seen in the curve
+            ends[i] = (_limits_in(p, trade, truth, np.array([trade.pfa]))[:, 0] - values[k][:, None]).ravel()
+            if np.isnan(ends[i]).all():
+                break
+    beside = np.stack([np.interp(np.arange(x.size), nodes, column) for column in ends.T], axis=1)
+    return np.asarray(np.clip(values[..., None] + beside.reshape(x.size, -1, 2), 0.0, top))
 
 
 def _axis(along: Input) -> tuple[Axis, Array]:
@@ -618,28 +616,37 @@ def live_figure(source: str, trade: Trade, with_limits: bool = False) -> dict[st
     >>> bright = Trade(output="snr", moved={"sensor_changes.signal_factor": 2.0})
     >>> live_figure("panels", complete(bright, prepare("panels", Trade())))["error"].partition("SATURATION: ")[2]
     'full scale is passed by grass, white panel, grey panel 48.'
+    >>> dark = Trade(output="snr", from_nm=2600.0, to_nm=2700.0)  # no curve is left to draw
+    >>> live_figure("panels", complete(dark, prepare("panels", Trade())))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: output 'snr': no usable band from 2600 to 2700 nm
     """
     p = prepare(source, trade)
     trade = trade.model_copy(update={"x": "", "y": ""})
-    (columns, labels), outputs, remarks = _families(p, trade), outputs_of(trade), {_error(p, trade): None}
-    numbers = np.full((len(labels) // len(outputs), len(outputs)), np.nan)
-    spectra = np.empty(numbers.shape, dtype=object)
-    for index, e in evaluations(with_values(_world(p, trade), columns)):
-        remarks |= dict.fromkeys(f"{words}." for words in plan.saturation(e).values())
-        for k, o in enumerate(outputs):
-            numbers[index, k] = plan.of_truths(e, o, None)
-            if trade.is_spectral:
-                nm, rows = e.axis.centre_nm, e.snr(o.subject) if trade.output == "snr" else e.radiance(o.subject)
-            else:
-                nm, rows = _ROC, e.scores(o.subject, p.scenario.processing.detectors[0]).detection(_ROC[None, :])
-            for i, row in zip(index, rows, strict=True):
-                spectra[i, k] = nm, row
-    bands = np.full((len(labels), _ROC.size, 2), np.nan)
-    if with_limits and not trade.is_spectral:
-        truths = [{path: column[i] for path, column in columns.items()} for i in range(len(numbers))]
-        bands = np.concatenate([_limits_in(p, trade, truth, _ROC) for truth in truths])
-    marks = _lines(labels, spectra.ravel().tolist(), bands)
-    named = tuple((label, v if math.isfinite(v) else None) for label, v in zip(labels, numbers.flat, strict=True))
+    (columns, labels), outputs, world = _families(p, trade), outputs_of(trade), _world(p, trade)
+    lines, values = [(np.empty(0), np.empty(0))] * len(labels), [math.nan] * len(labels)
+    bands, remarks, several = np.full((len(labels), _ROC.size, 2), np.nan), {_error(p, trade): None}, len(outputs)
+    for first in range(0, len(labels), several):  # families one by one: where one has no curves, others have
+        truth = {path: column[first // several] for path, column in columns.items()}
+        try:
+            ((_, e),) = evaluations(with_truths(world, [truth]))
+            for k, o in enumerate(outputs, first):
+                values[k] = float(plan.of_truths(e, o, None)[0])
+                if trade.is_spectral:
+                    lines[k] = e.axis.centre_nm, (e.snr if trade.output == "snr" else e.radiance)(o.subject)[0]
+                else:
+                    lines[k] = _ROC, e.scores(o.subject, p.scenario.processing.detectors[0]).detection(_ROC[None, :])[0]
+            if with_limits and not trade.is_spectral:
+                bands[first : first + several] = _limits_in(p, trade, truth, _ROC)
+            problems = plan.saturation(e) | e.problems
+        except UsageError as error:
+            if len(labels) == several:
+                raise
+            problems = {0: error}
+        names = f"{' and '.join(labels[first : first + several])}: " if len(labels) > several else ""
+        remarks |= dict.fromkeys(f"{names}{' '.join(str(words).split())}." for words in problems.values())
+    marks = _lines(labels, lines, bands)
+    named = tuple((label, v if math.isfinite(v) else None) for label, v in zip(labels, values, strict=True))
     x, y, rules = Axis(WAVELENGTH), _y_axis(trade), Rules()
     if not trade.is_spectral:
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))

@@ -4,11 +4,11 @@ from .app import make_app
 from .forms import form_data, form_nodes, needs, plain, predefined
 from .guard import POLICY, connections_of
 from .predictions import walk
-from .refusal import said
 from .runs import campaigns_of
 from .store import (
     LOOPBACK,
     MEGABYTE,
+    TASKS,
     Cancelled,
     Full,
     Runs,
@@ -17,11 +17,12 @@ from .store import (
     WebRun,
     WorkerPool,
     WorkerTask,
+    carried_out,
     view_name,
 )
 
 __all__ = [
-    "LOOPBACK", "MEGABYTE", "POLICY", "Cancelled", "Full", "Runs", "ServerSettings", "TaskFailed", "WebRun",
-    "WorkerPool", "WorkerTask", "campaigns_of", "connections_of", "form_data", "form_nodes", "make_app", "needs",
-    "plain", "predefined", "said", "view_name", "walk",
+    "LOOPBACK", "MEGABYTE", "POLICY", "TASKS", "Cancelled", "Full", "Runs", "ServerSettings", "TaskFailed", "WebRun",
+    "WorkerPool", "WorkerTask", "campaigns_of", "carried_out", "connections_of", "form_data", "form_nodes",
+    "make_app", "needs", "plain", "predefined", "view_name", "walk",
 ]  # fmt: skip

@@ -137,7 +137,7 @@ def _read(place: Path) -> WebRun | None:
 @lru_cache(maxsize=10_000)
 def _parsed(path: Path, *_: int) -> WebRun:
     run = WebRun.model_validate_json(path.read_bytes())
-    if run.id != path.parent.name:
+    if run.id != path.parent.name:  # of a folder that was copied
         raise ValueError(run.id)
     return run
 
@@ -447,7 +447,7 @@ class WorkerPool(TaskPool):
     ----------
     count : of processes;  most : tasks that wait;  seconds : for a task;  memory_bytes : of a process
     scheduler : address of a Dask scheduler, whose workers then take the place of processes and have limits of their own
-    module : what holds the tasks: ``TASKS`` by name, and ``warm``, which loads what they need
+    module : what holds the tasks, ``TASKS`` by name, of which ``warm`` loads what the others need
 
     Raises
     ------
@@ -460,8 +460,8 @@ class WorkerPool(TaskPool):
     ):  # fmt: skip
         self._stack = ExitStack()
         set_forkserver_preload([module])
-        perform, prepare = partial(carried_out, module), partial(_warm, module)
-        start: Callable[[], Worker] = partial(Process, perform, prepare, memory_bytes)
+        perform = partial(carried_out, module)
+        start: Callable[[], Worker] = partial(Process, perform, partial(perform, "warm", {}), memory_bytes)
         if scheduler is not None:
             places = self._stack.enter_context(workers(scheduler=scheduler))
             start, count = partial(_Place, places, module), places.width
@@ -471,10 +471,6 @@ class WorkerPool(TaskPool):
         """Call off what is on its way, and end the workers or leave their scheduler."""
         super().close()
         self._stack.close()
-
-
-def _warm(module: str) -> None:
-    importlib.import_module(module).warm()
 
 
 def carried_out(module: str, task: str, arguments: Mapping[str, Any]) -> Any:

@@ -178,11 +178,6 @@ def draft(files: Mapping[str, list[str]], stated: Mapping[str, Any], most: int) 
     return [(one.key, one.what) for one in placeholders(*parse_yaml(text), "")]
 
 
-def sensor(path: str) -> None:
-    """Read a sensor file, which is refused where it is none."""
-    load_sensor(path)
-
-
 def score_map(folder: str, name: str) -> None:
     """Write a score map as pages draw it: at most a million pixels, 16 bits between its ends."""
     raster = open_raster(Path(folder) / "results" / "scores" / f"{name}.tif")
@@ -289,7 +284,7 @@ def _write(path: Path, content: Any) -> None:
 
 
 TASKS: Mapping[str, Callable[..., Any]] = {
-    "prediction": predict, "draw": draw, "files": files, "study": study, "validation": campaign,
-    "pipeline": pipeline, "draft": draft, "score_map": score_map, "pixel": pixel, "sensor": sensor,
+    "warm": warm, "prediction": predict, "draw": draw, "files": files, "study": study, "validation": campaign,
+    "pipeline": pipeline, "draft": draft, "score_map": score_map, "pixel": pixel, "sensor": load_sensor,
     "collection": collection, "trade_live": live_figure, "trade_piece": next_piece,
 }  # fmt: skip

@@ -112,7 +112,7 @@ class Uploads:
         deny(is_large, 422, f"{name}: larger than {largest:,} bytes", field)
         if field == "sensors":
             try:
-                self._state.runs.ask("sensor", field, path=str(path))
+                self._state.runs.ask("sensor", field, name_or_path=str(path))
             except Refused as refusal:
                 words = to_show(refusal)[0].message.replace(path.name, name)
                 mistake = FieldMistake("sensors", words if words.startswith(name) else f"{name}: {words}")
