@@ -206,7 +206,7 @@ def _one_of(name: str, kind: str, truths: Mapping[str, Truth]) -> Iterator[Candi
         yield Candidate(name, kind, "", False, (lambda _, label: truths.get(label, {}),), labels=tuple(truths))
 
 
-def _of_input(item: UncertainInput, sizes: Sequence[float], *, budgeted: bool = False) -> Candidate:
+def _of_input(item: UncertainInput, sizes: tuple[float, ...], *, budgeted: bool = False) -> Candidate:
     """An input along its leading directions.
 
     >>> few, many = (UncertainInput("gain", "sensor", "sensor.gain", np.ones(20), np.eye(20)[:k]) for k in (2, 12))
@@ -219,9 +219,7 @@ def _of_input(item: UncertainInput, sizes: Sequence[float], *, budgeted: bool = 
         return item.direction(direction, units) if direction < item.size else {}
 
     size = min(item.size, MOST_DIRECTIONS)
-    return Candidate(
-        item.name, item.kind, item.correlation, budgeted, (moved,), tuple(sizes), path=item.path, size=size
-    )
+    return Candidate(item.name, item.kind, item.correlation, budgeted, (moved,), sizes, path=item.path, size=size)
 
 
 def _number(world: World, name: str, kind: Kind, path: str, step: str, sizes: Sequence[float]) -> Candidate:
@@ -231,9 +229,9 @@ def _number(world: World, name: str, kind: Kind, path: str, step: str, sizes: Se
     size = float(step.split()[0])
     one = number_input(world, name, kind, path, size, words=step)
     if step.endswith("%"):
-        return _of_input(replace(one, rows=size / 100.0 * one.nominal[None, :]), sizes)
+        return _of_input(replace(one, rows=size / 100.0 * one.nominal[None, :]), tuple(sizes))
     least = -float(np.min(np.abs(one.nominal))) / size
-    return _of_input(one, [z for z in dict.fromkeys(max(z, least) for z in sizes) if z])
+    return _of_input(one, tuple(z for z in dict.fromkeys(max(z, least) for z in sizes) if z))
 
 
 def every_input(worlds: Sequence[World], further: Iterable[Candidate]) -> list[Candidate]:
@@ -717,10 +715,11 @@ def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
 
 
 def _files_changed(own: Mapping[str, Mapping[str, Array]], means: Mapping[str, Array]) -> dict[str, Truth]:
-    """One file of field spectra in the place of another, or both exchanged, where a scenario reads them.
+    """One file of field spectra in the place of another, or both exchanged, where a scenario reads them; means of other
+    bands, of another scenario, stand nowhere.
 
     >>> a, b = {"surfaces.[red].mean": np.array([0.1])}, {"surfaces.[green].mean": np.array([0.4])}
-    >>> means = {"spectra of a.txt": np.array([0.1]), "spectra of b.txt": np.array([0.4])}
+    >>> means = {f"spectra of {x}.txt": np.array(mean) for x, mean in {"a": [0.1], "b": [0.4], "c": [0.2, 0.2]}.items()}
     >>> changed = _files_changed({"spectra of a.txt": a, "spectra of b.txt": b, "all": {**a, **b}}, means)
     >>> for words, truth in changed.items():
     ...     print(words, {path: value.tolist() for path, value in truth.items()})
@@ -729,7 +728,9 @@ def _files_changed(own: Mapping[str, Mapping[str, Array]], means: Mapping[str, A
     spectra of b.txt exchanged with spectra of a.txt {'surfaces.[green].mean': [0.1], 'surfaces.[red].mean': [0.4]}
     """
     out = dict[str, Truth]()
-    for a, b in combinations((name for name in means if name.startswith("spectra of ")), 2):
+    bands = {mean.shape for of in own.values() for mean in of.values()}
+    files = [name for name, mean in means.items() if name.startswith("spectra of ") and mean.shape in bands]
+    for a, b in combinations(files, 2):
         one, other = (dict.fromkeys(own.get(x, {}), means[y]) for x, y in ((a, b), (b, a)))
         out |= {f"{b} in the place of {a}": one, f"{a} in the place of {b}": other}
         out[f"{b} exchanged with {a}"] = {**other, **one}
