@@ -125,8 +125,12 @@ def decoded(raw: bytes) -> str:
 
     >>> [decoded("Größe;1".encode(name)) for name in ("utf-16", "utf-16-be", "utf-8-sig", "latin-1")]
     ['Größe;1', 'Größe;1', 'Größe;1', 'Größe;1']
+    >>> decoded("Отражение;1".encode("utf-16")), decoded(b"grass;1 \\0")
+    ('Отражение;1', 'grass;1 \\x00')
     """
-    zero = raw[:8].find(0)  # beside a letter of UTF-16; others follow where a text is filled up
+    # The first zero stands beside a letter of UTF-16, behind a mark perhaps a later one; others follow where a text is
+    # filled up.
+    zero = raw[: 256 if raw[:1] in b"\xff\xfe" else 8].find(0)
     if zero >= 0 and raw[zero + 1 : zero + 2] != b"\0":
         return raw.decode("utf-16-le" if zero % 2 else "utf-16-be", errors="replace").lstrip("\ufeff")
     try:
