@@ -98,8 +98,9 @@ def test_units_that_nobody_states_or_that_disagree(tmp_path):
         ("nm,r [%]\n" + rows(WAVE, RHO), {"reflectance_unit": "fraction"}, "percent, the caller in fraction"),
         *((rows(WAVE, RHO), {"reflectance_unit": u}, "scaled:10000") for u in ("per mille", "scaled:0", "scaled:nan")),
         ("name,Measurement Units,400,500,600,700\na,Percent," + ",".join(map(str, RHO)), {}, "(?s)percent.*_unit"),
+        ("nm,rho,Expanded uncertainty\n" + rows(WAVE, RHO, RHO / 10), {}, "without its coverage factor"),
     ):
-        with pytest.raises(UsageError, match=message):
+        with pytest.raises((UsageError, InputError), match=message):
             read(tmp_path, text, **options)
 
 
@@ -113,8 +114,7 @@ def test_a_mean_has_its_standard_deviation_and_number(tmp_path):
         found = read(tmp_path, f"nm,{titles}\n" + rows(WAVE, RHO, RHO / 10))
         assert np.allclose(found.standard_deviation, RHO / 10 / k)
     head = "Wavelength in microns   reflectance   standard deviation\n"
-    part = read(tmp_path, head + "0.3 0.5 0.01\n0.4 0.6 -1.23e34\n0.5 0.7 0.02\n")
-    assert part.wavelength_nm.tolist() == [300.0, 500.0]
+    assert read(tmp_path, head + "0.3 0.5 0.01\n0.4 0.6 -1.23e34\n0.5 0.7 0\n").wavelength_nm.tolist() == [300.0, 500.0]
     assert read(tmp_path, head + "0.3 0.5 -1.23e34\n0.4 0.6 -1.23e34\n").standard_deviation is None
     with pytest.raises(UsageError, match=r"(?s)holds 2 spectra.*wavelength, reflectance, sd"):
         read(tmp_path, rows(WAVE, RHO, 0.02 * RHO))

@@ -120,8 +120,8 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
             nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
         if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
-        has = np.isfinite(nm)
-        times = _COVERAGE.search(titles[spread.get(i, 0)])
+        has, times = np.isfinite(nm), _COVERAGE.search(titles[spread.get(i, 0)])
+        refuse(not times and "expanded" in titles[spread.get(i, 0)].lower(), "text.coverage", where)
         beside = table[has, spread[i]] / float((times[1] or times[2]) if times else 1.0) if i in spread else None
         unmeasured = beside is not None and not beside.any()
         says = y_units or (titles[i] if quantity_in(titles[i]) or percent_in(titles[i]) else above or titles[i])
