@@ -50,8 +50,8 @@ def test_limits_are_those_of_a_prediction(tmp_path):
     curve = predict(prepare(str(file), trade).scenario).roc["yellow plank 0.02", "cem", "pixel"]
     at = int(np.argmin(abs(curve.pfa - 1e-3)))
     assert now.limits[0, 0, 0] == pytest.approx([curve.pd_lower[at], curve.pd_upper[at]], rel=1e-3)
-    low, high = now.limits[0, :, 0].T  # at every point, and not where they were predicted alone
-    assert np.all((low <= now.values[0, :, 0]) & (now.values[0, :, 0] <= high))
+    value, (low, high) = now.values[0, :, 0], now.limits[0, :, 0].T  # at every point, not where predicted alone
+    assert np.all((low >= 0.0) & (low <= value) & (value <= high) & (high <= 1.0))
 
 
 def test_a_target_with_a_side_has_a_gsd_and_overlays_are_curves():
