@@ -408,13 +408,11 @@ def without_calibration_error(subject: str) -> str:
     return f"{subject} (no calibration error)"
 
 
-def combined(
-    errors: Mapping[str, Errors], covariances: Mapping[str, Array], bands: int
-) -> tuple[Array, dict[str, Array]]:
+def combined(errors: Mapping[str, Errors], dense: Mapping[str, Array], bands: int) -> tuple[Array, dict[str, Array]]:
     """Error covariance (B, B) and budget from independent sources, some of them as covariances (B, B)."""
-    every = {source: np.nan_to_num(c) for source, c in covariances.items()}
+    every = {source: np.nan_to_num(c) for source, c in dense.items()}
     budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in every.items()}
-    return sum((*(e.covariance for e in errors.values()), *every.values()), np.zeros((bands, bands))), budget
+    return sum((*(e.covariance for e in errors.values()), *every.values()), np.broadcast_to(0.0, 2 * (bands,))), budget
 
 
 def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
@@ -569,8 +567,10 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
     for (product, key), mean in means.items():
         pixel, shapes = spreads.get((product, key), (None, {}))
         sources = (errors or {}).get((product, key), {})
-        total, budget = (np.broadcast_to(0.0, 2 * (bands,)), {}) if errors is None else combined(sources, shapes, bands)
-        pixel, sources = None if pixel is None else np.nan_to_num(pixel), {} if product == "snr" else sources
+        total, budget = combined(sources, shapes, bands)
+        if pixel is not None and np.isnan(np.sum(pixel)):  # a look takes less than a copy
+            pixel = np.nan_to_num(pixel)
+        sources = {} if product == "snr" else sources
         spread = spread_errors(errors, light, product, key) if errors and product in ("radiance", "reflectance") else []
         if (gain := sources.get("compensation (gain)")) is not None:  # of an image: it stretches the spread as the mean
             spread.append(np.stack([gain.rows / mean, 0.0 * gain.rows]))
