@@ -127,7 +127,7 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
         more = np.where(k < n, special.betainc(k + 1.0, np.maximum(n - k, 1.0), p), 0.0)
         return np.asarray(0.5 * (at_least + more) - wanted)
 
-    lower, upper = (find_root(beyond, (0.0, 1.0), args=(k, n, tail)).x for tail in (_TAIL, 1.0 - _TAIL))
+    lower, upper = find_root(beyond, (0.0, 1.0), args=(k, n, np.array([[_TAIL], [1.0 - _TAIL]]))).x
     lower, upper = np.where(k > 0, lower, 0.0), np.where(k < n, upper, 1.0)
     return lower[index].reshape(counts.shape), upper[index].reshape(counts.shape)
 
