@@ -92,14 +92,16 @@ def test_a_single_pixel_gives_a_mean_and_no_spread(make_radiance):
 def test_snr_of_a_region_is_that_of_its_pixels(panels):
     values = panels.values.copy()
     values[34:50] = 30.0 * (1.0 + 0.01 * np.random.default_rng(3).standard_normal((16, SAMPLES, BANDS)))
+    values[34:36] = 90.0
     panels.write(values)
-    panels.collection["regions"].append({"name": "flat", "rectangle": [34, 0, 16, SAMPLES]})
-    panels.collection["snr_regions"] = ["flat"]
+    regions = panels.collection["regions"]
+    regions += [{"name": name, "rectangle": [34, 0, n, SAMPLES]} for name, n in (("flat", 16), ("roof", 2))]
+    panels.collection |= {"snr_regions": ["flat"], "leave_out": ["roof"]}
     seen = panels.observe()
     found, error = seen.observation.snr, np.diag(seen.sampling["flat"].covariance)  # of the mean of its pixels
     assert set(found) == {"flat"}
     assert (found["flat"].budget["mean"] * 30.0 / found["flat"].mean) ** 2 == pytest.approx(error, rel=1e-2)
-    assert found["flat"].mean == pytest.approx(snr_decorrelated(values[34:50].reshape(-1, BANDS)).mean, rel=1e-9)
+    assert found["flat"].mean == pytest.approx(snr_decorrelated(values[36:50].reshape(-1, BANDS)).mean, rel=1e-9)
 
 
 @pytest.mark.parametrize("dof", [6.0, np.inf])

@@ -127,7 +127,7 @@ def observe(
     for name in track([n for n in place.regions if n not in kept_names], "tails"):
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
-    snr = {n: px.snr_decorrelated(_some_pixels(place, n), sampling[n].covariance) for n in collection.snr_regions}
+    snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance) for n in collection.snr_regions}
     remark = said("classifiers", used=place.clear_bands.sum(), bands=cube.bands)
     observation = ObservedProducts(
         axis=cube.axis,
@@ -274,9 +274,9 @@ def _estimate(
     )  # fmt: skip
 
 
-def _some_pixels(place: Place, name: str) -> Array:
-    """Valid pixels (n, B) of a region, evenly thinned to what memory should hold."""
-    region = place.region(name)
+def _counted(place: Place, masks: Labels, name: str) -> Array:
+    """Valid pixels (n, B) of a region that count, evenly thinned to what memory should hold."""
+    region = masks[name] if name in masks else place.region(name)  # which refuses what is none
     count = int(np.count_nonzero(region))
     step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
     return place.cube.spectra(px.nth_pixels(region, np.arange(0, count, step)))
