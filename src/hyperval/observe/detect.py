@@ -509,9 +509,8 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
         populations = target_groups(place.targets, stands, detection.group)
         groups = target_groups(place.targets, target, detection.group)
         for (subject, members), population in zip(groups.items(), populations, strict=True):
-            nominal = float(np.mean([o.area_m2 for o in members]))
-            refuse(not np.isfinite(nominal), "unmixing.size", "detection.unmixing", subject=subject)
             for o in members:
+                refuse(not math.isfinite(o.area_m2), "unmixing.size", "detection.unmixing", subject=subject)
                 if o.name not in footprints:
                     footprints[o.name] = _footprints(place, o, region, task, bands, rng)
             members = [o for o in members if footprints[o.name].whole]
