@@ -340,17 +340,19 @@ def sampled_covariance(estimate: SpectralEstimate, use: Mask, floor: Array) -> A
     r^T S^-1 r with an estimated S is larger than with the true covariance: the mean over n bands is nu/(nu - n - 1)
     for nu degrees of freedom (Hotelling), 1.9 for 36 pixels in 16 bands.  A part S is widened by f, the ratio of the
     95 % points of Hotelling's law and of chi-square in as many directions as it counts in, k = tr(P)^2 / tr(P^2) with
-    P its share C^-1 S in the whole; less as its share there is less than all, f - 1 in proportion to tr(P)/k.  A
-    model of few factors and independent bands, for pixels fewer than bands, is known as single bands are and stays.
+    P its share C^-1 S in the whole; less as its share there is less than all, f - 1 in proportion to tr(P)/k.  This
+    stands in place of what widens it in single bands.  A model of few factors and independent bands, for pixels fewer
+    than bands, is known as these are and stays.
     """
+    parts = (p.of_each(lambda c: np.nan_to_num(c[np.ix_(use, use)])) for p in estimate.estimated)
+    known = [(p.covariance if p.model is None else p.model, p) for p in parts if not p.dof > p.sample_dof]
     out = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)]) + floor
-    whole = out
-    for part in (p.of_each(lambda c: np.nan_to_num(c[np.ix_(use, use)])) for p in estimate.estimated):
-        share = linalg.solve(whole, part.covariance)
+    out = whole = out + sum((model - part.covariance for model, part in known), np.zeros_like(out))
+    for model, part in known:
+        share = linalg.solve(whole, model)
         trace, squares = float(np.trace(share)), float(np.sum(share * share.T))
-        if trace > 0.0 and not part.dof > part.sample_dof:
-            factor = hotelling_factor(trace**2 / squares, max(part.dof, 1.0))
-            out = out + (factor - 1.0) * squares / trace * part.covariance
+        if trace > 0.0:
+            out = out + (hotelling_factor(trace**2 / squares, max(part.dof, 1.0)) - 1.0) * squares / trace * model
     return out
 
 

@@ -28,7 +28,7 @@ from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standar
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.data import Array, Components, Index, statistics_of
 from hyperval.errors import UsageError, needed, one_of, refuse, told_of
-from hyperval.model.intervals import Z95
+from hyperval.model.intervals import student_factor
 from hyperval.paths import MAX_MATCHES, Resolve, matching
 from hyperval.progress import track
 from hyperval.scenario import (
@@ -120,7 +120,7 @@ def replicate_statistics(
     covariance, error, block = *np.zeros((2, len(axis), len(axis))), np.ix_(valid, valid)
     few = sample.n < FEW_PER_BAND * int(valid.sum())
     covariance[block] = sample.shrunk().covariance if few else sample.covariance
-    error[block] = mean_error_covariance(sample.covariance, sample.n)
+    error[block] = error_of_mean(sample.covariance, sample.n)
     words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
     sampled = axis.centre_nm, deviation
     return SurfaceStatistics(
@@ -129,14 +129,12 @@ def replicate_statistics(
     )  # fmt: skip
 
 
-def mean_error_covariance(covariance: Array, n: int) -> Array:
-    """(t/1.96)^2 S/n with t the 97.5 % point of Student's t with n - 1 degrees of freedom [unit of S].
+def error_of_mean(covariance: Array, n: int) -> Array:
+    """(t/1.96)^2 S/n with n - 1 degrees of freedom [unit of S]: few spectra know their own spread badly.
 
-    Few spectra know their own spread badly; with this +-1.96 u is the 95 % interval of the mean.
-    Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
+    S itself of a single one, whose difference from others is its error (:func:`student_factor`).
     """
-    wider = float(scipy.special.stdtrit(n - 1, 0.975)) / Z95
-    return np.asarray(wider**2 * covariance / n)
+    return np.asarray(student_factor(n - 1) ** 2 * covariance / n) if n > 1 else covariance
 
 
 def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectrum]:
@@ -194,18 +192,15 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     return band_average(wavelength_nm[valid], values[valid], axis, outside="nan")
 
 
-def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
+def covariance_in_bands(nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
     """(B, B) error covariance of what :func:`in_bands` makes of samples from theirs (n, n); 0 in bands without one.
 
     >>> axis = SpectralAxis(np.arange(400.0, 460.0, 10.0), 10.0)
     >>> np.diag(covariance_in_bands(np.array([400.0, 410.0, 430.0, 450.0]), np.eye(4), axis))
     array([1., 1., 0., 1., 0., 1.])
     """
-    if (some := sampled_bands(wavelength_nm, axis)) is not None:
-        out = np.zeros(2 * (len(axis),))
-        out[np.ix_(some, some)] = covariance
-        return out
-    weights, short = band_weights(wavelength_nm, axis)
+    some = sampled_bands(nm, axis)
+    weights, short = band_weights(nm, axis) if some is None else (np.eye(len(axis))[:, some], np.zeros(len(axis), bool))
     few = scipy.sparse.csr_array(np.where(short[:, None], 0.0, weights))  # a band has a part in few of the samples
     return np.asarray((few @ (few @ covariance).T).T)
 

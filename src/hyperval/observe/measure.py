@@ -20,6 +20,7 @@ from hyperval.data import Array, Components, Index, Mask, SampleStatistics, stat
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, TargetObject, all_pixels
 from hyperval.model import ClassLaw, Unmixed, class_features, covariance_directions, feature_bands, measured_error
+from hyperval.model.intervals import student_factor
 from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, detect, scored_part, target_groups, unmix
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place, said
@@ -400,8 +401,8 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     """Error covariance (B, B) of a region's mean, in the cube's values, and what it is known by.
 
     Correlation on the ground is measured along the leading components, and the rest together, in windows of the
-    image, at lags of up to 24 pixels, and few independent pixels widen the error
-    (:func:`~hyperval.pixels.small_sample_factor`); regions of fewer than 50 pixels count as independent ones.
+    image, at lags of up to 24 pixels; regions of fewer than 50 pixels count as independent ones.  Few independent
+    pixels widen the error (:func:`~hyperval.pixels.small_sample_factor`, :func:`~hyperval.model.student_factor`).
     Pixels that are fewer than the bands have few common factors and independent bands
     (:func:`~hyperval.pixels.factor_covariance`); the samples' own covariance stands beside it, and both without the
     widening, which a test makes by its degrees of freedom.
@@ -420,7 +421,8 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
         return out
 
     if n < FEWEST_FOR_CORRELATION:
-        return EstimatedPart(full(inner / n), known_by, None, covariance / n, float(n - 1), full(common / n))
+        model, factors = full(inner / n), full(common / n)
+        return EstimatedPart(student_factor(n - 1) ** 2 * model, known_by, model, covariance / n, n - 1.0, factors)
     mean, rng = statistics.mean[valid], np.random.default_rng(_MEAN_SEED)
     along = px.covariance_components(inner, rng)
     windows = _projected_windows(place, region, valid, rng, lambda pixels: along.scores(pixels - mean))
