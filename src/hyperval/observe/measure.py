@@ -447,7 +447,8 @@ class RegionLaws:
     """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
 
     def __init__(self, observed: Observed):
-        self._place = cast(Place, observed.place)  # without an image there are no statistics, and nothing is asked for
+        # Without an image there are no statistics, and nothing is asked for.
+        self._place, self._masks = cast(Place, observed.place), observed.masks
         self._tails, self._statistics = observed.observation.distribution, observed.statistics
         self.parts, self._fitted, self._without = cache(self._numbered), cache(self._fit), cache(self._left_out)
 
@@ -459,7 +460,7 @@ class RegionLaws:
         """
         axis, rng = self._place.cube.axis, np.random.default_rng(_LAW_SEED)
         most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
-        lines, samples = px.drawn_pixels(self._place.pixels_of(region), most, rng)
+        lines, samples = px.drawn_pixels(self._masks[region], most, rng)
         pixels, valid = self._place.pixels_at(lines, samples)
         finite = np.isfinite(pixels[valid]).any(axis=0)
         pixels = np.where(finite, pixels, 0.0)
@@ -469,7 +470,7 @@ class RegionLaws:
 
     def _numbered(self, region: str) -> Index:
         """(lines, samples) part of the image that a region's pixels are left out with; -1 of other pixels."""
-        mask = self._place.pixels_of(region)
+        mask = self._masks[region]
         number = np.full(mask.shape, -1)
         number[mask] = px.compact_parts(*np.nonzero(mask))
         return number
@@ -533,7 +534,7 @@ class RegionLaws:
     def _fit(self, region: str, count: int | Literal["auto"], tails: bool) -> Mixture | None:
         """The mixture of a region; blocks for the choice of its number are those of false alarms: about 64."""
         (pixels, lines, samples, lead), place = self._pixels(region), self._place
-        side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
+        side = px.block_side(int(np.count_nonzero(self._masks[region])))
         block = (lines // side) * (place.cube.samples // side + 1) + samples // side
         made = px.class_mixture(pixels, block, count, tails=tails, lead=lead, seed=_LAW_SEED)
         return None if made is None else (made, made.components(pixels))
