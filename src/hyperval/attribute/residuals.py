@@ -19,7 +19,6 @@ from scipy import linalg, special
 from hyperval.attribute.candidates import Candidate
 from hyperval.compare.rows import scientific
 from hyperval.data import Array, Index, Mask
-from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
 from hyperval.products import ObjectScores, Products, SpectralEstimate, background_of
 from hyperval.spectra import SpectralAxis, in_window
@@ -432,24 +431,14 @@ def _false_alarms(predicted: Products, observed: Products) -> Iterator[ResidualB
         same = (detector, round(float(thresholds[0]), 9))
         if same not in counted and np.isfinite(thresholds).all():
             counted.add(same)
-            clustered = _clustered_variance(observed, subject, detector, thresholds)
-            variance = np.maximum(1.0 / (rates * n) + RATE_FLOOR**2, clustered)
+            effect = 1.0  # alarms come in clusters
+            if curve.design_effect is not None:
+                effect = np.interp(np.log(rates), np.log(curve.pfa), curve.design_effect)
+            variance = np.maximum(1.0 / (rates * n) + RATE_FLOOR**2, effect / (rates * n))
             yield ResidualBlock(
                 "roc", background_of(subject), detector, np.log(rates), np.diag(variance),
                 partial(log_false_alarm_rate, key, thresholds),
             )  # fmt: skip
-
-
-def _clustered_variance(observed: Products, subject: str, detector: str, threshold: Array) -> Array | float:
-    """(K,) variance of ln P_FA from blocks of the image, as alarms come in clusters; 0 where it is not known."""
-    for (name, method), curve in observed.exceedance.items():
-        if method == detector and (subject == name or subject.startswith(f"{name} ")):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                half = (np.log(curve.upper) - np.log(curve.lower)) / 2.0
-            finite = np.isfinite(half)
-            if finite.any():
-                return np.asarray((np.interp(threshold, curve.threshold[finite], half[finite]) / Z95) ** 2)
-    return 0.0
 
 
 def log_false_alarm_rate(key: tuple[str, str, str], threshold: Array, p: Products) -> Array:
