@@ -48,7 +48,7 @@ def test_few_pixels_reject_a_right_model_at_their_level(pixels, bands, known):
     """A mean lies beyond the 95 % point of chi-square in 5 %; unwidened, in 53 % of regions of 36 pixels, 16 bands."""
     rng, beyond, eye = np.random.default_rng(3), [], np.eye(bands)
     for x in rng.standard_normal((2000, pixels, bands)):
-        part = products.EstimatedPart(np.cov(x.T) / pixels, pixels - 1.0)
+        part = products.EstimatedPart(2.0 * (s := np.cov(x.T) / pixels), pixels - 1.0, s)  # wider, in single bands
         mean = x.mean(axis=0) + rng.standard_normal(bands) * np.sqrt(known / pixels)
         spectrum = products.SpectralEstimate(mean, part.covariance + known / pixels * eye, estimated=(part,))
         covariance = sampled_covariance(spectrum, np.ones(bands, dtype=bool), 1e-12 * eye)
@@ -108,7 +108,10 @@ def test_ratios_of_false_alarms_are_those_of_two_laws_where_there_are_ten(n, lev
 
 
 def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
-    """Pixels of one object are one, and a rate is known as well as blocks of the image say, not as its count."""
+    """Pixels of one object are one, and a rate is known as well as blocks of the image say, not as its count.
+
+    Whatever a subject is called: it need not begin with the name of what is looked for.
+    """
     key, n = ("roof planks", "cem"), 50_000
     draws = np.array([[0.8, 1.0], [1.2, 1.4]])
     rising = [products.RocCurve(P[::-1], P[::-1], P[::-1], P[::-1], t, n_background=n)
@@ -118,19 +121,18 @@ def test_objects_and_alarms_that_come_in_clusters_count_as_what_they_are():
         roc={(*key, "pixel"): rising[0]},
     )  # fmt: skip
     observed = products.ObservedProducts(
-        AXIS, scores={key: products.ScoreDistribution(0.9, 0.3, 40)}, roc={(*key, "pixel"): rising[1]},
+        AXIS, scores={key: products.ScoreDistribution(0.9, 0.3, 40)},
+        roc={(*key, "pixel"): replace(rising[1], design_effect=np.full(P.size, 12.0))},
         object_scores={key: products.ObjectScores(np.array([0.7, 0.9, np.nan]))},
-        exceedance={("roof", "cem"): exceedance(stats.t.isf(P, 10.0), P, n)},
     )  # fmt: skip
     objects, alarms = stack_of(predicted, observed).blocks
     assert objects.observed == pytest.approx([0.8])
     assert objects.read(predicted) == pytest.approx([1.1])
     assert objects.covariance == pytest.approx(np.array([[np.var(draws) / 2 + 0.005**2]]))
     assert np.exp(alarms.observed) == pytest.approx([1e-2, 1e-3])
-    blocks = (np.log(2.0) / stats.norm.ppf(0.975)) ** 2  # limits at half and twice the rate
-    assert np.diag(alarms.covariance) == pytest.approx([blocks, blocks], rel=1e-6)
+    assert np.diag(alarms.covariance) == pytest.approx([12 / (p * n) for p in (1e-2, 1e-3)])
     assert np.exp(alarms.read(predicted)) == pytest.approx(stats.norm.sf(stats.t.isf([1e-2, 1e-3], 10.0)), rel=0.02)
-    bare = stack_of(predicted, replace(observed, exceedance={})).blocks[1]
+    bare = stack_of(predicted, replace(observed, roc={(*key, "pixel"): rising[1]})).blocks[1]
     assert np.diag(bare.covariance) == pytest.approx([1 / (p * n) + 0.1**2 for p in (1e-2, 1e-3)])
 
 

@@ -68,7 +68,6 @@ B = len(AXIS)
 KEY = ("tenth", "cem", "pixel")
 PLANK = "surfaces.plank.mean"
 WORLD = model.read_world(scenario(), ORIGINS)
-CLOSE = SpectralAxis(np.arange(420.0, 900.0, 3.6), 4.8)
 
 
 def mean(surface: str) -> np.ndarray:
@@ -173,12 +172,3 @@ def test_what_is_stated_is_not_assumed_again_and_every_class_mean_is_a_candidate
     assert not assumed & {i.path for i in model.inputs_of(world)}
     assert {"sensor.gain", "surfaces.[grass].mean", "surfaces.[panel].mean"} <= assumed
     assert "surfaces.[plank].mean" not in assumed
-
-
-def test_a_library_that_lacks_some_bands_is_taken_as_it_stands_in_the_others():
-    values, there = np.sin(CLOSE.centre_nm / 7.0), np.ones(len(CLOSE), bool)
-    there[[0, 5, 6, len(CLOSE) - 1]] = False
-    found = model.in_bands(CLOSE.centre_nm[there], values[there], CLOSE)
-    assert np.array_equal(found[there], values[there])
-    assert np.isnan(found[~there]).all()
-    assert np.array_equal(model.in_bands(CLOSE.centre_nm + 0.01, values, CLOSE), values)

@@ -81,7 +81,7 @@ def test_field_spectrum_error_from_its_file():
     spread = SpectrumUncertainty(subject="x", from_file=True)
     error = SpectrumUncertainty(subject="x", from_file=True, divisor="standard_error")
     assert model.spectrum_error_rows(spread, surface)[0] == pytest.approx(np.full(10, 0.02))
-    assert model.spectrum_error_rows(error, surface)[0] == pytest.approx(np.full(10, 0.02 / 4))
+    assert model.spectrum_error_rows(error, surface)[0] == pytest.approx(np.full(10, 0.02 / 4 * 2.1314495 / 1.9599640))
     with pytest.raises(UsageError, match="how many spectra"):
         model.spectrum_error_rows(error, replace(surface, n=None))
 

@@ -11,7 +11,7 @@ from sklearn.covariance import ledoit_wolf
 from hyperval import model
 from hyperval.config import validate
 from hyperval.errors import InputError, UsageError
-from hyperval.model import Origins, Sources, band_error_covariance, mean_error_covariance, predict, replicate_statistics
+from hyperval.model import Origins, Sources, band_error_covariance, error_of_mean, predict, replicate_statistics
 from hyperval.scenario import Replicates, Scenario, SpectrumSource, SpectrumUncertainty, Surface
 from hyperval.spectra import SpectralAxis, band_average
 
@@ -78,13 +78,13 @@ def test_the_error_of_the_mean_covers_the_truth_as_often_as_said():
     for _ in range(4000):
         x = rng.normal(0.3, 0.02, 3)
         s = np.array([[x.var(ddof=1)]])
-        u = float(np.sqrt(mean_error_covariance(s, 3)[0, 0]))
+        u = float(np.sqrt(error_of_mean(s, 3)[0, 0]))
         inside += abs(x.mean() - 0.3) <= 1.96 * u
         plain += abs(x.mean() - 0.3) <= 1.96 * np.sqrt(s[0, 0] / 3)
     assert abs(inside / 4000 - 0.95) < 0.0137
     assert plain / 4000 < 0.85
-    assert mean_error_covariance(s, 2)[0, 0] == pytest.approx((stats.t.ppf(0.975, 1) / 1.959964) ** 2 * s[0, 0] / 2)
-    assert mean_error_covariance(s, 10**6)[0, 0] == pytest.approx(s[0, 0] / 1e6, rel=1e-5)
+    assert error_of_mean(s, 2)[0, 0] == pytest.approx((stats.t.ppf(0.975, 1) / 1.959964) ** 2 * s[0, 0] / 2)
+    assert error_of_mean(s, 10**6)[0, 0] == pytest.approx(s[0, 0] / 1e6, rel=1e-5)
 
 
 def test_records_of_one_file(tmp_path):

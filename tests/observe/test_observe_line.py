@@ -72,8 +72,9 @@ def test_errors_of_a_panel_and_of_the_darkest_pixel_by_hand(make_radiance):
     assert second.radiance_error == pytest.approx(np.full(BANDS, 0.02**2), rel=1e-12)
 
 
-@pytest.mark.parametrize(("length", "divisor", "n"), [(None, None, 9), (1e6, None, 9), (None, "spread", 1)])
-def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_radiance, length, divisor, n):
+@pytest.mark.parametrize(("length", "divisor"), [(None, None), (1e6, None), (None, "spread")])
+def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_radiance, length, divisor):
+    part = 1.0 if divisor else (2.3060041 / 1.9599640) ** 2 / 9  # Student's t of eight degrees of freedom
     made = make_radiance()
     rows = "".join(f"{w},0.6,0.03,0.05,0.03\n" for w in range(400, 1701))
     heading = "# means of N = 9 readings and their standard deviations\nwavelength_nm,white,white_sd,black,black_sd\n"
@@ -81,7 +82,7 @@ def test_a_spread_that_a_file_carries_counts_by_the_number_of_its_readings(make_
     for panel in made.panels:
         panel |= {"correlation_nm": length} | ({"divisor": divisor} if divisor else {})
     for panel in made.world.observe().place.line.panels:
-        assert np.diag(panel.reflectance_error) == pytest.approx(np.full(BANDS, 0.03**2 / n), rel=1e-9)
+        assert np.diag(panel.reflectance_error) == pytest.approx(np.full(BANDS, 0.03**2 * part), rel=1e-6)
 
 
 def test_replicate_spectra_of_a_panel_widen_the_line(make_radiance):
@@ -93,6 +94,8 @@ def test_replicate_spectra_of_a_panel_widen_the_line(make_radiance):
     made.panels[0]["spectrum"] = {"replicates": {"files": "white?.csv", "wavelength_unit": "nm"}}
     after = made.world.observe().observation.reflectance["corner"].budget["empirical line"]
     assert np.all(after > before)
+    made.panels[0]["divisor"] = "spread"
+    assert np.diag(made.world.observe().place.line.panels[0].reflectance_error) == pytest.approx(np.full(BANDS, 0.0009))
 
 
 def test_a_panel_with_a_full_pixel_is_refused_save_in_bad_bands(panels):

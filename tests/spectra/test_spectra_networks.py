@@ -83,6 +83,10 @@ def test_errors_go_into_bands_as_the_mean_does(tmp_path):
     assert np.cov(spectra.band_average(NM, draws, axis).T) == pytest.approx(expected, rel=0.05)
     surface = Sources(axis, {}, Path).spectrum(SpectrumSource(file=str(path), record="zenith 0"), "sand")
     assert surface.mean_error == pytest.approx(expected)
+    # Bands that truly stand off their labels have the errors that the file states for these.
+    moved = Sources(spectra.SpectralAxis(NM + 0.2, 1.0), {}, Path, spectra.SpectralAxis(NM, 1.0))
+    surface = moved.spectrum(SpectrumSource(file=str(path), record="zenith 0"), "sand")
+    assert surface.mean_error == pytest.approx(covariance)
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from hyperval.attribute.residuals import ENOUGH, Stack
 from hyperval.data import Array, Index
 from hyperval.errors import refusal, refuse
 from hyperval.products import background_of
+from hyperval.results import grouped
 
 ALL = "all"
 SHARED = ("sensor", "atmosphere")  # kinds that befall all that is measured
@@ -577,9 +578,7 @@ class Reasoner:
         What was put in, a candidate's kind, and what is said of it.
         """
         n = len(self.wide)
-        of_kind: dict[str, list[Effect]] = {}
-        for candidate, effect in zip(self.columns, self._effects, strict=True):
-            of_kind.setdefault(kind_of(candidate.name), []).append(effect)
+        of_kind: dict[str, list[Effect]] = grouped(self._effects, lambda effect: kind_of(effect.candidate.name))
         for _ in range(times):
             for kind in (*of_kind, NONE, NOTHING):
                 size = 0.0 if kind == NOTHING else SEEN * np.exp(rng.uniform(np.log(0.5), np.log(5.0)))

@@ -19,7 +19,6 @@ from scipy import linalg, special
 from hyperval.attribute.candidates import Candidate
 from hyperval.compare.rows import scientific
 from hyperval.data import Array, Index, Mask
-from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
 from hyperval.products import ObjectScores, Products, SpectralEstimate, background_of
 from hyperval.spectra import SpectralAxis, in_window
@@ -340,17 +339,19 @@ def sampled_covariance(estimate: SpectralEstimate, use: Mask, floor: Array) -> A
     r^T S^-1 r with an estimated S is larger than with the true covariance: the mean over n bands is nu/(nu - n - 1)
     for nu degrees of freedom (Hotelling), 1.9 for 36 pixels in 16 bands.  A part S is widened by f, the ratio of the
     95 % points of Hotelling's law and of chi-square in as many directions as it counts in, k = tr(P)^2 / tr(P^2) with
-    P its share C^-1 S in the whole; less as its share there is less than all, f - 1 in proportion to tr(P)/k.  A
-    model of few factors and independent bands, for pixels fewer than bands, is known as single bands are and stays.
+    P its share C^-1 S in the whole; less as its share there is less than all, f - 1 in proportion to tr(P)/k.  This
+    stands in place of what widens it in single bands.  A model of few factors and independent bands, for pixels fewer
+    than bands, is known as these are and stays.
     """
+    parts = (p.of_each(lambda c: np.nan_to_num(c[np.ix_(use, use)])) for p in estimate.estimated)
+    known = [(p.covariance if p.model is None else p.model, p) for p in parts if not p.dof > p.sample_dof]
     out = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)]) + floor
-    whole = out
-    for part in (p.of_each(lambda c: np.nan_to_num(c[np.ix_(use, use)])) for p in estimate.estimated):
-        share = linalg.solve(whole, part.covariance)
+    out = whole = out + sum((model - part.covariance for model, part in known), np.zeros_like(out))
+    for model, part in known:
+        share = linalg.solve(whole, model)
         trace, squares = float(np.trace(share)), float(np.sum(share * share.T))
-        if trace > 0.0 and not part.dof > part.sample_dof:
-            factor = hotelling_factor(trace**2 / squares, max(part.dof, 1.0))
-            out = out + (factor - 1.0) * squares / trace * part.covariance
+        if trace > 0.0:
+            out = out + (hotelling_factor(trace**2 / squares, max(part.dof, 1.0)) - 1.0) * squares / trace * model
     return out
 
 
@@ -430,24 +431,14 @@ def _false_alarms(predicted: Products, observed: Products) -> Iterator[ResidualB
         same = (detector, round(float(thresholds[0]), 9))
         if same not in counted and np.isfinite(thresholds).all():
             counted.add(same)
-            clustered = _clustered_variance(observed, subject, detector, thresholds)
-            variance = np.maximum(1.0 / (rates * n) + RATE_FLOOR**2, clustered)
+            effect = 1.0  # alarms come in clusters
+            if curve.design_effect is not None:
+                effect = np.interp(np.log(rates), np.log(curve.pfa), curve.design_effect)
+            variance = np.maximum(1.0 / (rates * n) + RATE_FLOOR**2, effect / (rates * n))
             yield ResidualBlock(
                 "roc", background_of(subject), detector, np.log(rates), np.diag(variance),
                 partial(log_false_alarm_rate, key, thresholds),
             )  # fmt: skip
-
-
-def _clustered_variance(observed: Products, subject: str, detector: str, threshold: Array) -> Array | float:
-    """(K,) variance of ln P_FA from blocks of the image, as alarms come in clusters; 0 where it is not known."""
-    for (name, method), curve in observed.exceedance.items():
-        if method == detector and (subject == name or subject.startswith(f"{name} ")):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                half = (np.log(curve.upper) - np.log(curve.lower)) / 2.0
-            finite = np.isfinite(half)
-            if finite.any():
-                return np.asarray((np.interp(threshold, curve.threshold[finite], half[finite]) / Z95) ** 2)
-    return 0.0
 
 
 def log_false_alarm_rate(key: tuple[str, str, str], threshold: Array, p: Products) -> Array:

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr
 
 from hyperval.data import Array, Index, Mask, statistics_of
 from hyperval.errors import UsageError, refusal, refuse
 from hyperval.model.fill import fills_of_objects
 from hyperval.model.filters import PositiveDefinite, fully_constrained, principal_components
-from hyperval.model.intervals import Z95, clopper_pearson, drawn_factor
+from hyperval.model.intervals import Z95, clopper_pearson, drawn_factor, student_factor
 from hyperval.model.radiance import cut
 from hyperval.model.stated import Origins, Truth, band_correlation
 from hyperval.model.world import World, read_world, settled, with_truths
@@ -212,7 +212,7 @@ def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Se
     error, total, effective = float(np.mean(errors)), float(np.sum(variances)), float(n)
     if total > 0 and 0 < error < 1:
         independent = sum(q * (1.0 - q) / len(x) for q, x in zip(errors, pixels, strict=True))
-        student = (stdtrit(total**2 / np.sum(np.square(variances) / freedoms), 0.975) / Z95) ** 2
+        student = student_factor(total**2 / np.sum(np.square(variances) / freedoms)) ** 2
         variance = (independent + (total - independent) * student) / len(errors) ** 2
         effective = float(np.clip(error * (1.0 - error) / variance, 1.0, n))
     lower, upper = clopper_pearson(error * effective, effective)

@@ -297,6 +297,9 @@ def shared_pixel_fills(
     >>> own = Geometry(side_m=0.25, gsd_m=1.0, psf_fwhm_pixels=1.0, pixels="touched")
     >>> np.allclose(shared_pixel_fills(own, 4, [])[0], object_fills(own, 4), atol=1e-3, equal_nan=True)
     True
+    >>> fills, others = shared_pixel_fills(own, 4, [(own, np.zeros(2))])  # a neighbour at the same place
+    >>> np.array_equal(fills, others[..., 0], equal_nan=True)
+    True
 
     Raises
     ------
@@ -309,7 +312,7 @@ def shared_pixel_fills(
     for j, (geometry, offset) in enumerate(neighbours):
         away = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
         others[..., j] = _looked_up(_fill_table(_outline(geometry, phase="random")), chosen - away)
-    over = np.fmax(fills + others.sum(axis=2), 1.0)
+    over = np.maximum(fills + others.sum(axis=2), 1.0)  # NaN of both where there is no pixel
     return fills / over, others / over[..., None]
 
 

@@ -342,12 +342,6 @@ def own_mean_sampling(
     return float(np.sqrt(variance / n)), bias
 
 
-def whitened(spectra: npt.ArrayLike, noise: PositiveDefinite | None) -> Array:
-    """Spectra (..., B) in coordinates in which the noise is white; as they stand without a noise covariance."""
-    x = np.asarray(spectra, dtype=float)
-    return x if noise is None else noise.whiten(x.reshape(-1, x.shape[-1]).T).T.reshape(x.shape)
-
-
 def fully_constrained(
     spectra: npt.ArrayLike, endmembers: npt.ArrayLike, noise: PositiveDefinite | None = None
 ) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hyperval.data import Array, Mask
 from hyperval.errors import needed, refuse
-from hyperval.model.stated import SurfaceStatistics, Truth, band_correlation, band_error_covariance
+from hyperval.model.stated import SurfaceStatistics, Truth, band_correlation, band_error_covariance, error_of_mean
 from hyperval.model.world import NEUTRAL, NOT_WITHOUT_LIGHT, PATHS, SHIFT, World, find, fits, value_at
 from hyperval.scenario import SpectralForm, SpectrumUncertainty
 from hyperval.sensor.specification import Sensor
@@ -87,12 +87,13 @@ def spectrum_error_rows(item: SpectrumUncertainty, surface: SurfaceStatistics, s
     if not item.from_file:
         sd = (item.absolute or 0.0) + (item.relative or 0.0) * np.nan_to_num(surface.mean)
         return error_rows(sd, item, surface.axis, sensor)
-    deviation = needed(surface.sampled_deviation, "uncertainty.deviation", subject=item.subject)
+    deviation, axis = needed(surface.sampled_deviation, "uncertainty.deviation", subject=item.subject), surface.axis
     n = (surface.n or 0) if item.divisor == "standard_error" else 1
     refuse(not n, "uncertainty.count", subject=item.subject)
     if item.correlation_nm is not None:
-        return covariance_directions(band_error_covariance(*deviation, item.correlation_nm, surface.axis) / n)
-    return error_rows(np.asarray(surface.standard_deviation) / np.sqrt(n), item, surface.axis, sensor)
+        return covariance_directions(error_of_mean(band_error_covariance(*deviation, item.correlation_nm, axis), n))
+    sd = np.asarray(surface.standard_deviation) * np.sqrt(error_of_mean(np.ones(1), n))
+    return error_rows(sd, item, axis, sensor)
 
 
 Kind = Literal["atmosphere", "surface", "sensor", "scene", "engine"]

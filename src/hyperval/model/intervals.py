@@ -180,6 +180,17 @@ def difference_ratio_covariance(predicted: SpectralEstimate, collected: Spectral
     return predicted.error_covariance * np.outer(one, one) + collected.error_covariance * np.outer(two, two)
 
 
+def student_factor(dof: npt.ArrayLike) -> Array:
+    """t/1.96 [1], t the 97.5 % point of Student's t: makes +-1.96 u the 95 % interval where few samples tell u.
+
+    Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
+
+    >>> student_factor([2, 9, 1e9]).round(3)
+    array([2.195, 1.154, 1.   ])
+    """
+    return np.asarray(special.stdtrit(dof, 0.975) / Z95)
+
+
 def jackknife_directions(values: npt.ArrayLike) -> Array:
     """(G, ...) independent directions of error of a statistic, from its values (G, ...) with each part left out.
 
@@ -196,8 +207,7 @@ def jackknife_directions(values: npt.ArrayLike) -> Array:
     """
     v = np.asarray(values, dtype=float)
     parts = v.shape[0]
-    widening = special.stdtrit(parts - 1.0, 0.975) / Z95
-    return np.asarray(widening * np.sqrt((parts - 1.0) / parts) * (v - v.mean(axis=0)))
+    return np.asarray(student_factor(parts - 1.0) * np.sqrt((parts - 1.0) / parts) * (v - v.mean(axis=0)))
 
 
 def drawn_factor(size: int, independent: npt.ArrayLike, rng: np.random.Generator, kurtosis: float = 0.0) -> Array:

@@ -28,7 +28,7 @@ from hyperval.atmosphere.state import MAX_SOLAR_ZENITH_DEG, gas_columns, standar
 from hyperval.atmosphere.terms import NOT_AVERAGED, AtmosphericTerms
 from hyperval.data import Array, Components, Index, statistics_of
 from hyperval.errors import UsageError, needed, one_of, refuse, told_of
-from hyperval.model.intervals import Z95
+from hyperval.model.intervals import student_factor
 from hyperval.paths import MAX_MATCHES, Resolve, matching
 from hyperval.progress import track
 from hyperval.scenario import (
@@ -120,7 +120,7 @@ def replicate_statistics(
     covariance, error, block = *np.zeros((2, len(axis), len(axis))), np.ix_(valid, valid)
     few = sample.n < FEW_PER_BAND * int(valid.sum())
     covariance[block] = sample.shrunk().covariance if few else sample.covariance
-    error[block] = mean_error_covariance(sample.covariance, sample.n)
+    error[block] = error_of_mean(sample.covariance, sample.n)
     words = f"{sample.n} replicate spectra" + (f", covariance shrunk by {sample.shrinkage:.3g}" if few else "")
     sampled = axis.centre_nm, deviation
     return SurfaceStatistics(
@@ -129,14 +129,12 @@ def replicate_statistics(
     )  # fmt: skip
 
 
-def mean_error_covariance(covariance: Array, n: int) -> Array:
-    """(t/1.96)^2 S/n with t the 97.5 % point of Student's t with n - 1 degrees of freedom [unit of S].
+def error_of_mean(covariance: Array, n: int) -> Array:
+    """(t/1.96)^2 S/n with n - 1 degrees of freedom [unit of S]: few spectra know their own spread badly.
 
-    Few spectra know their own spread badly; with this +-1.96 u is the 95 % interval of the mean.
-    Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
+    S itself of a single one, whose difference from others is its error (:func:`student_factor`).
     """
-    wider = float(scipy.special.stdtrit(n - 1, 0.975)) / Z95
-    return np.asarray(wider**2 * covariance / n)
+    return np.asarray(student_factor(n - 1) ** 2 * covariance / n) if n > 1 else covariance
 
 
 def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectrum]:
@@ -172,6 +170,13 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     smooth it and lose its first and last bands. NaN in bands that the samples do not cover. Where the samples
     stand at the bands as they are labelled (``nominal``) but those truly stand elsewhere, a cubic spline leads
     from one to the other.
+
+    >>> axis = SpectralAxis(np.arange(400.0, 460.0, 10.0), 10.0)
+    >>> nm, values = np.array([400.0, 410.01, 430.0, 450.0]), np.array([0.4, 0.41, 0.43, 0.45])
+    >>> in_bands(nm, values, axis)
+    array([0.4 , 0.41,  nan, 0.43,  nan, 0.45])
+    >>> in_bands(nm, values, SpectralAxis(axis.centre_nm + 1.0, 10.0), axis).round(3)
+    array([0.401, 0.411,   nan, 0.431,   nan, 0.45 ])
     """
     out = np.full(len(axis), np.nan)
     if (some := sampled_bands(wavelength_nm, axis)) is not None:
@@ -180,18 +185,22 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     valid = np.isfinite(values)
     if valid.sum() < 2:
         return out
-    if nominal is not None and wavelength_nm.size == len(nominal) and sampled_bands(wavelength_nm, nominal) is not None:
-        nm = np.clip(axis.centre_nm, wavelength_nm[valid][0], wavelength_nm[valid][-1])
-        moved = scipy.interpolate.CubicSpline(wavelength_nm[valid], values[valid])(nm)
-        return np.where(valid, moved, np.nan)
+    if nominal is not None and (some := sampled_bands(wavelength_nm, nominal)) is not None:
+        nm = np.clip(axis.centre_nm[some], wavelength_nm[valid][0], wavelength_nm[valid][-1])
+        out[some] = np.where(valid, scipy.interpolate.CubicSpline(wavelength_nm[valid], values[valid])(nm), np.nan)
+        return out
     return band_average(wavelength_nm[valid], values[valid], axis, outside="nan")
 
 
-def covariance_in_bands(wavelength_nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
-    """(B, B) error covariance of band averages from that of samples (n, n); 0 in bands they do not cover."""
-    if wavelength_nm.size == len(axis) and sampled_bands(wavelength_nm, axis) is not None:
-        return covariance
-    weights, short = band_weights(wavelength_nm, axis)
+def covariance_in_bands(nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
+    """(B, B) error covariance of what :func:`in_bands` makes of samples from theirs (n, n); 0 in bands without one.
+
+    >>> axis = SpectralAxis(np.arange(400.0, 460.0, 10.0), 10.0)
+    >>> np.diag(covariance_in_bands(np.array([400.0, 410.0, 430.0, 450.0]), np.eye(4), axis))
+    array([1., 1., 0., 1., 0., 1.])
+    """
+    some = sampled_bands(nm, axis)
+    weights, short = band_weights(nm, axis) if some is None else (np.eye(len(axis))[:, some], np.zeros(len(axis), bool))
     few = scipy.sparse.csr_array(np.where(short[:, None], 0.0, weights))  # a band has a part in few of the samples
     return np.asarray((few @ (few @ covariance).T).T)
 
@@ -284,10 +293,12 @@ class Sources(Keeps):
         w, sd = read.wavelength_nm, read.standard_deviation
         mean = in_bands(w, read.values, axis, self.nominal)
         refuse(np.isnan(mean).all(), "surface.bands", name=name, file=source.file, ends=axis.centre_nm[[0, -1]])
+        labelled = None if self.nominal is None else sampled_bands(w, self.nominal)
+        at = w if labelled is None else axis.centre_nm[labelled]  # what stands at labels moves with the bands
         if sd is not None:
-            more = {"standard_deviation": in_bands(w, sd, axis, self.nominal), "sampled_deviation": (w, sd)}
+            more = {"standard_deviation": in_bands(w, sd, axis, self.nominal), "sampled_deviation": (at, sd)}
         if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
-            more["mean_error"] = covariance_in_bands(w, read.errors.covariance(), axis)
+            more["mean_error"] = covariance_in_bands(at, read.errors.covariance(), axis)
         return SurfaceStatistics(name, axis, mean, zero, read.n, str(source.file), **more)
 
     def _measured(self, region: str, name: str) -> ClassStatistics:

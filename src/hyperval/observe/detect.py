@@ -25,7 +25,6 @@ from hyperval.imagery.regions import objects, window_of
 from hyperval.imagery.truth import TargetMasks, TargetObject, all_pixels, mask_window
 from hyperval.model import FEW_PER_BAND, PositiveDefinite, Sources, fully_constrained, own_mean_sampling
 from hyperval.model.classification import Unmixed, UnmixedSubject, unmixing_method
-from hyperval.model.filters import whitened
 from hyperval.observe.open import IMAGE, Place, number_rows, said
 from hyperval.paths import Resolve
 from hyperval.products import ANOMALIES, Abundance, ExceedanceCurve, ObjectScores, ScoreDistribution, background_of
@@ -510,9 +509,8 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
         populations = target_groups(place.targets, stands, detection.group)
         groups = target_groups(place.targets, target, detection.group)
         for (subject, members), population in zip(groups.items(), populations, strict=True):
-            nominal = float(np.mean([o.area_m2 for o in members]))
-            refuse(not np.isfinite(nominal), "unmixing.size", "detection.unmixing", subject=subject)
             for o in members:
+                refuse(not math.isfinite(o.area_m2), "unmixing.size", "detection.unmixing", subject=subject)
                 if o.name not in footprints:
                     footprints[o.name] = _footprints(place, o, region, task, bands, rng)
             members = [o for o in members if footprints[o.name].whole]
@@ -534,7 +532,7 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
 def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite | None) -> ObjectSum:
     """Sum of the abundances of a spectrum on the object, and on each of the other places."""
     between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
-    parts = fully_constrained(whitened(found.pixels, noise), whitened(between, noise)[found.place])[:, 0]
+    parts = fully_constrained(found.pixels, between[found.place], noise)[:, 0]
     area, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
     return area, int(np.count_nonzero(found.place == 0)), elsewhere
 

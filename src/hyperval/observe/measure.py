@@ -20,6 +20,7 @@ from hyperval.data import Array, Components, Index, Mask, SampleStatistics, stat
 from hyperval.errors import UsageError, refusal, refuse, told_of
 from hyperval.imagery import Cube, TargetObject, all_pixels
 from hyperval.model import ClassLaw, Unmixed, class_features, covariance_directions, feature_bands, measured_error
+from hyperval.model.intervals import student_factor
 from hyperval.observe import sites
 from hyperval.observe.detect import BACKGROUND, Detected, detect, scored_part, target_groups, unmix
 from hyperval.observe.open import IMAGE, Place, check_line_for_detection, open_place, said
@@ -127,7 +128,7 @@ def observe(
     for name in track([n for n in place.regions if n not in kept_names], "tails"):
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
-    snr = {n: px.snr_decorrelated(_some_pixels(place, n), sampling[n].covariance) for n in collection.snr_regions}
+    snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance) for n in collection.snr_regions}
     remark = said("classifiers", used=place.clear_bands.sum(), bands=cube.bands)
     observation = ObservedProducts(
         axis=cube.axis,
@@ -274,9 +275,9 @@ def _estimate(
     )  # fmt: skip
 
 
-def _some_pixels(place: Place, name: str) -> Array:
-    """Valid pixels (n, B) of a region, evenly thinned to what memory should hold."""
-    region = place.region(name)
+def _counted(place: Place, masks: Labels, name: str) -> Array:
+    """Valid pixels (n, B) of a region that count, evenly thinned to what memory should hold."""
+    region = masks[name] if name in masks else place.region(name)  # which refuses what is none
     count = int(np.count_nonzero(region))
     step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
     return place.cube.spectra(px.nth_pixels(region, np.arange(0, count, step)))
@@ -400,8 +401,8 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     """Error covariance (B, B) of a region's mean, in the cube's values, and what it is known by.
 
     Correlation on the ground is measured along the leading components, and the rest together, in windows of the
-    image, at lags of up to 24 pixels, and few independent pixels widen the error
-    (:func:`~hyperval.pixels.small_sample_factor`); regions of fewer than 50 pixels count as independent ones.
+    image, at lags of up to 24 pixels; regions of fewer than 50 pixels count as independent ones.  Few independent
+    pixels widen the error (:func:`~hyperval.pixels.small_sample_factor`, :func:`~hyperval.model.student_factor`).
     Pixels that are fewer than the bands have few common factors and independent bands
     (:func:`~hyperval.pixels.factor_covariance`); the samples' own covariance stands beside it, and both without the
     widening, which a test makes by its degrees of freedom.
@@ -420,7 +421,8 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
         return out
 
     if n < FEWEST_FOR_CORRELATION:
-        return EstimatedPart(full(inner / n), known_by, None, covariance / n, float(n - 1), full(common / n))
+        model, factors = full(inner / n), full(common / n)
+        return EstimatedPart(student_factor(n - 1) ** 2 * model, known_by, model, covariance / n, n - 1.0, factors)
     mean, rng = statistics.mean[valid], np.random.default_rng(_MEAN_SEED)
     along = px.covariance_components(inner, rng)
     windows = _projected_windows(place, region, valid, rng, lambda pixels: along.scores(pixels - mean))
@@ -445,7 +447,8 @@ class RegionLaws:
     """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
 
     def __init__(self, observed: Observed):
-        self._place = cast(Place, observed.place)  # without an image there are no statistics, and nothing is asked for
+        # Without an image there are no statistics, and nothing is asked for.
+        self._place, self._masks = cast(Place, observed.place), observed.masks
         self._tails, self._statistics = observed.observation.distribution, observed.statistics
         self.parts, self._fitted, self._without = cache(self._numbered), cache(self._fit), cache(self._left_out)
 
@@ -457,7 +460,7 @@ class RegionLaws:
         """
         axis, rng = self._place.cube.axis, np.random.default_rng(_LAW_SEED)
         most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
-        lines, samples = px.drawn_pixels(self._place.pixels_of(region), most, rng)
+        lines, samples = px.drawn_pixels(self._masks[region], most, rng)
         pixels, valid = self._place.pixels_at(lines, samples)
         finite = np.isfinite(pixels[valid]).any(axis=0)
         pixels = np.where(finite, pixels, 0.0)
@@ -467,7 +470,7 @@ class RegionLaws:
 
     def _numbered(self, region: str) -> Index:
         """(lines, samples) part of the image that a region's pixels are left out with; -1 of other pixels."""
-        mask = self._place.pixels_of(region)
+        mask = self._masks[region]
         number = np.full(mask.shape, -1)
         number[mask] = px.compact_parts(*np.nonzero(mask))
         return number
@@ -531,7 +534,7 @@ class RegionLaws:
     def _fit(self, region: str, count: int | Literal["auto"], tails: bool) -> Mixture | None:
         """The mixture of a region; blocks for the choice of its number are those of false alarms: about 64."""
         (pixels, lines, samples, lead), place = self._pixels(region), self._place
-        side = px.block_side(int(np.count_nonzero(place.pixels_of(region))))
+        side = px.block_side(int(np.count_nonzero(self._masks[region])))
         block = (lines // side) * (place.cube.samples // side + 1) + samples // side
         made = px.class_mixture(pixels, block, count, tails=tails, lead=lead, seed=_LAW_SEED)
         return None if made is None else (made, made.components(pixels))

@@ -21,7 +21,7 @@ from hyperval.collection import (
 )
 from hyperval.data import Array
 from hyperval.errors import UsageError, needed, one_of, refusal, refuse
-from hyperval.model import Origins, Sources, band_correlation, band_error_covariance, predict
+from hyperval.model import Origins, Sources, band_correlation, band_error_covariance, error_of_mean, predict
 from hyperval.observe.open import Place, band_table_notes, read_band_table, said
 from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels, MeasuredPanel, fit_elm
@@ -120,17 +120,18 @@ def path_estimate(source: PathRadiance, axis: SpectralAxis, resolve: Resolve) ->
 def field_reflectance(panel: PanelReference, axis: SpectralAxis, resolve: Resolve) -> tuple[Array, Array]:
     """Reflectance (B,) of a panel as measured on the ground, and its error covariance (B, B).
 
-    What replicate spectra say, or the standard error that the file carries, and the stated relative uncertainty;
-    the latter two with the stated correlation length, common to all bands without one.
+    What replicate spectra say, or the standard error that the file carries (``divisor: spread``: the standard
+    deviation of either), and the stated relative uncertainty; the latter two with the stated correlation length,
+    common to all bands without one.
     """
     field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
     stated = panel.relative_uncertainty * field.mean
     covariance = np.outer(stated, stated) * band_correlation(axis, panel.correlation_nm)
-    n = 1 if panel.divisor == "spread" else field.n or 1
-    if field.mean_error is not None:
+    n, deviation = 1 if panel.divisor == "spread" else field.n or 1, field.sampled_deviation
+    if deviation is not None and (field.mean_error is None or panel.divisor == "spread"):
+        covariance = covariance + error_of_mean(band_error_covariance(*deviation, panel.correlation_nm, axis), n)
+    elif field.mean_error is not None:
         covariance = covariance + field.mean_error
-    elif field.sampled_deviation is not None:
-        covariance = covariance + band_error_covariance(*field.sampled_deviation, panel.correlation_nm, axis) / n
     return field.mean, covariance
 
 

@@ -167,7 +167,7 @@ class AlarmBlocks:
             return np.nan, np.nan
         sums = [np.bincount(self.block, x) for x in (away, away**2 - square)]
         variance, dof = self.variance_of_sum(np.array(sums))
-        mean, second = (np.sqrt(variance) / away.size * special.stdtrit(dof, 0.975) / intervals.Z95).tolist()
+        mean, second = (np.sqrt(variance) / away.size * intervals.student_factor(dof)).tolist()
         return mean, 0.5 * second / square
 
     def pfa_limits(self, threshold: Array) -> tuple[Counts, Array, Array]:
@@ -214,7 +214,7 @@ class AlarmBlocks:
         independent = n * p * (1.0 - p)
         variance, dof = self.variance_of_sum(by_block.astype(float))
         beyond = np.where(independent > 0.0, variance / np.maximum(independent, 1e-300), 1.0) - 1.0
-        effect = np.clip(1.0 + beyond * (special.stdtrit(dof, 0.975) / intervals.Z95) ** 2, 1.0, n)
+        effect = np.clip(1.0 + beyond * intervals.student_factor(dof) ** 2, 1.0, n)
         last = np.searchsorted(k, _DECADE * np.maximum(k, 1), side="right")
         decades = (effect[i : max(j, i + 1)] for i, j in enumerate(last))
         return np.log1p(k), np.array([_GREATEST * x.max() + (1.0 - _GREATEST) * x.mean() for x in decades])

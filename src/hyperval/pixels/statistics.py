@@ -33,7 +33,7 @@ from scipy import fft, special
 from hyperval.data import Array, Index, Mask, SampleStatistics
 from hyperval.errors import UsageError, refuse
 from hyperval.executors import available_cores, single_blas_thread
-from hyperval.model.intervals import Z95, drawn_factor
+from hyperval.model.intervals import drawn_factor, student_factor
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
@@ -477,8 +477,7 @@ def small_sample_factor(independent: npt.ArrayLike) -> Array:
     t with half of them, less 1, as degrees of freedom, 1 at least; that half is what simulated regions of 8 to 60
     pixels ask for (docs/statistics.md).  Source of the form: JCGM 100:2008 (GUM), G.3.
     """
-    dof = np.maximum(0.5 * np.asarray(independent, dtype=float) - 1.0, 1.0)
-    return np.asarray((special.stdtrit(dof, 0.975) / Z95) ** 2)
+    return np.asarray(student_factor(np.maximum(0.5 * np.asarray(independent, dtype=float) - 1.0, 1.0)) ** 2)
 
 
 def mean_error_covariance(covariance: Array, components: PrincipalComponents, independent: Array) -> Array:

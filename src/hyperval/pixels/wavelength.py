@@ -21,7 +21,7 @@ import scipy
 from scipy import special
 
 from hyperval.data import Array, Mask
-from hyperval.model.intervals import Z95
+from hyperval.model.intervals import Z95, student_factor
 from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 
 # The two branches of the band: share, centre and spread [nm]. Fitted to MODTRAN 6 in channels of 5.7 nm, rms 0.003
@@ -106,8 +106,8 @@ def _oxygen_fit(z: Array, powers: Array, w: Array, fwhm: Array, follows: float) 
     if special.fdtrc(2, free, gain) > _ALPHA or abs(p[0]) > MOST_SHIFT:
         return None
     covariance = np.linalg.pinv(best.jac.T @ best.jac)
-    widened = special.stdtrit(free, 0.975) / Z95
-    return Shift(OXYGEN_RESIDUAL, float(p[0]), float(np.hypot(_SHAPE, widened * np.sqrt(covariance[0, 0]))))
+    by_scatter = student_factor(free) * np.sqrt(covariance[0, 0])
+    return Shift(OXYGEN_RESIDUAL, float(p[0]), float(np.hypot(_SHAPE, by_scatter)))
 
 
 def oxygen_band_width(wavelength_nm: npt.ArrayLike, spectrum: npt.ArrayLike) -> float:
