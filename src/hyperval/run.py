@@ -135,13 +135,13 @@ class Quicklook:
     ----------
     rgb : (lines, samples, 3) uint8
     regions : name -> (lines, samples) mask
-    band_nm : centres of the red, green and blue bands [nm]
+    bands : which ones are red, green and blue, in words
     pixel_size_m : ground sampling distance for the scale [m], None when unknown
     """
 
     rgb: npt.NDArray[np.uint8]
     regions: Mapping[str, Mask] = field(default_factory=dict)
-    band_nm: tuple[float, ...] = ()
+    bands: str = ""
     pixel_size_m: float | None = None
 
 

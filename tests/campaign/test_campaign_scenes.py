@@ -124,12 +124,12 @@ def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
 
 
 def test_without_a_map_anomalies_are_looked_for(tmp_path, scene):
-    cube, folder = written(tmp_path / "scene.npy", scene[0]), tmp_path / "new"
-    told = ["--spectra", str(tmp_path), "--time", "2020-01-01"]
-    assert cli.run(["init", "--cube", str(cube), "-o", str(folder), *told]) == 0
+    cube, folder = written(tmp_path / "scene.npy", np.random.default_rng(1).random((40, 60, 400))), tmp_path / "new"
+    assert cli.run(["init", f"--cube={cube}", f"-o{folder}", f"--spectra={tmp_path}", "--time=2020-01-01"]) == 0
     assert "not used for this counts image: --time" in (folder / "campaign.yaml").read_text()
     assert "detectors: [rx]" in (folder / "campaign.yaml").read_text().split(f"not used: {tmp_path.name};")[1]
     assert cli.run(["observe", str(folder / "campaign.yaml"), "-o", str(folder / "out")]) == 0
+    assert "(red, green, blue: bands 301, 201, 101)" in (folder / "out" / "report.html").read_text()  # no wavelengths
 
 
 @pytest.mark.data

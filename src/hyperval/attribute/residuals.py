@@ -22,7 +22,6 @@ from hyperval.data import Array, Index, Mask
 from hyperval.model.intervals import Z95
 from hyperval.model.roc import detection_at
 from hyperval.products import ObjectScores, Products, SpectralEstimate, background_of
-from hyperval.spectra import SpectralAxis, in_window
 
 PIECES = 17  # smooth pieces of a spectrum
 LIT = ("radiance", "toa_reflectance")
@@ -69,7 +68,9 @@ def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
         for subject, estimate in getattr(observed, product).items():
             if (spectrum := getattr(some, product).get(subject)) is None:
                 continue
-            use = _windows(observed.axis) & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
+            use = (
+                observed.axis.good & observed.axis.in_windows & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
+            )
             level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
             if level > 0:
                 found[product, subject, "", "ratio_windows"] = float(np.mean(spectrum.mean[use])) / level
@@ -79,10 +80,6 @@ def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
                 method = f"{key[1]}/{key[2]}"
                 found["roc", key[0], method, f"pd@{scientific(pfa)}"] = float(detection_at(some.roc[key], pfa))
     return found
-
-
-def _windows(axis: SpectralAxis) -> Mask:
-    return np.asarray(axis.good & in_window(axis.centre_nm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +316,7 @@ def _blocks(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
 
 def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> Iterator[ResidualBlock]:
     mean = getattr(predicted, product)[subject].mean
-    use = _windows(predicted.axis) & np.isfinite(mean) & np.isfinite(estimate.mean)
+    use = predicted.axis.good & predicted.axis.in_windows & np.isfinite(mean) & np.isfinite(estimate.mean)
     use &= mean > 0.01 * np.nanmax(mean, initial=0.0)  # bands without light say nothing
     if not use.any():
         return
