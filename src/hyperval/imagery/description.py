@@ -449,25 +449,6 @@ def gdal_transform(text: str | None) -> Affine | None:
     return Affine.from_gdal(*(float(n) for n in numbers)) if len(numbers) == 6 else None
 
 
-def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
-    """Where the stored values are the ignore value, compared in the stored type; nowhere where that cannot hold it.
-
-    >>> [equals(np.array([of], kind), of).tolist() for of, kind in ((np.nan, "f4"), (-9999.1, "f4"), (-1.0, "i2"))]
-    [[True], [True], [True]]
-    >>> [equals(np.array([2**63 - 1, 7]), of).tolist() for of in (2.0**63, 2.0**64, 7.5)]
-    [[True, False], [False, False], [False, False]]
-    """
-    if np.isnan(ignore):
-        return np.asarray(np.isnan(stored))
-    kind: type[Any] = stored.dtype.type
-    if stored.dtype.kind == "f":
-        fits = np.isinf(ignore) or abs(ignore) <= 1.0000001 * float(np.finfo(kind).max)
-        return np.asarray(stored == (kind(ignore) if fits else np.nan))
-    least, most = np.iinfo(kind).min, np.iinfo(kind).max
-    fits = ignore % 1.0 == 0.0 and least <= ignore <= float(most)  # of 64 bits the next power of two
-    return np.asarray(stored == kind(min(int(ignore), most))) if fits else np.zeros(stored.shape, bool)
-
-
 _LEAST_FILLED = 8  # bands that hold one number by no chance
 _MOST_FILLS = 3
 

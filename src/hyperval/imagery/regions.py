@@ -35,12 +35,12 @@ from scipy import ndimage
 from shapely.geometry import shape as shape_of
 from shapely.geometry.base import BaseGeometry
 
-from hyperval.data import Array, Mask
+from hyperval.data import Array, Mask, equals
 from hyperval.envi_header import header_beside
 from hyperval.errors import WARNING, HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.cube import HDF5, MATRICES, TIFF, Cube, kind_of, open_raster
-from hyperval.imagery.description import Raster, crs_of_wkt, equals
+from hyperval.imagery.description import Raster, crs_of_wkt
 from hyperval.imagery.placing import MAX_VERTICES, LocationTable, table_of
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
 from hyperval.storage import number_of
