@@ -24,7 +24,7 @@ from rasterio.errors import CRSError
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import filled_words, needed, reader, refusal, refuse
-from hyperval.paths import checked_file
+from hyperval.paths import checked_file, read_text
 from hyperval.spectra.axis import SUNLIT_NM, SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
@@ -331,7 +331,7 @@ def _gain_file(path: Path, bands: int) -> Scale:
     Source: JPL, AVIRIS Distribution Document 030217: two columns, factor and channel; spectra divided by the
     factors are radiances in micro-watts/cm^2/nm/sr.
     """
-    text = checked_file(path, what="gain file", most=_MAX_GAIN_BYTES).read_text("latin-1")
+    text = read_text(checked_file(path, what="gain file", most=_MAX_GAIN_BYTES))
     _, table, first = number_table(text, path)
     refuse(len(table) != bands, "gain.rows", path, what=f"{len(table)} rows for {bands} bands", bands=bands)
     divisor, channel = table[:, 0], table[:, 1] if table.shape[1] > 1 else np.arange(1.0, bands + 1.0)
