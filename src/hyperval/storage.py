@@ -22,6 +22,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
@@ -137,6 +138,19 @@ def decoded(raw: bytes) -> str:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
         return raw.decode("latin-1")
+
+
+def stated_time() -> datetime | None:
+    """When SOURCE_DATE_EPOCH says that something is made; None when it is not set, or empty.
+
+    An empty one is taken out of the environment: libraries read it as a number, whenever they come to be loaded.
+    """
+    text = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if not text.strip():
+        os.environ.pop("SOURCE_DATE_EPOCH", None)
+        return None
+    refuse(not re.fullmatch("[0-9]{1,11}", text), "results.date", text=text[:100])
+    return datetime.fromtimestamp(int(text), UTC)
 
 
 def number_of(text: str | None) -> float:

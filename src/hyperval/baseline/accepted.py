@@ -36,7 +36,7 @@ from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import Sensor, library_names, load_sensor
 from hyperval.sensor_check import SensorCheck, suite, sunlit_radiance
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.storage import RECORD, scratch_folder, sha256_of, whole_folder, write_text
+from hyperval.storage import RECORD, scratch_folder, sha256_of, stated_time, whole_folder, write_text
 
 # A tolerance of more than the number itself, or than its own 95 % interval, accepts anything.
 LARGEST = {"value": 1.0, "interval": 1.0, "unit": 0.1}
@@ -252,8 +252,6 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
 
 def today() -> datetime.date:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
-    from hyperval.report.html import stated_time  # with its templates, not before the imagery is done with
-
     return (stated_time() or datetime.datetime.now(datetime.UTC)).date()
 
 

@@ -667,7 +667,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; every error becomes one message on standard error."""
     settings.quiet = settings.debug = False
     try:
-        _check_date()
+        hyperval.storage.stated_time()  # a wrong one is refused now, not when a page is written
         code: int = app(args=arguments, prog_name="hyperval", standalone_mode=False)
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -685,15 +685,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _stopped(error)
     return _error(_SIGNALS[code], code) if code in _SIGNALS else code
-
-
-def _check_date() -> None:
-    """Take an empty SOURCE_DATE_EPOCH as none: libraries read it as a number, whenever they come to be loaded."""
-    text = os.environ.get("SOURCE_DATE_EPOCH", "0")
-    if not text.strip():
-        del os.environ["SOURCE_DATE_EPOCH"]
-    elif not (text.isascii() and text.isdigit()):
-        raise UsageError(f"SOURCE_DATE_EPOCH is {text[:100]!r}", expected="seconds since 1970")
 
 
 def _usage(error: TyperException) -> int:

@@ -8,11 +8,9 @@ from __future__ import annotations
 import functools
 import gzip
 import hashlib
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +26,7 @@ from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, grouped, row_name
 from hyperval.run import Run, is_run, provenance_of, read_products
-from hyperval.storage import installed_file, whole_folder
+from hyperval.storage import installed_file, stated_time, whole_folder
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
 # filters tables and links to evidence.
@@ -287,13 +285,6 @@ def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (),
         starter=script(CHARTS).decode() if statements else "", script_hashes=page_hashes(bool(statements)),
         version=hyperval.__version__, generated=written, page_script=script(_EVERY_PAGE).decode(),
     )  # fmt: skip
-
-
-def stated_time() -> datetime | None:
-    """When SOURCE_DATE_EPOCH says that something is made; None when it is not set."""
-    text = os.environ.get("SOURCE_DATE_EPOCH", "")
-    refuse(text and not text.isdigit(), "results.date", text=text)
-    return datetime.fromtimestamp(int(text), UTC) if text else None
 
 
 def _made(rows: Sequence[Result], product: str) -> list[Result]:
