@@ -6,7 +6,6 @@ Only regular files below the data root are opened, never a URL or a virtual path
 from __future__ import annotations
 
 import csv
-import difflib
 import gzip
 import io
 import os
@@ -14,7 +13,7 @@ import re
 import shlex
 import stat
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
@@ -45,12 +44,6 @@ def matching(path: Path) -> list[Path]:
         return []
     matches = (p for p in path.parent.iterdir() if fnmatchcase(p.name, path.name) and p.is_file())
     return sorted(matches)[: MAX_MATCHES + 1]
-
-
-def nearest(name: str, names: Iterable[str]) -> list[str]:
-    """The known names most like ``name``, case left aside; the best first."""
-    by_lower = {one.lower(): one for one in reversed([*names])}
-    return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, 3, 0.6)]
 
 
 def checked_file(
