@@ -79,8 +79,8 @@ def test_where_a_reference_leads(places, tmp_path):
     assert datasets.resolve("data:" + HEADER) == other
     with pytest.raises(UsageError, match="not a directory"):
         datasets.set_data_dir(tmp_path / "none")
-    own = put(tmp_path / "other", "mine/cube.img")
-    assert datasets.resolve("data:mine/cube.img") == own
+    own, store = (put(tmp_path / "other", f"mine/{name}") for name in ("cube.img", "cube.ZARR/zarr.json"))
+    assert [datasets.resolve(f"data:mine/{name}") for name in ("cube.img", "cube.ZARR")] == [own, store.parent]
     with pytest.raises(UsageError, match=f"nor on this machine .looked in {tmp_path}/other") as unknown:
         datasets.resolve("data:mine/spectra.txt")
     assert unknown.value.exit_code == 2

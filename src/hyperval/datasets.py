@@ -25,7 +25,7 @@ import platformdirs
 
 from hyperval.envi_header import DATA_SUFFIXES, data_beside, header_beside
 from hyperval.errors import HypervalError, MissingDataError, nearest, needed, package_table, refusal, refuse
-from hyperval.paths import checked_store, is_pattern, matching, read_table
+from hyperval.paths import checked_store, is_pattern, is_store, matching, read_table
 from hyperval.progress import track
 from hyperval.storage import has_digest, installed_file, sha256_of, size_of, whole_file
 
@@ -354,7 +354,7 @@ def _roots() -> list[Path]:
 
 
 def _find(path: str) -> Path | None:
-    return next((p for root in _roots() if matching(p := root / path)), None)
+    return next((p for root in _roots() if matching(p := root / path) or is_store(p)), None)
 
 
 @cache

@@ -25,7 +25,7 @@ Resolve = Callable[[str], Path]  # the path that a reference of a file leads to
 MAX_MATCHES = 1000
 MAX_TEXT_BYTES = 32 << 20
 _HEAD_BYTES = 1 << 16
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
+_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 
 
 def is_pattern(name: str) -> bool:
@@ -106,8 +106,12 @@ def checked_folder(path: Path | str) -> Path:
 
 def checked_store(path: Path | str) -> Path:
     """A file by the rules of :func:`checked_file`, or a Zarr store, which is a folder."""
-    is_zarr = Path(path).suffix == ".zarr" and Path(path).is_dir()
-    return checked_folder(path) if is_zarr else checked_file(path)
+    return checked_folder(path) if is_store(Path(path)) else checked_file(path)
+
+
+def is_store(path: Path) -> bool:
+    """Whether a path is that of a Zarr store, which is a folder."""
+    return path.suffix.lower() == ".zarr" and path.is_dir()
 
 
 def head_of(path: Path, count: int = 512) -> bytes:
@@ -156,7 +160,7 @@ def read_table(path: Path, keys: Collection[str] = ()) -> tuple[list[str], list[
     line holds no comma.  The ``known`` columns may be written in any case.
     """
     text = read_text(path)
-    divider = next((d for d in ",;\t" if d in text.split("\n", 1)[0]), ",")
+    divider = max("\t;,", key=text.split("\n", 1)[0].count)  # the titles may hold the others
     table = csv_rows(text, path, divider)
     fields = [f.lower() if f.lower() in keys else f for f in map(str.strip, next(table, (1, []))[1])]
     refuse(len(set(fields)) < len(fields), "table.twice", f"{path}:1")
