@@ -31,7 +31,7 @@ from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
 from hyperval.report import accepted_words, write_index, write_outputs
-from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
+from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role, split_key
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import Sensor, library_names, load_sensor
 from hyperval.sensor_check import SensorCheck, suite, sunlit_radiance
@@ -113,15 +113,6 @@ class Baseline(Model):
         held = {key: item.model_dump(mode="json", exclude_none=True, exclude_defaults=True) for key, item in items}
         text = partial(json.dumps, ensure_ascii=False)
         write_text(path, worded("baseline/words.yaml", "file")(baseline=self, metrics=held, text=text) + "\n")
-
-
-def split_key(key: str) -> tuple[str, str, str, str]:
-    """Product, subject, method, metric of a name; ValueError when it is none."""
-    product, first, rest = key.partition(SEPARATOR)
-    parts = rest.rsplit(SEPARATOR, 2)
-    if not first or len(parts) != 3:
-        raise ValueError(f"{key!r} is not 'product | subject | method | metric'")
-    return product, parts[0], parts[1], parts[2]
 
 
 @reader
