@@ -102,8 +102,10 @@ def test_a_scene_goes_from_its_file_to_a_report(tmp_path, scene):
     assert {name: region.n for name, region in regions.items()} == {
         "known objects": 8, "other materials": 1, "scored object 1": 9, "scored object 2": 4,
     }  # fmt: skip
-    spectrum = np.loadtxt(tmp_path / "new" / "target.txt")
-    assert spectrum == pytest.approx(data[regions["known objects"].mask].mean(axis=0))
+    spectrum = tmp_path / "new" / "target.txt"
+    assert np.loadtxt(spectrum) == pytest.approx(data[regions["known objects"].mask].mean(axis=0))
+    spectrum.write_text("0")  # a draft that is refused, as one stands there, writes nothing beside it
+    assert (cli.run(["init", f"--cube={tmp_path}/s.h5", f"-o{tmp_path}/new"]), spectrum.read_text()) == (2, "0")
 
 
 def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
