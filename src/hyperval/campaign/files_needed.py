@@ -192,7 +192,7 @@ def _file(reference: Reference, job: Job) -> list[Item]:
         return [Item("", FILE, MISSING, reference.text, f"{error.what}: {error.mend}")]
     rows = [Item("", FILE, PRESENT, reference.text)]
     is_image = reference.key == "collection.cube.path" and needs_header(path) and path.suffix.lower() != ".hdr"
-    if is_image and job.content["collection"]["cube"].get("header") is None and header_beside(path) is None:
+    if is_image and not {"header", "engine"} & {*job.content["collection"]["cube"]} and header_beside(path) is None:
         rows.append(Item("", FILE, MISSING, f"{reference.text}.hdr", "the ENVI header beside the cube"))
     return rows
 
