@@ -403,7 +403,7 @@ def all_runs(
 
 def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     name = job.outline.name
-    folder = source / name if is_run(source / name) else source
+    folder = inside if is_run(inside := source / file_stems([name])[name]) else source
     run, title = Run.open(folder), job.outline.title
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)

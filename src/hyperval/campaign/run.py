@@ -37,7 +37,7 @@ from hyperval.products import PredictedProducts
 from hyperval.progress import step, track, working
 from hyperval.report import write_index, write_outputs
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
-from hyperval.run import Run, read_rows
+from hyperval.run import Run, file_stems, read_rows
 from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, whole_folder, write_text
 
 # Engine of states that serve attribution alone.
@@ -304,7 +304,7 @@ def validate(
         if len(jobs) == 1:
             done = _run_all([CampaignRun(jobs[0], folder, earlier, True)], scheduler, tell)
             return done[0][0].table.exit_code(strict=strict)
-        kept, names = partial_folder(output) / "campaigns", [job.outline.name for job in jobs]
+        kept, names = partial_folder(output) / "campaigns", file_stems(job.outline.name for job in jobs).values()
         pieces = [
             CampaignRun(job, kept / name, earlier / name if earlier else None, False)
             for job, name in zip(jobs, names, strict=True)
