@@ -477,17 +477,17 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
     """Regions of a CSV pixel list.
 
     Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
-    ``name`` or ``class`` where the file holds more than one region.
+    ``name`` or ``class`` where the file holds more than one region; ``grid.name_field`` names another column.
     """
     fields, rows = read_table(path, {*REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
     pair = next((p for p in _COLUMNS if set(p) <= set(fields)), None)
     pair = needed(pair, "region.columns", f"{path}:1", columns=", ".join(fields) or "none")
-    column = next((c for c in REGION_COLUMNS if c in fields), None)
+    column = grid.name_field or next((c for c in REGION_COLUMNS if c in fields), None)
+    refuse(column not in (None, *fields), "region.property", f"{path}:1", name=column, known=", ".join(fields))
     pixels: dict[str, list[list[int]]] = {}
     for number, row in rows:
-        if not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair):
-            numbers = {"first": row[pair[0]], "second": row[pair[1]]}
-            raise refusal("region.row", f"{path}:{number}", pair=pair, **numbers)
+        wrong = not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair)
+        refuse(wrong, "region.row", f"{path}:{number}", pair=pair, first=row[pair[0]], second=row[pair[1]])
         name = row[column] if column else path.stem
         refuse(not name, "region.no_name", f"{path}:{number}", column=column)
         pixels.setdefault(name, []).append([int(row[key]) - _COLUMNS[pair] for key in pair])
@@ -663,7 +663,7 @@ def _check_files(path: Path) -> None:
     if is_kml(head_of(path)) and re.search(rb"<!\s*(DOCTYPE|ENTITY)", path.read_bytes()[:MAX_BYTES], re.IGNORECASE):
         raise refusal("vector.entity", path)
     if path.suffix.lower() == ".shp":
-        parts = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
+        parts = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
         for end in (".dbf", ".shx"):
             refuse(end not in parts, "vector.part", path, end=end)
         files += [checked_file(parts[end], what="region file") for end in _SIDECARS if end in parts]
