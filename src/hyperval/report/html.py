@@ -54,8 +54,12 @@ def page_hashes(figures: bool = True) -> str:
 
 
 def anchor(row: Result) -> str:
-    """Where the evidence of a row stands on its page."""
-    return re.sub(r"[^A-Za-z0-9]+", "-", f"e-{row.product}-{row.subject}").strip("-")
+    """Where the evidence of a row stands on its page.
+
+    >>> [anchor(Result("", "radiance", subject, "6S", "bias_ratio")) for subject in ("dry lawn, cut", "草", "木")]
+    ['e-radiance-dry-lawn-cut', 'e-radiance-草', 'e-radiance-木']
+    """
+    return re.sub(r"\W+", "-", f"e-{row.product}-{row.subject}").strip("-")
 
 
 def matrix_of(
