@@ -105,9 +105,9 @@ def test_what_was_read_is_recorded_without_a_path_of_this_machine(places, tmp_pa
     put(places[0], "hysu/mine.hdr", b"a file of one's own among those of a set")
     inside, outside = put(places[0], "mine/a.hdr"), put(tmp_path / "elsewhere", "c.csv")
     put(tmp_path, "campaign/b.csv", b"1,2")
-    names = [put(tmp_path, f"campaign/{name}").name for name in ("l.hdr", "l.sli", "t.hdr", "t.img")]
+    names = [put(tmp_path, f"campaign/{name}").name for name in ("l.hdr", "l.sli", "t.hdr", "t.tif")]
     log = InputLog(tmp_path / "campaign")
-    for reference in ("b.csv", "data:hysu/mine.hdr", "b.csv", str(outside), "l.hdr", "t.img"):
+    for reference in ("b.csv", "data:hysu/mine.hdr", "b.csv", str(outside), "l.hdr", "t.tif"):
         log.resolve(reference)
     assert log.add(inside) == inside
     entries = {e["reference"]: e for e in log.entries()}

@@ -23,7 +23,7 @@ from urllib.parse import quote
 
 import platformdirs
 
-from hyperval.envi_header import DATA_SUFFIXES, data_beside, header_beside
+from hyperval.envi_header import data_beside, header_beside
 from hyperval.errors import HypervalError, MissingDataError, nearest, needed, package_table, refusal, refuse
 from hyperval.paths import checked_store, is_pattern, is_store, matching, read_table
 from hyperval.progress import track
@@ -309,7 +309,7 @@ class InputLog:
         is_own = base in (None, self.base) and not Path(reference).is_absolute()
         ending, beside = path.suffix.lower(), None
         with suppress(HypervalError):  # which of several is read is the reader's to say
-            beside = data_beside(path) if ending == ".hdr" else header_beside(path) if ending in DATA_SUFFIXES else None
+            beside = data_beside(path) if ending == ".hdr" else header_beside(path)
         if beside is not None:
             self.add(beside)
         return self.add(path, reference if is_own or reference.startswith(PREFIX) else None)
