@@ -112,8 +112,7 @@ def test_what_was_read_is_recorded_without_a_path_of_this_machine(places, tmp_pa
     assert log.add(inside) == inside
     entries = {e["reference"]: e for e in log.entries()}
     assert list(entries) == ["b.csv", "c.csv", "data:hysu/mine.hdr", "data:mine/a.hdr", *names]
-    assert entries["b.csv"]["sha256"] == sha256(b"1,2").hexdigest()
-    assert (entries["b.csv"]["bytes"], entries["b.csv"]["licence"]) == (3, None)
+    assert entries["b.csv"].items() >= {"sha256": sha256(b"1,2").hexdigest(), "bytes": 3, "licence": None}.items()
     assert str(tmp_path) not in repr(log.entries())
     known = datasets.owner_of("data:" + HEADER)
     assert (known.name, known.licence) == ("hysu", "CC-BY-4.0")

@@ -31,7 +31,7 @@ from hyperval.products import SPECTRA
 from hyperval.results import Outcome, Result, row_name
 from hyperval.run import is_run, read_rows
 from hyperval.scenario import Scenario
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor.specification import load_sensor, sensor_named
 from hyperval.simulate import load_scene
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import ClassStatistics
@@ -305,8 +305,7 @@ def _predicted(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, re
     """The subjects of a scenario, once its sensor and its spectra were looked up."""
     scene, name = scenario.scene, scenario.sensor
     if name is not None:
-        of_file = name.endswith((".yaml", ".yml"))
-        sensor = lookup.tried(("sensor",), lambda: load_sensor(lookup.find(name) if of_file else name))
+        sensor = lookup.tried(("sensor",), sensor_named, name, lookup.find)
         axis = sensor.axis if axis is None and sensor is not None else axis
     for kind in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scene, kind)):

@@ -171,7 +171,7 @@ def gate_values(rows: Iterable[Result]) -> dict[str, float]:
 def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
     digests = {str(item["reference"]): str(item["sha256"]) for item in inputs}
-    return {name: digest for name, digest in digests.items() if ":" not in name and name.endswith((".yaml", ".yml"))}
+    return {n: digest for n, digest in digests.items() if ":" not in n and n.lower().endswith((".yaml", ".yml"))}
 
 
 def accepted_table(name: str, folder: Path) -> PowerTable | None:
