@@ -20,7 +20,7 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import cache
@@ -235,10 +235,11 @@ class Unplaced(HypervalError):
 
 
 @contextmanager
-def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
+def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path] = ()) -> Iterator[Path]:
     """Give an empty folder whose content takes the place of that of ``path`` when the block ends well.
 
-    Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.
+    Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.  ``beside`` are folders that
+    are read: what they hold is not replaced by what is made of it.
 
     Raises
     ------
@@ -247,6 +248,7 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
     Unplaced : the new content is complete but could not be put there.
     """
     with _claimed(Path(path)) as place:
+        refuse(any(Path(one).resolve().is_relative_to(place) for one in beside), "folder.read", place)
         _finish(place)
         held, files = _list(place)  # hidden files stay as they are
         foreign = sorted(_names(place) - files)

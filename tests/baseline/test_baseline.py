@@ -276,6 +276,8 @@ def test_a_run_with_an_error_is_no_baseline(small, place, capsys):
     assert cli.run(["-q", "validate", given[0], "-o", "run"]) == 1
     assert cli.run(["-q", "baseline", "accept", *given, "--reason", "Anyway"]) == 2
     assert "cannot become a baseline" in capsys.readouterr().err
+    read = ["check", *given], ["figures", "run"], ["compare", "run", "run"]  # whose results they would replace
+    assert [cli.run(["-q", *words, "-o", "run"]) for words in read] == [2, 2, 2]
     assert cli.run(["-q", "check", *given]) == 1
     assert "this run cannot become one" in capsys.readouterr().err
     assert [*place.rglob("*.yaml")] == []

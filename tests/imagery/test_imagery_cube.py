@@ -401,8 +401,7 @@ WIDE = ("the header is written in UTF-16",)
     ],
 )  # fmt: skip
 def test_encodings(tmp_path, encoding, mark, notes):
-    path = tmp_path / "a.hdr"
-    path.write_bytes(mark + header_text(description="{Größe µm}").encode(encoding))
+    (path := tmp_path / "a.hdr").write_bytes(mark + header_text(description="{Größe µm}").encode(encoding))
     header = read_header(path)
     assert (header.text("description"), header.notes) == ("Größe µm", notes)
     if notes:

@@ -28,7 +28,7 @@ from hyperval.model import Sources
 from hyperval.observe import Place, check_line_for_detection, observe, open_place, target_groups
 from hyperval.paths import Resolve, is_pattern
 from hyperval.products import SPECTRA
-from hyperval.results import Outcome, Result, row_name
+from hyperval.results import Outcome, Result, grouped, row_name
 from hyperval.run import is_run, read_rows
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor, sensor_named
@@ -101,12 +101,13 @@ def overview(items: Sequence[Item]) -> list[Item]:
 
     The words of a run stand in braces where an item is that of several campaigns.
     """
-    groups: dict[tuple[str, str, str, str], list[Item]] = {}
-    for item in items:
-        what, detail = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
-        groups.setdefault((item.kind, item.state, item.general(what), item.general(detail)), []).append(item)
+
+    def alike(item: Item) -> tuple[str, ...]:
+        texts = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
+        return item.kind, item.state, *map(item.general, texts)
+
     rows = []
-    for (kind, state, what, detail), members in groups.items():
+    for (kind, state, what, detail), members in grouped(items, alike).items():
         names = list(dict.fromkeys(i.campaign for i in members))
         general = {i.general(i.campaign) for i in members}
         one_file = f", {general.pop()}" if len(general) == 1 else ""
@@ -126,8 +127,7 @@ def overview(items: Sequence[Item]) -> list[Item]:
 def summary(items: Sequence[Item]) -> list[str]:
     """One sentence for each campaign, or for several that lack the same; who holds what is missing."""
     states: dict[tuple[str, str], list[str]] = {}
-    for name in dict.fromkeys(i.campaign for i in items):
-        rows = [i for i in items if i.campaign == name]
+    for name, rows in grouped(items, lambda item: item.campaign).items():
         files, values, wrong, never = (sum(i.state == s for i in rows) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
         counts = (files, "file{} missing"), (values, "value{} to fill in"), (wrong, "unknown name{}")
         words = [f"{count} {what.format('s' * (count > 1))}" for count, what in counts if count]

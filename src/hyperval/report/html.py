@@ -353,7 +353,7 @@ def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
 
 def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
     """Write the drawings of a run into a new folder; errors as of :func:`run_drawings`."""
-    with whole_folder(output) as folder:
+    with whole_folder(output, beside=[run]) as folder:
         for drawing in run_drawings(run, kind, journal):
             (folder / drawing.file_name).write_bytes(drawing.content)
     return 0
