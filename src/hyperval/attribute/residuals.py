@@ -44,6 +44,7 @@ Quantity = tuple[str, str, str, str]  # a number of both sides: product, subject
 def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
     """Mean over the observed one in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3.
 
+    >>> from hyperval.spectra import SpectralAxis
     >>> axis = SpectralAxis(np.array([500.0, 600.0, 700.0, 1400.0]), 10.0)  # the last absorbs
     >>> means = [2.0, 4.0, 9.0, 9.0], [1.0, 3.0, np.nan, 1.0]
     >>> told, seen = ({"lawn": SpectralEstimate(np.array(mean), np.eye(4))} for mean in means)
@@ -286,6 +287,7 @@ def stack_of(predicted: Products, observed: Products) -> Stack:
     An error of the calibration is a part of what is predicted, whatever the noise of what was measured.
 
     >>> from hyperval.products import PredictedProducts
+    >>> from hyperval.spectra import SpectralAxis
     >>> axis, noisy = SpectralAxis(np.array([500.0, 600.0]), 5.0), np.array([0.8, 1.2])
     >>> error = 1e-4 * np.outer(noisy, noisy)
     >>> sides = [SpectralEstimate(np.ones(2), 0.0 * error), SpectralEstimate(noisy, error, calibration=error)]
