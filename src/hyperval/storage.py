@@ -238,8 +238,8 @@ class Unplaced(HypervalError):
 def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path] = ()) -> Iterator[Path]:
     """Give an empty folder whose content takes the place of that of ``path`` when the block ends well.
 
-    Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.  ``beside`` are folders that
-    are read: what they hold is not replaced by what is made of it.
+    Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.  ``beside`` are files
+    and folders that are read: what they hold is not replaced by what is made of it.
 
     Raises
     ------
@@ -248,13 +248,13 @@ def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path] = ()
     Unplaced : the new content is complete but could not be put there.
     """
     with _claimed(Path(path)) as place:
-        refuse(any(Path(one).resolve().is_relative_to(place) for one in beside), "folder.read", place)
         _finish(place)
         held, files = _list(place)  # hidden files stay as they are
         foreign = sorted(_names(place) - files)
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         refuse(foreign, "folder.foreign", place, names=", ".join(foreign[:3]) + more)
         refuse(held not in ("", kind), "folder.kind", place, held=held, kind=kind)
+        refuse(any(Path(one).resolve().is_relative_to(place) for one in beside), "folder.read", place)
         with _making(place):
             new = Path(tempfile.mkdtemp(prefix=_NEW, dir=place))
         try:

@@ -281,6 +281,8 @@ def test_a_run_with_an_error_is_no_baseline(small, place, capsys):
     assert cli.run(["-q", "check", *given]) == 1
     assert "this run cannot become one" in capsys.readouterr().err
     assert [*place.rglob("*.yaml")] == []
+    small.data["collection"]["calibration"] = {"file": str(place / "run" / "results.csv")}
+    assert [cli.run(["-q", command, str(small.write()), "-o", "run"]) for command in ("validate", "observe")] == [2, 2]
 
 
 def test_a_finished_run_of_other_files_or_another_source_is_refused(small, finished, place, capsys):
