@@ -216,7 +216,7 @@ main()
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("date", ["", " ", "today", "-1", "1e9"])
+@pytest.mark.parametrize("date", ["", " ", "today", "-1", "1e9", "9" * 15])
 def test_an_empty_date_is_none_and_one_that_is_no_number_a_mistake_of_the_user(date, monkeypatch, capsys):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", date)
     assert cli.run(["metrics"]) == (2 if date.strip() else 0)

@@ -155,8 +155,7 @@ def test_unknown_name_and_missing_file(tmp_path):
 
 
 def test_a_campaign_is_told_from_a_scenario(tmp_path):
-    path = tmp_path / "campaign.yaml"
-    path.write_text("schema: 1\nname: a\ncollection: {}\nscenarios: []\n")
+    (path := tmp_path / "campaign.yaml").write_text("schema: 1\nname: a\ncollection: {}\nscenarios: []\n")
     with pytest.raises(UsageError, match=r"a campaign, not a scenario\n.*hyperval validate .*campaign\.yaml -o DIR"):
         load_scenario(path)
 

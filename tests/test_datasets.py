@@ -79,8 +79,8 @@ def test_where_a_reference_leads(places, tmp_path):
     assert datasets.resolve("data:" + HEADER) == other
     with pytest.raises(UsageError, match="not a directory"):
         datasets.set_data_dir(tmp_path / "none")
-    own = put(tmp_path / "other", "mine/cube.img")
-    assert datasets.resolve("data:mine/cube.img") == own
+    own, store = (put(tmp_path / "other", f"mine/{name}") for name in ("cube.img", "cube.ZARR/zarr.json"))
+    assert [datasets.resolve(f"data:mine/{name}") for name in ("cube.img", "cube.ZARR")] == [own, store.parent]
     with pytest.raises(UsageError, match=f"nor on this machine .looked in {tmp_path}/other") as unknown:
         datasets.resolve("data:mine/spectra.txt")
     assert unknown.value.exit_code == 2
@@ -105,15 +105,14 @@ def test_what_was_read_is_recorded_without_a_path_of_this_machine(places, tmp_pa
     put(places[0], "hysu/mine.hdr", b"a file of one's own among those of a set")
     inside, outside = put(places[0], "mine/a.hdr"), put(tmp_path / "elsewhere", "c.csv")
     put(tmp_path, "campaign/b.csv", b"1,2")
-    names = [put(tmp_path, f"campaign/{name}").name for name in ("l.hdr", "l.sli", "t.hdr", "t.img")]
+    names = [put(tmp_path, f"campaign/{name}").name for name in ("l.hdr", "l.sli", "t.hdr", "t.tif")]
     log = InputLog(tmp_path / "campaign")
-    for reference in ("b.csv", "data:hysu/mine.hdr", "b.csv", str(outside), "l.hdr", "t.img"):
+    for reference in ("b.csv", "data:hysu/mine.hdr", "b.csv", str(outside), "l.hdr", "t.tif"):
         log.resolve(reference)
     assert log.add(inside) == inside
     entries = {e["reference"]: e for e in log.entries()}
     assert list(entries) == ["b.csv", "c.csv", "data:hysu/mine.hdr", "data:mine/a.hdr", *names]
-    assert entries["b.csv"]["sha256"] == sha256(b"1,2").hexdigest()
-    assert (entries["b.csv"]["bytes"], entries["b.csv"]["licence"]) == (3, None)
+    assert entries["b.csv"].items() >= {"sha256": sha256(b"1,2").hexdigest(), "bytes": 3, "licence": None}.items()
     assert str(tmp_path) not in repr(log.entries())
     known = datasets.owner_of("data:" + HEADER)
     assert (known.name, known.licence) == ("hysu", "CC-BY-4.0")

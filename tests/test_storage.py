@@ -66,8 +66,7 @@ def test_digests(tmp_path):
 
 
 def test_a_killed_process_keeps_the_old_file_and_the_next_one_removes_what_it_left(tmp_path):
-    path = tmp_path / "result.csv"
-    path.write_text("old")
+    (path := tmp_path / "result.csv").write_text("old")
     script = f"""
         import os, signal
         from pathlib import Path
@@ -97,8 +96,7 @@ def test_a_killed_process_keeps_the_old_file_and_the_next_one_removes_what_it_le
 
 def test_full_disk_keeps_the_old_file(tmp_path):
     # A limit on file size stands in for a full disk: the write fails in the middle with EFBIG.
-    path = tmp_path / "a.bin"
-    path.write_bytes(b"old")
+    (path := tmp_path / "a.bin").write_bytes(b"old")
     script = f"""
         import resource, signal
         from pathlib import Path

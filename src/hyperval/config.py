@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import shlex
 from collections import Counter
@@ -17,7 +16,7 @@ from yaml.composer import Composer
 from yaml.cyaml import CParser
 from yaml.resolver import Resolver
 
-from hyperval.errors import UsageError, needed, package_table, reader, refusal, refuse
+from hyperval.errors import UsageError, did_you_mean, needed, package_table, reader, refusal, refuse
 from hyperval.storage import content_of, installed_file, write_text
 from hyperval.units import to_internal
 
@@ -211,8 +210,8 @@ def file_of(name_or_path: str | Path, library: Mapping[str, Path], kind: str) ->
     """
     path = library.get(str(name_or_path), Path(name_or_path))
     if path.suffix not in (".yaml", ".yml") and not path.exists():
-        hints = "".join(f"; did you mean {near!r}?" for near in difflib.get_close_matches(path.name, library, n=1))
-        raise UsageError(f"unknown {kind} {str(path)!r}{hints}", expected="a YAML file or one of " + ", ".join(library))
+        what = f"unknown {kind} {str(path)!r}{did_you_mean(path.name, library)}"
+        raise UsageError(what, expected="a YAML file or one of " + ", ".join(library))
     return path
 
 
@@ -398,9 +397,7 @@ def _unknown_key(place: Location, model: type[BaseModel] | None) -> str:
         return f"this key is gone; {gone}"
     schema = model.model_json_schema() if model else {}
     every = [k for each in (schema, *schema.get("$defs", {}).values()) for k in each.get("properties", {})]
-    near = next(iter(difflib.get_close_matches(key, every, n=1)), "")
-    hint = " here; it belongs elsewhere" if near == key else near and f"; did you mean {near!r}?"
-    return f"unknown key{hint}"
+    return "unknown key" + (" here; it belongs elsewhere" if key in every else did_you_mean(key, every))
 
 
 def fitting(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:

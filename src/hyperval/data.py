@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,25 @@ Counts = npt.NDArray[np.int64]
 LINEAR_DETECTORS = ("cem", "matched-filter", "smf", "cem-correlation")  # scores that are linear in the pixel
 NUMERICAL_DETECTORS = ("ace",)  # scores whose law has no closed form
 MOST_COMPONENTS = 64
+
+
+def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
+    """Where the stored values are the ignore value, compared in the stored type; nowhere where that cannot hold it.
+
+    >>> [equals(np.array([of], kind), of).tolist() for of, kind in ((np.nan, "f4"), (-9999.1, "f4"), (-1.0, "i2"))]
+    [[True], [True], [True]]
+    >>> [equals(np.array([2**63 - 1, 7]), of).tolist() for of in (2.0**63, 2.0**64, 7.5)]
+    [[True, False], [False, False], [False, False]]
+    """
+    if np.isnan(ignore):
+        return np.asarray(np.isnan(stored))
+    kind: type[Any] = stored.dtype.type
+    if stored.dtype.kind == "f":
+        fits = np.isinf(ignore) or abs(ignore) <= 1.0000001 * float(np.finfo(kind).max)
+        return np.asarray(stored == (kind(ignore) if fits else np.nan))
+    least, most = np.iinfo(kind).min, np.iinfo(kind).max
+    fits = ignore % 1.0 == 0.0 and least <= ignore <= float(most)  # of 64 bits the next power of two
+    return np.asarray(stored == kind(min(int(ignore), most))) if fits else np.zeros(stored.shape, bool)
 
 
 class Errors(NamedTuple):

@@ -23,9 +23,9 @@ from urllib.parse import quote
 
 import platformdirs
 
-from hyperval.envi_header import DATA_SUFFIXES, data_beside, header_beside
-from hyperval.errors import HypervalError, MissingDataError, needed, package_table, refusal, refuse
-from hyperval.paths import checked_store, is_pattern, matching, nearest, read_table
+from hyperval.envi_header import data_beside, header_beside
+from hyperval.errors import HypervalError, MissingDataError, nearest, needed, package_table, refusal, refuse
+from hyperval.paths import checked_store, is_pattern, is_store, matching, read_table
 from hyperval.progress import track
 from hyperval.storage import has_digest, installed_file, sha256_of, size_of, whole_file
 
@@ -309,7 +309,7 @@ class InputLog:
         is_own = base in (None, self.base) and not Path(reference).is_absolute()
         ending, beside = path.suffix.lower(), None
         with suppress(HypervalError):  # which of several is read is the reader's to say
-            beside = data_beside(path) if ending == ".hdr" else header_beside(path) if ending in DATA_SUFFIXES else None
+            beside = data_beside(path) if ending == ".hdr" else header_beside(path)
         if beside is not None:
             self.add(beside)
         return self.add(path, reference if is_own or reference.startswith(PREFIX) else None)
@@ -354,7 +354,7 @@ def _roots() -> list[Path]:
 
 
 def _find(path: str) -> Path | None:
-    return next((p for root in _roots() if matching(p := root / path)), None)
+    return next((p for root in _roots() if matching(p := root / path) or is_store(p)), None)
 
 
 @cache
@@ -371,7 +371,7 @@ def _resolve_data(path: str) -> Path:
     if owner is None:  # neither the registry nor this machine knows it: the names nearest to it
         folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
         beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
-        close = nearest(path, [*_by_path(), *beside]) or nearest(path.split("/")[0], registry())
+        close = nearest(path, [*_by_path(), *beside], 3) or nearest(path.split("/")[0], registry(), 3)
         perhaps = f"perhaps {', '.join(PREFIX + name for name in close)}" if close else ""
         raise refusal("data.unknown", PREFIX + path, looked=looked, perhaps=perhaps)
     mend = f"hyperval data fetch {owner.name}"

@@ -6,6 +6,7 @@ command line prints the message alone; the Python API raises the exception.
 
 from __future__ import annotations
 
+import difflib
 import os
 import shlex
 import traceback
@@ -133,6 +134,17 @@ def one_of(names: Iterable[str], otherwise: str = "a name") -> str:
     """What was expected, in words: one of the names, or ``otherwise`` where there is none."""
     listed = ", ".join(names)
     return f"one of {listed}" if listed else otherwise
+
+
+def nearest(name: str, names: Iterable[str], most: int = 1) -> list[str]:
+    """Of names those that are most alike to one, whatever their case."""
+    by_lower = {one.lower(): one for one in reversed([*names])}
+    return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, most)]
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """The end of a sentence on an unknown name, where another is much alike."""
+    return "".join(f"; did you mean {near!r}?" for near in nearest(name, names))
 
 
 def reader(function: Callable[P, R]) -> Callable[P, R]:

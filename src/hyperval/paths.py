@@ -6,7 +6,6 @@ Only regular files below the data root are opened, never a URL or a virtual path
 from __future__ import annotations
 
 import csv
-import difflib
 import gzip
 import io
 import os
@@ -14,7 +13,7 @@ import re
 import shlex
 import stat
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
@@ -26,7 +25,7 @@ Resolve = Callable[[str], Path]  # the path that a reference of a file leads to
 MAX_MATCHES = 1000
 MAX_TEXT_BYTES = 32 << 20
 _HEAD_BYTES = 1 << 16
-_DECIMAL_COMMA = re.compile(r"[-+]?[0-9]+,[0-9]+$")
+_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 
 
 def is_pattern(name: str) -> bool:
@@ -45,12 +44,6 @@ def matching(path: Path) -> list[Path]:
         return []
     matches = (p for p in path.parent.iterdir() if fnmatchcase(p.name, path.name) and p.is_file())
     return sorted(matches)[: MAX_MATCHES + 1]
-
-
-def nearest(name: str, names: Iterable[str]) -> list[str]:
-    """The known names most like ``name``, case left aside; the best first."""
-    by_lower = {one.lower(): one for one in reversed([*names])}
-    return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, 3, 0.6)]
 
 
 def checked_file(
@@ -113,8 +106,12 @@ def checked_folder(path: Path | str) -> Path:
 
 def checked_store(path: Path | str) -> Path:
     """A file by the rules of :func:`checked_file`, or a Zarr store, which is a folder."""
-    is_zarr = Path(path).suffix == ".zarr" and Path(path).is_dir()
-    return checked_folder(path) if is_zarr else checked_file(path)
+    return checked_folder(path) if is_store(Path(path)) else checked_file(path)
+
+
+def is_store(path: Path) -> bool:
+    """Whether a path is that of a Zarr store, which is a folder."""
+    return path.suffix.lower() == ".zarr" and path.is_dir()
 
 
 def head_of(path: Path, count: int = 512) -> bytes:
@@ -163,7 +160,7 @@ def read_table(path: Path, keys: Collection[str] = ()) -> tuple[list[str], list[
     line holds no comma.  The ``known`` columns may be written in any case.
     """
     text = read_text(path)
-    divider = next((d for d in ",;\t" if d in text.split("\n", 1)[0]), ",")
+    divider = max("\t;,", key=text.split("\n", 1)[0].count)  # the titles may hold the others
     table = csv_rows(text, path, divider)
     fields = [f.lower() if f.lower() in keys else f for f in map(str.strip, next(table, (1, []))[1])]
     refuse(len(set(fields)) < len(fields), "table.twice", f"{path}:1")

@@ -412,8 +412,7 @@ class Products:
         """Bands, and how much there is of each product: the arrays would fill a book."""
         held = [(f.name, getattr(self, f.name)) for f in fields(self)]
         counts = [f"{len(v)} {k}" for k, v in held if k not in ("axis", "notes", "provenance") and v]
-        nm = self.axis.centre_nm
-        return f"<{type(self).__name__} of {nm.size} bands, {nm[0]:.0f}-{nm[-1]:.0f} nm: {', '.join(counts)}>"
+        return f"<{type(self).__name__} of {self.axis.words}: {', '.join(counts)}>"
 
 
 @dataclass(frozen=True, repr=False)

@@ -279,6 +279,19 @@ class ResultTable(list[Result]):
         return 0 if Outcome.AGREES in outcomes else 5
 
 
+def split_key(key: str) -> tuple[str, str, str, str]:
+    """Product, subject, method and metric of a row's key, without the band of a single one; ValueError when it is none.
+
+    >>> split_key("radiance | a | b | 6S | bias_ratio"), split_key("radiance | a | 6S | z | 500 nm")
+    (('radiance', 'a | b', '6S', 'bias_ratio'), ('radiance', 'a', '6S', 'z'))
+    """
+    product, first, rest = key.partition(SEPARATOR)
+    parts = rest.rsplit(SEPARATOR, 2 + key.endswith(" nm"))
+    if not first or len(parts) < 3:
+        raise ValueError(f"{key!r} is not 'product | subject | method | metric'")
+    return product, parts[0], parts[1], parts[2]
+
+
 def row_name(row: Result) -> str:
     """Subject, method, metric and band in one line."""
     return " ".join(filter(None, row.key.split(SEPARATOR)[1:]))

@@ -135,13 +135,13 @@ class Quicklook:
     ----------
     rgb : (lines, samples, 3) uint8
     regions : name -> (lines, samples) mask
-    band_nm : centres of the red, green and blue bands [nm]
+    bands : which ones are red, green and blue, in words
     pixel_size_m : ground sampling distance for the scale [m], None when unknown
     """
 
     rgb: npt.NDArray[np.uint8]
     regions: Mapping[str, Mask] = field(default_factory=dict)
-    band_nm: tuple[float, ...] = ()
+    bands: str = ""
     pixel_size_m: float | None = None
 
 
@@ -275,10 +275,22 @@ def runs_in(folders: Iterable[Path]) -> list[Path]:
     Raises
     ------
     InputError : a folder without results.
+
+    Examples
+    --------
+    What a run that was killed has left in a folder is none.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     for name in (TABLE, f".hyperval-new-1/{PROVENANCE}"):
+    ...         (Path(folder) / name).parent.mkdir(exist_ok=True)
+    ...         _ = (Path(folder) / name).write_text("{}")
+    ...     runs_in([Path(folder)]) == [Path(folder)]
+    True
     """
     out: list[Path] = []
     for folder in map(Path, folders):
-        inside = sorted(path.parent for path in folder.glob(f"*/{PROVENANCE}"))
+        inside = sorted(path.parent for path in folder.glob(f"[!.]*/{PROVENANCE}"))
         refuse(not inside and not is_run(folder), "results.none", folder)
         out += inside or [folder]
     return out

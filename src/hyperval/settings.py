@@ -6,7 +6,6 @@ number from 0: ``atmosphere.aot550``, ``scene.classes.grass.gain``, ``scene.targ
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from hyperval.config import M, validate
-from hyperval.errors import UsageError, refusal, refuse
+from hyperval.errors import UsageError, did_you_mean, refusal, refuse
 
 _LABELS = ("name", "subject", "region")
 
@@ -127,9 +126,8 @@ def _key(node: Any, part: str, path: str) -> Any:
     if isinstance(node, dict):
         if part in node:
             return part
-        near = difflib.get_close_matches(part, node, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise UsageError(f"setting {path!r}: no {part!r}{hint}", expected="one of " + ", ".join(map(str, node)))
+        what = f"setting {path!r}: no {part!r}{did_you_mean(part, node)}"
+        raise UsageError(what, expected="one of " + ", ".join(map(str, node)))
     if isinstance(node, list | tuple):
         labels = ([item[k] for k in _LABELS if k in item] if isinstance(item, dict) else [] for item in node)
         return item_number([next(iter(names), None) for names in labels], part, path)

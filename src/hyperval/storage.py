@@ -20,8 +20,9 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
@@ -139,6 +140,19 @@ def decoded(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
+def stated_time() -> datetime | None:
+    """When SOURCE_DATE_EPOCH says that something is made; None when it is not set, or empty.
+
+    An empty one is taken out of the environment: libraries read it as a number, whenever they come to be loaded.
+    """
+    text = os.environ.get("SOURCE_DATE_EPOCH", "")
+    if not text.strip():
+        os.environ.pop("SOURCE_DATE_EPOCH", None)
+        return None
+    refuse(not re.fullmatch("[0-9]{1,11}", text), "results.date", text=text[:100])
+    return datetime.fromtimestamp(int(text), UTC)
+
+
 def number_of(text: str | None) -> float:
     """The number that a text is, NaN where it is none; Python's digit grouping is no number elsewhere."""
     try:
@@ -221,10 +235,11 @@ class Unplaced(HypervalError):
 
 
 @contextmanager
-def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
+def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path] = ()) -> Iterator[Path]:
     """Give an empty folder whose content takes the place of that of ``path`` when the block ends well.
 
-    Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.
+    Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.  ``beside`` are files
+    and folders that are read: what they hold is not replaced by what is made of it.
 
     Raises
     ------
@@ -239,6 +254,7 @@ def whole_folder(path: Path, kind: str = RESULTS) -> Iterator[Path]:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         refuse(foreign, "folder.foreign", place, names=", ".join(foreign[:3]) + more)
         refuse(held not in ("", kind), "folder.kind", place, held=held, kind=kind)
+        refuse(any(Path(one).resolve().is_relative_to(place) for one in beside), "folder.read", place)
         with _making(place):
             new = Path(tempfile.mkdtemp(prefix=_NEW, dir=place))
         try:

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hyperval import baseline, cli
-from hyperval.baseline import Accepted, accept, accepted_of, campaign_metrics, check, compare, load_baseline, split_key
+from hyperval.baseline import Accepted, accept, accepted_of, campaign_metrics, check, compare, load_baseline
 from hyperval.errors import UsageError
 from hyperval.metrics import Tolerance, default_tolerance
 from hyperval.model import clopper_pearson
-from hyperval.results import Outcome, Result
+from hyperval.results import Outcome, Result, split_key
 from hyperval.run import read_rows
 from small_campaign import data_of, sensor_data, stand_in_atmosphere, write_yaml
 
@@ -64,7 +64,6 @@ def test_a_tolerance_that_can_never_fail_is_refused(tmp_path):
 
 
 def test_names_of_numbers_and_files_of_something_else(tmp_path, capsys):
-    assert split_key("roc | a | b | cem | pd") == ("roc", "a | b", "cem", "pd")
     (tmp_path / "sensors").mkdir()
     written(tmp_path).rename(tmp_path / "sensors" / "casi-1500.yaml")
     assert cli.run(["check", "--sensors", "casi-1500", "--baselines", str(tmp_path)]) == 2
@@ -277,9 +276,13 @@ def test_a_run_with_an_error_is_no_baseline(small, place, capsys):
     assert cli.run(["-q", "validate", given[0], "-o", "run"]) == 1
     assert cli.run(["-q", "baseline", "accept", *given, "--reason", "Anyway"]) == 2
     assert "cannot become a baseline" in capsys.readouterr().err
+    read = ["check", *given], ["figures", "run"], ["compare", "run", "run"]  # whose results they would replace
+    assert [cli.run(["-q", *words, "-o", "run"]) for words in read] == [2, 2, 2]
     assert cli.run(["-q", "check", *given]) == 1
     assert "this run cannot become one" in capsys.readouterr().err
     assert [*place.rglob("*.yaml")] == []
+    small.data["collection"]["calibration"] = {"file": str(place / "run" / "results.csv")}
+    assert [cli.run(["-q", command, str(small.write()), "-o", "run"]) for command in ("validate", "observe")] == [2, 2]
 
 
 def test_a_finished_run_of_other_files_or_another_source_is_refused(small, finished, place, capsys):

@@ -208,6 +208,7 @@ def test_a_name_that_does_not_fit_is_told_with_its_line(small, key):
 
 
 def test_what_the_files_of_a_collection_lack_stands_at_the_key_that_needs_it(small, capsys):
+    small.data["scenarios"][0]["sensor"] = (small.folder / "sensor.yaml").rename(small.folder / "MINE.YAML").name
     assert summary(dry_run([small.write()])) == ["small: ready"]
     small.edit("targets.csv", lambda text: text.replace("39.5,3.5", "39.5,9000.5", 1))
     ((where, what),) = mistakes(small.write())  # and none that follows from it

@@ -94,7 +94,7 @@ def test_a_table_is_stored_and_read_back_and_says_what_is_younger(tmp_path):
     now = [row(Outcome.AGREES), row(Outcome.AGREES, "roof"), row(Outcome.AGREES, "lawn", Role.INFORM)]
     assert then.moved_gates(now) == []
     assert then.moved_gates([now[0], replace(now[1], value=0.2)]) == ["radiance | roof | sixs | bias_ratio"]
-    assert then.moved_gates([*now, row(Outcome.AGREES, "pond")]) == ["radiance | pond | sixs | bias_ratio"]
+    assert then.moved_gates([*now, row(Outcome.AGREES, "pond | a")]) == ["radiance | pond | a | sixs | bias_ratio"]
 
 
 @pytest.mark.slow

@@ -102,8 +102,10 @@ def test_a_scene_goes_from_its_file_to_a_report(tmp_path, scene):
     assert {name: region.n for name, region in regions.items()} == {
         "known objects": 8, "other materials": 1, "scored object 1": 9, "scored object 2": 4,
     }  # fmt: skip
-    spectrum = np.loadtxt(tmp_path / "new" / "target.txt")
-    assert spectrum == pytest.approx(data[regions["known objects"].mask].mean(axis=0))
+    spectrum = tmp_path / "new" / "target.txt"
+    assert np.loadtxt(spectrum) == pytest.approx(data[regions["known objects"].mask].mean(axis=0))
+    spectrum.write_text("0")  # a draft that is refused, as one stands there, writes nothing beside it
+    assert (cli.run(["init", f"--cube={tmp_path}/s.h5", f"-o{tmp_path}/new"]), spectrum.read_text()) == (2, "0")
 
 
 def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
@@ -124,12 +126,12 @@ def test_bands_that_hold_nothing_or_one_number_do_not_count(tmp_path, scene):
 
 
 def test_without_a_map_anomalies_are_looked_for(tmp_path, scene):
-    cube, folder = written(tmp_path / "scene.npy", scene[0]), tmp_path / "new"
-    told = ["--spectra", str(tmp_path), "--time", "2020-01-01"]
-    assert cli.run(["init", "--cube", str(cube), "-o", str(folder), *told]) == 0
+    cube, folder = written(tmp_path / "scene.npy", np.random.default_rng(1).random((40, 60, 400))), tmp_path / "new"
+    assert cli.run(["init", f"--cube={cube}", f"-o{folder}", f"--spectra={tmp_path}", "--time=2020-01-01"]) == 0
     assert "not used for this counts image: --time" in (folder / "campaign.yaml").read_text()
     assert "detectors: [rx]" in (folder / "campaign.yaml").read_text().split(f"not used: {tmp_path.name};")[1]
     assert cli.run(["observe", str(folder / "campaign.yaml"), "-o", str(folder / "out")]) == 0
+    assert "(red, green, blue: bands 301, 201, 101)" in (folder / "out" / "report.html").read_text()  # no wavelengths
 
 
 @pytest.mark.data

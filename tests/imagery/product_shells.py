@@ -182,5 +182,5 @@ def stac(folder: Path) -> tuple[Path, np.ndarray]:
         "properties": {"datetime": "2024-05-01T18:30:00Z", "platform": "Dragonette-001", "processing:level": "L1B"},
         "assets": {"Cloud optimized GeoTiff": {"href": f"./{image.name}", "bands": bands, "nodata": -9999.0}},
     }  # fmt: skip
-    (folder / f"{image.stem}.json").write_text(json.dumps(item))
+    (folder / f"{image.stem}.json").write_text(json.dumps(item), "utf-8-sig")  # some programs write its mark
     return image, values

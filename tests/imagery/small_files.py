@@ -170,12 +170,13 @@ def written(folder: Path, kind: str) -> tuple[Path, dict]:
         write_vector(path, [polygon_wkb(points)], crs=crs, fields={"name": ["grass"]})
         return path, PLACED | ({"coordinates": "pixel"} if system == "pixel" else {})
     elif end == "img":
-        extra = {"classes": "2", "class names": "{\n Unclassified, grass [Green] 20 points}"}
-        return write_cube(path, expected().astype("u1")[:, :, None], data_type=1, interleave="bsq", extra=extra), {}
+        extra = {"classes": "2", "class names": "{\n Unclassified, grass [Green] 20 points}", "data ignore value": "60"}
+        image = (expected() + 60 * ~np.indices(SHAPE).any(axis=0)).astype("u1")  # begins as XML does, with "<"
+        return write_cube(path, image[:, :, None], data_type=1, interleave="bsq", extra=extra), {}
     elif end == "tif":
         return write_raster(folder / "grass.tif", expected()[None].astype("u1") * 7, transform=TRANSFORM), {}
     else:
         text = roi_ascii(expected(), *COLUMNS[system])
-    data = text if isinstance(text, bytes) else text.encode()
+    data = text if isinstance(text, bytes) else text.encode("utf-16" if "map" in kind or "points" in kind else "utf-8")
     path.write_bytes(gzip.compress(data) if end == "gz" else data)
     return path, placed

@@ -401,8 +401,7 @@ WIDE = ("the header is written in UTF-16",)
     ],
 )  # fmt: skip
 def test_encodings(tmp_path, encoding, mark, notes):
-    path = tmp_path / "a.hdr"
-    path.write_bytes(mark + header_text(description="{Größe µm}").encode(encoding))
+    (path := tmp_path / "a.hdr").write_bytes(mark + header_text(description="{Größe µm}").encode(encoding))
     header = read_header(path)
     assert (header.text("description"), header.notes) == ("Größe µm", notes)
     if notes:
@@ -545,7 +544,7 @@ def aviris(folder: Path, stored: np.ndarray, name: str) -> Path:
 def test_aviris_classic_is_divided_by_its_gain_file(tmp_path):
     stored = np.arange(1, 41).reshape(2, 4, 5) * 100
     path = aviris(tmp_path, stored, "f130612t01p00r10rdn_e_sc01_ort_img")
-    (tmp_path / "f130612t01p00r10rdn_e.gain").write_text(DIVISORS)
+    (tmp_path / "f130612t01p00r10rdn_e.gain").write_text(DIVISORS, "utf-8-sig")
     (tmp_path / "f130612t01p00r11rdn_e.gain").write_text("1 1\n")  # of another line
     cube = open_cube(path, quantity="radiance", unit="uW cm-2 sr-1 nm-1", sort_bands=True)
     expected = (stored / [300.0, 300.0, 600.0, 600.0, 1200.0])[..., [0, 1, 3, 2, 4]]

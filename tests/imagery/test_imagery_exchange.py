@@ -170,8 +170,7 @@ def test_more_bands_than_an_imager_has_are_refused(tmp_path):
     entries = [(256, 4, 1), (257, 4, 1), (258, 3, 8), (259, 3, 1), (262, 3, 1), (273, 4, 8), (277, 3, 32_769)]
     entries += [(278, 4, 1), (279, 4, 1), (284, 3, 1)]
     body = b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
-    path = tmp_path / "many.tif"
-    path.write_bytes(struct.pack("<2sHIH", b"II", 42, 8, len(entries)) + body + bytes(1300))
+    (path := tmp_path / "many.tif").write_bytes(struct.pack("<2sHIH", b"II", 42, 8, len(entries)) + body + bytes(1300))
     with pytest.raises(InputError, match="32769 bands\n  expected: at most 20000"):
         open_cube(path, quantity="other")
     path.write_bytes(path.read_bytes().replace(struct.pack("<I", 32_769), struct.pack("<I", 16_385)))

@@ -276,7 +276,7 @@ def test_without_the_package_the_message_says_how_to_get_it(tmp_path, monkeypatc
 def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path, end):
     small = [(8.0, 1.0), (10.0, 1.0), (10.0, 2.0), (8.0, 2.0)]
     whole = wkb(6, polygon_wkb(on_map(SQUARE), on_map(HOLE)), polygon_wkb(on_map(small)))
-    path = write_vector(tmp_path / f"r.{end}", [whole], kind="MultiPolygon", fields={"name": ["grass"]})
+    path = write_vector(tmp_path / f"r[1].{end}", [whole], kind="MultiPolygon", fields={"name": ["grass"]})
     want = expected(hole=True)
     want[1, 8:10] = True
     assert np.array_equal(read_regions(path, SHAPE, **PLACED)["grass"].mask, want)

@@ -91,8 +91,8 @@ def test_a_round_target_has_the_area_of_its_circle(tmp_path):
 
 
 def test_a_list_as_a_spreadsheet_writes_it(tmp_path):
-    (a,) = targets(tmp_path, "name,material,row0,col0,side_m\np,wood,5.5,5,1.5\n")
-    (b,) = targets(tmp_path, "\ufeffName;Material;Row0;Col0;Side_m\r\np;wood;5,5;5;1,5\r\n")
+    (a,) = targets(tmp_path, 'name,material,row0,col0,side_m,"of x, y"\np,wood,5.5,0.5E+01,1.5\n')
+    (b,) = targets(tmp_path, "\ufeffName;Material;Row0;Col0;Side_m;of x, y\r\np;wood;5,5;0,5E+01;1,5\r\n")
     assert np.array_equal(a.mask, b.mask)
     assert a.area_m2 == b.area_m2 == 2.25
     assert a.attributes == b.attributes

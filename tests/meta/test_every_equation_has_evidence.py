@@ -34,7 +34,7 @@ BESIDE = {
     "fills_of_population", "filter_base", "fully_constrained", "gaussian_classes", "latest", "library_names",
     "light_of", "load_sensor", "log10_false_alarm_at", "mean_detection", "measured_error", "new_sensor_file",
     "of_truth", "on_bands", "own_mean_sampling", "packed", "pixels_of_object", "population_fill", "predicted_areas",
-    "predicted_classification", "predicted_error", "probit", "read_statistics_library", "retrieved",
+    "predicted_classification", "predicted_error", "probit", "read_statistics_library", "retrieved", "sensor_named",
     "score_distributions", "spread", "stacked", "stacked_fills", "statistics_of_samples", "target_light",
     "unmixing_method", "unpacked", "usable_bands", "whitened", "whole_object_fills", "wide", "widened",
     "with_distances", "write_statistics_library",

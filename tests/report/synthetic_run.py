@@ -116,7 +116,7 @@ def make_run(
             "yellow planks-CEM": ScoreMap(score, (0.5, 0, 287000.0, 0, -0.5, 4781000.0), "EPSG:32618", masks, 0.5),
             "yellow planks-ACE": ScoreMap(np.where(score > 1, np.nan, score)),
         },
-        quicklook=Quicklook(np.stack([grey] * 3, axis=-1), regions | masks, (640.0, 550.0, 460.0), 0.5),
+        quicklook=Quicklook(np.stack([grey] * 3, axis=-1), regions | masks, "640, 550, 460 nm", 0.5),
         provenance={
             "inputs": [cube | {"citation": "Nobody (2012), https://example.org/cube"}], "seed": 7,
             "versions": {"numpy": "2.0"}, "command": "hyperval validate campaign.yaml", "formulation": "corrected",

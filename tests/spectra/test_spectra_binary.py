@@ -188,9 +188,9 @@ def test_what_the_header_of_a_library_says(tmp_path):
     header.write_text("\ufeff" + good.replace("header offset = 0", "header offset = 12"), "utf-8")
     assert np.array_equal([s.values for s in read_records(path)], [s.values for s in plain])
     values = np.stack([RHO, RHO * 2]).astype("<f4")
-    values[:, 1] = -9999
+    values[:, 1] = -9999.9
     path.write_bytes(values.tobytes())
-    for entry in ("data ignore value = -9999", "bbl = {1, 0, 1, 1}"):
+    for entry in ("data ignore value = -9999.9", "bbl = {1, 0, 1, 1}"):
         header.write_text(f"{good}{entry}\n")
         for found, rho in zip(read_records(path), (RHO, RHO * 2), strict=True):
             assert found.wavelength_nm.tolist() == [400.0, 600.0, 700.0]

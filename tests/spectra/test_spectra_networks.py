@@ -15,7 +15,7 @@ from hyperval.scenario import SpectrumSource
 
 
 def day_file(folder: Path, text: str = RADCALNET, name: str = "day.input") -> Path:
-    (folder / name).write_text(text)
+    (folder / name).write_text(text, "utf-8-sig")  # some programs write its mark
     return folder / name
 
 

@@ -205,15 +205,16 @@ def test_results_of_the_command_line_below_the_folder_are_seen_by_everybody(own,
 def test_results_of_scripts_are_told_by_what_they_hold_and_damaged_ones_not_at_all(own, run, command, kinds):
     """One folder that a script had written below the server's made every list of runs an internal error."""
     group = own.folder / f"group-{len(kinds)}-{len(str(command))}"
-    place = shutil.copytree(place_of(own, run[1]) / "results", group / "by-script")
+    place = shutil.copytree(place_of(own, run[1]) / "results", group / "ŝkript")
     record = json.loads((place / "provenance.json").read_text("utf-8"))
-    (place / "provenance.json").write_text(json.dumps(record | {"command": command}), "utf-8")
+    (place / "provenance.json").write_text(json.dumps(record | {"command": command, "configuration": {"campaign": {}}}))
     shutil.copytree(place, group / ".half-written")
-    told = own.session().get(f"{own.address}/api/v1/runs")
+    told = (client := own.session()).get(f"{own.address}/api/v1/runs")
+    files = [client.get(f"{own.address}/runs/{one['id']}/files/results.csv").status_code for one in told.json()]
     shutil.rmtree(group)
-    assert told.status_code == 200
+    assert (told.status_code, files) == (200, [200] * len(kinds))
     assert [one["kind"] for one in told.json()] == kinds
-    assert all(one["name"] == "small" for one in told.json())
+    assert all(one["name"] == "ŝkript" for one in told.json())
 
 
 def test_maps_and_figures_are_offered_whatever_their_first_letter(own, run):

@@ -256,12 +256,11 @@ class _Side(_Tables):
 
     def __repr__(self) -> str:
         """Bands, and what there is of each product."""
-        nm = self.products.axis.centre_nm
         facts: dict[str, Iterable[object]] = {
             name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self.products, name)})
             for name in (*SPECTRA, "scores", "roc", "abundance", "classification")
         }
-        return _card(f"{type(self).__name__} of {nm.size} bands, {nm[0]:.0f}-{nm[-1]:.0f} nm", facts)
+        return _card(f"{type(self).__name__} of {self.products.axis.words}", facts)
 
     def pd(
         self, subject: str, *, pfa: float = 1e-3, detector: str | None = None, unit: str | None = None

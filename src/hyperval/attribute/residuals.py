@@ -21,7 +21,6 @@ from hyperval.compare.rows import scientific
 from hyperval.data import Array, Index, Mask
 from hyperval.model.roc import detection_at
 from hyperval.products import ObjectScores, Products, SpectralEstimate, background_of
-from hyperval.spectra import SpectralAxis, in_window
 
 PIECES = 17  # smooth pieces of a spectrum
 LIT = ("radiance", "toa_reflectance")
@@ -44,6 +43,7 @@ Quantity = tuple[str, str, str, str]  # a number of both sides: product, subject
 def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
     """Mean over the observed one in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3.
 
+    >>> from hyperval.spectra import SpectralAxis
     >>> axis = SpectralAxis(np.array([500.0, 600.0, 700.0, 1400.0]), 10.0)  # the last absorbs
     >>> means = [2.0, 4.0, 9.0, 9.0], [1.0, 3.0, np.nan, 1.0]
     >>> told, seen = ({"lawn": SpectralEstimate(np.array(mean), np.eye(4))} for mean in means)
@@ -68,7 +68,9 @@ def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
         for subject, estimate in getattr(observed, product).items():
             if (spectrum := getattr(some, product).get(subject)) is None:
                 continue
-            use = _windows(observed.axis) & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
+            use = (
+                observed.axis.good & observed.axis.in_windows & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
+            )
             level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
             if level > 0:
                 found[product, subject, "", "ratio_windows"] = float(np.mean(spectrum.mean[use])) / level
@@ -78,10 +80,6 @@ def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
                 method = f"{key[1]}/{key[2]}"
                 found["roc", key[0], method, f"pd@{scientific(pfa)}"] = float(detection_at(some.roc[key], pfa))
     return found
-
-
-def _windows(axis: SpectralAxis) -> Mask:
-    return np.asarray(axis.good & in_window(axis.centre_nm))
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,6 +286,7 @@ def stack_of(predicted: Products, observed: Products) -> Stack:
     An error of the calibration is a part of what is predicted, whatever the noise of what was measured.
 
     >>> from hyperval.products import PredictedProducts
+    >>> from hyperval.spectra import SpectralAxis
     >>> axis, noisy = SpectralAxis(np.array([500.0, 600.0]), 5.0), np.array([0.8, 1.2])
     >>> error = 1e-4 * np.outer(noisy, noisy)
     >>> sides = [SpectralEstimate(np.ones(2), 0.0 * error), SpectralEstimate(noisy, error, calibration=error)]
@@ -318,7 +317,7 @@ def _blocks(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
 
 def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> Iterator[ResidualBlock]:
     mean = getattr(predicted, product)[subject].mean
-    use = _windows(predicted.axis) & np.isfinite(mean) & np.isfinite(estimate.mean)
+    use = predicted.axis.good & predicted.axis.in_windows & np.isfinite(mean) & np.isfinite(estimate.mean)
     use &= mean > 0.01 * np.nanmax(mean, initial=0.0)  # bands without light say nothing
     if not use.any():
         return

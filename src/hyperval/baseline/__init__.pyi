@@ -14,11 +14,10 @@ from .accepted import (
     load_baseline,
     rows_of,
     sensor_metrics,
-    split_key,
     today,
 )
 
 __all__ = [
     "DEFAULT_FOLDER", "SENSORS", "Accepted", "Baseline", "RunNumbers", "accept", "accepted_of", "campaign_metrics",
-    "check", "compare", "load_baseline", "rows_of", "sensor_metrics", "split_key", "today",
+    "check", "compare", "load_baseline", "rows_of", "sensor_metrics", "today",
 ]  # fmt: skip

@@ -31,12 +31,12 @@ from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
 from hyperval.report import accepted_words, write_index, write_outputs
-from hyperval.results import SEPARATOR, WORST_FIRST, Cause, Outcome, Result, ResultTable, Role
+from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role, split_key
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import Sensor, library_names, load_sensor
 from hyperval.sensor_check import SensorCheck, suite, sunlit_radiance
 from hyperval.spectra.axis import SpectralAxis
-from hyperval.storage import RECORD, scratch_folder, sha256_of, whole_folder, write_text
+from hyperval.storage import RECORD, scratch_folder, sha256_of, stated_time, whole_folder, write_text
 
 # A tolerance of more than the number itself, or than its own 95 % interval, accepts anything.
 LARGEST = {"value": 1.0, "interval": 1.0, "unit": 0.1}
@@ -113,15 +113,6 @@ class Baseline(Model):
         held = {key: item.model_dump(mode="json", exclude_none=True, exclude_defaults=True) for key, item in items}
         text = partial(json.dumps, ensure_ascii=False)
         write_text(path, worded("baseline/words.yaml", "file")(baseline=self, metrics=held, text=text) + "\n")
-
-
-def split_key(key: str) -> tuple[str, str, str, str]:
-    """Product, subject, method, metric of a name; ValueError when it is none."""
-    product, first, rest = key.partition(SEPARATOR)
-    parts = rest.rsplit(SEPARATOR, 2)
-    if not first or len(parts) != 3:
-        raise ValueError(f"{key!r} is not 'product | subject | method | metric'")
-    return product, parts[0], parts[1], parts[2]
 
 
 @reader
@@ -252,8 +243,6 @@ def _accepted(new: Result, old: Accepted | None) -> Accepted:
 
 def today() -> datetime.date:
     """The date, of SOURCE_DATE_EPOCH where that is set."""
-    from hyperval.report.html import stated_time  # with its templates, not before the imagery is done with
-
     return (stated_time() or datetime.datetime.now(datetime.UTC)).date()
 
 
@@ -414,7 +403,7 @@ def all_runs(
 
 def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     name = job.outline.name
-    folder = source / name if is_run(source / name) else source
+    folder = inside if is_run(inside := source / file_stems([name])[name]) else source
     run, title = Run.open(folder), job.outline.title
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)
@@ -453,7 +442,7 @@ def check(
     ------
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
-    with whole_folder(output) if output is not None else nullcontext() as folder:
+    with whole_folder(output, beside=filter(None, [source])) if output is not None else nullcontext() as folder:
         runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS)
         runs = [_against(run, baselines) for run in runs]
         if folder is not None:

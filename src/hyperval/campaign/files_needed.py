@@ -28,10 +28,10 @@ from hyperval.model import Sources
 from hyperval.observe import Place, check_line_for_detection, observe, open_place, target_groups
 from hyperval.paths import Resolve, is_pattern
 from hyperval.products import SPECTRA
-from hyperval.results import Outcome, Result, row_name
+from hyperval.results import Outcome, Result, grouped, row_name
 from hyperval.run import is_run, read_rows
 from hyperval.scenario import Scenario
-from hyperval.sensor.specification import load_sensor
+from hyperval.sensor.specification import load_sensor, sensor_named
 from hyperval.simulate import load_scene
 from hyperval.spectra.axis import SpectralAxis
 from hyperval.statistics_library import ClassStatistics
@@ -101,12 +101,13 @@ def overview(items: Sequence[Item]) -> list[Item]:
 
     The words of a run stand in braces where an item is that of several campaigns.
     """
-    groups: dict[tuple[str, str, str, str], list[Item]] = {}
-    for item in items:
-        what, detail = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
-        groups.setdefault((item.kind, item.state, item.general(what), item.general(detail)), []).append(item)
+
+    def alike(item: Item) -> tuple[str, ...]:
+        texts = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
+        return item.kind, item.state, *map(item.general, texts)
+
     rows = []
-    for (kind, state, what, detail), members in groups.items():
+    for (kind, state, what, detail), members in grouped(items, alike).items():
         names = list(dict.fromkeys(i.campaign for i in members))
         general = {i.general(i.campaign) for i in members}
         one_file = f", {general.pop()}" if len(general) == 1 else ""
@@ -126,8 +127,7 @@ def overview(items: Sequence[Item]) -> list[Item]:
 def summary(items: Sequence[Item]) -> list[str]:
     """One sentence for each campaign, or for several that lack the same; who holds what is missing."""
     states: dict[tuple[str, str], list[str]] = {}
-    for name in dict.fromkeys(i.campaign for i in items):
-        rows = [i for i in items if i.campaign == name]
+    for name, rows in grouped(items, lambda item: item.campaign).items():
         files, values, wrong, never = (sum(i.state == s for i in rows) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
         counts = (files, "file{} missing"), (values, "value{} to fill in"), (wrong, "unknown name{}")
         words = [f"{count} {what.format('s' * (count > 1))}" for count, what in counts if count]
@@ -192,7 +192,7 @@ def _file(reference: Reference, job: Job) -> list[Item]:
         return [Item("", FILE, MISSING, reference.text, f"{error.what}: {error.mend}")]
     rows = [Item("", FILE, PRESENT, reference.text)]
     is_image = reference.key == "collection.cube.path" and needs_header(path) and path.suffix.lower() != ".hdr"
-    if is_image and job.content["collection"]["cube"].get("header") is None and header_beside(path) is None:
+    if is_image and not {"header", "engine"} & {*job.content["collection"]["cube"]} and header_beside(path) is None:
         rows.append(Item("", FILE, MISSING, f"{reference.text}.hdr", "the ENVI header beside the cube"))
     return rows
 
@@ -305,8 +305,7 @@ def _predicted(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, re
     """The subjects of a scenario, once its sensor and its spectra were looked up."""
     scene, name = scenario.scene, scenario.sensor
     if name is not None:
-        of_file = name.endswith((".yaml", ".yml"))
-        sensor = lookup.tried(("sensor",), lambda: load_sensor(lookup.find(name) if of_file else name))
+        sensor = lookup.tried(("sensor",), sensor_named, name, lookup.find)
         axis = sensor.axis if axis is None and sensor is not None else axis
     for kind in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scene, kind)):

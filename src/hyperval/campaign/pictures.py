@@ -145,4 +145,5 @@ def quicklook(observed: Observed) -> Quicklook | None:
         outlines["targets"] = all_pixels(observed.place.targets, cube.shape)[::step, ::step].copy()
     size = observed.place.pixel_area_m2
     side_m = step * float(np.sqrt(size)) if size else None
-    return Quicklook(colours, outlines, tuple(float(centre[b]) for b in bands), side_m)
+    shown = ", ".join(f"{nm:.0f}" for nm in centre[bands])
+    return Quicklook(colours, outlines, f"bands {shown}" if cube.axis.numbered else f"{shown} nm", side_m)

@@ -26,7 +26,7 @@ from hyperval.metrics import DIGITS, Evidence, default_tolerance, plain_words
 from hyperval.model import Truth, predict
 from hyperval.products import PredictedProducts
 from hyperval.progress import bars, track
-from hyperval.results import Outcome, Result, ResultTable, paired
+from hyperval.results import Outcome, Result, ResultTable, paired, split_key
 from hyperval.run import csv_text
 from hyperval.storage import POWER, whole_folder, write_text
 
@@ -76,7 +76,7 @@ class Injected(Model):
         more = len(self.gates) - _MOST_NAMED
         words = list(self.gates[:_MOST_NAMED])
         with suppress(UsageError):  # a metric of another version
-            words = [f"{plain_words(m, product)}, {of}" for product, of, *_, m in (w.split(" | ") for w in words)]
+            words = [f"{plain_words(m, product)}, {of}" for product, of, _, m in map(split_key, words)]
         criteria = "; ".join(words) + f"; and {more} more" * (more > 0)
         return self.not_applicable or criteria or ", ".join(f"{product} {n}" for product, n in self.informing.items())
 
@@ -136,7 +136,7 @@ class PowerTable(Model):
         now = gate_values(rows)
         values = {n: [of.get(n, math.nan) for of in (self.stated, now)] for n in dict.fromkeys((*self.stated, *now))}
         # A number that one of both lacks is none within the tolerance.
-        within = {n: default_tolerance(n.split(" | ")[3]).width(before) for n, (before, _) in values.items()}
+        within = {n: default_tolerance(split_key(n)[3]).width(before) for n, (before, _) in values.items()}
         return [n for n, (before, value) in values.items() if not abs(value - before) <= within[n]]
 
     def stale(self, inputs: Iterable[Mapping[str, Any]], rows: Iterable[Result]) -> str:
@@ -171,7 +171,7 @@ def gate_values(rows: Iterable[Result]) -> dict[str, float]:
 def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
     """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
     digests = {str(item["reference"]): str(item["sha256"]) for item in inputs}
-    return {name: digest for name, digest in digests.items() if ":" not in name and name.endswith((".yaml", ".yml"))}
+    return {n: digest for n, digest in digests.items() if ":" not in n and n.lower().endswith((".yaml", ".yml"))}
 
 
 def accepted_table(name: str, folder: Path) -> PowerTable | None:

@@ -37,7 +37,7 @@ from hyperval.products import PredictedProducts
 from hyperval.progress import step, track, working
 from hyperval.report import write_index, write_outputs
 from hyperval.results import Cause, Outcome, Result, ResultTable, of_campaign
-from hyperval.run import Run, read_rows
+from hyperval.run import Run, file_stems, read_rows
 from hyperval.storage import RECORD, files_within, partial_folder, sha256_of, whole_folder, write_text
 
 # Engine of states that serve attribution alone.
@@ -299,12 +299,12 @@ def validate(
     the same command goes on from there.
     """
     jobs = jobs_of(*paths)
-    with whole_folder(output) as folder:
+    with whole_folder(output, beside=(one.path for job in jobs for one in job.files if one.path)) as folder:
         earlier = None if again else output.resolve()
         if len(jobs) == 1:
             done = _run_all([CampaignRun(jobs[0], folder, earlier, True)], scheduler, tell)
             return done[0][0].table.exit_code(strict=strict)
-        kept, names = partial_folder(output) / "campaigns", [job.outline.name for job in jobs]
+        kept, names = partial_folder(output) / "campaigns", file_stems(job.outline.name for job in jobs).values()
         pieces = [
             CampaignRun(job, kept / name, earlier / name if earlier else None, False)
             for job, name in zip(jobs, names, strict=True)
@@ -331,8 +331,8 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
     ------
     UsageError : a reflectance cube is asked for and the collection has no empirical line.
     """
-    with whole_folder(output) as folder:
-        job, notes = job_of(Path(path), predicts=False), list[str]()
+    job, notes = job_of(Path(path), predicts=False), list[str]()
+    with whole_folder(output, beside=(one.path for one in job.files if one.path)) as folder:
         refuse(write_reflectance and job.campaign.collection.empirical_line is None, "campaign.line", path)
 
         def cube(observed: Observed) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any, ClassVar, Literal
 
 import scipy
@@ -336,14 +336,21 @@ def _named_in(path: Path, content: Mapping[str, Any], lines: dict[Location, int]
 
 
 def _files(content: Any, base: Path) -> Iterator[Reference]:
+    """The files that a campaign or scenario names.
+
+    >>> line = {"path_radiance": [{"scenario": "day.yaml", "line": "3.1"}]}
+    >>> content = {"collection": {"detector": "MINE.YML", "empirical_line": line}, "scenarios": [{"sensor": "hymap"}]}
+    >>> [one.key for one in _files(content, Path())]
+    ['collection.detector', 'collection.empirical_line.path_radiance.scenario']
+    """
     keys_of_files = package_table("campaign/keys.yaml")["files"]
     for location, text in texts_of(content):
         keys = [part for part in location if isinstance(part, str)]  # not the number of an entry of a list
         key = keys[-1] if keys else ""
         name = (reference_of(text) or "") if key == "solar_spectrum" else text
-        is_sensor = key == "sensor" and name.endswith((".yaml", ".yml"))
-        is_file = key in keys_of_files or "rasters" in keys or is_sensor or name.startswith(PREFIX)
-        if name and is_file and not text.startswith((SIMULATED, FILL_IN)):
+        by_suffix = key in ("sensor", "detector") or keys[-2:] == ["path_radiance", "scenario"]  # else a name
+        is_file = key in keys_of_files or "rasters" in keys or (by_suffix and PurePath(name).suffix)
+        if name and (is_file or name.startswith(PREFIX)) and not text.startswith((SIMULATED, FILL_IN)):
             yield Reference(".".join(keys), name, base)
 
 

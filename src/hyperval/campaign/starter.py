@@ -289,7 +289,7 @@ class Draft:
         if self.sources.scale is not None:
             self.opened()
             return
-        entries, tried = self.raster.description.entries, dict[float, str]()
+        key, header, tried = "reflectance scale factor", self.raster.description.header, dict[float, str]()
         if self.quantity == "reflectance":
             with suppress(HypervalError):
                 self.opened()
@@ -298,9 +298,8 @@ class Draft:
             agreeing = [scale for scale, ratios in possible.items() if ratios and 0.5 <= np.median(ratios) <= 2.0]
             tried = {s: f"{s:g}, the usual one that makes reflectances" for s in [*possible][:1] if s != _THOUSANDS}
             tried = {scale: f"{scale:g}, by which it agrees with the field spectra" for scale in agreeing} or tried
-        elif "reflectance scale factor" in entries and "data gain values" not in entries:
-            factor = float(entries["reflectance scale factor"])  # the reader has found it a number
-            why = f"1/{factor:g}: the header has a 'reflectance scale factor' although it holds radiance"
+        elif header and "data gain values" not in header.entries and (factor := header.number(key)):
+            why = f"1/{factor:g}: the header has a {key!r} although it holds radiance"
             tried = {1.0 / factor: why}
         self._stated(self.collection["cube"], "scale", {scale: {"why": why} for scale, why in tried.items()})
 

@@ -374,6 +374,7 @@ def init(
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     path = output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml"
+    refuse(path.exists(), "file.exists", path)  # before what lies beside it is written anew
     called = path.stem if path == output else output.resolve().name
     title = re.sub(r"[^a-z0-9]+", "-", (name or called).lower()).strip("-") or "campaign"
     files = cube, regions or (), targets, spectra or (), header, quantity, unit
@@ -667,7 +668,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; every error becomes one message on standard error."""
     settings.quiet = settings.debug = False
     try:
-        _check_date()
+        hyperval.storage.stated_time()  # a wrong one is refused now, not when a page is written
         code: int = app(args=arguments, prog_name="hyperval", standalone_mode=False)
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -685,15 +686,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         return _stopped(error)
     return _error(_SIGNALS[code], code) if code in _SIGNALS else code
-
-
-def _check_date() -> None:
-    """Take an empty SOURCE_DATE_EPOCH as none: libraries read it as a number, whenever they come to be loaded."""
-    text = os.environ.get("SOURCE_DATE_EPOCH", "0")
-    if not text.strip():
-        del os.environ["SOURCE_DATE_EPOCH"]
-    elif not (text.isascii() and text.isdigit()):
-        raise UsageError(f"SOURCE_DATE_EPOCH is {text[:100]!r}", expected="seconds since 1970")
 
 
 def _usage(error: TyperException) -> int:

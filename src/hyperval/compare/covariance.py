@@ -19,7 +19,7 @@ from hyperval.model.classification import bhattacharyya_distance
 from hyperval.model.intervals import Z95
 from hyperval.products import PixelDistribution, Products, SpectralEstimate
 from hyperval.results import Effect, Result
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra.axis import SpectralAxis
 
 EIGENVALUES = 5  # compared
 MOST_EIGENVALUES = 30  # in figures
@@ -31,7 +31,7 @@ _MOST_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
     """(B,) usable bands in the atmospheric windows in which both covariances say something."""
-    keep = in_window(axis.centre_nm) & axis.good
+    keep = axis.in_windows & axis.good
     for side in (predicted, observed):
         variance = np.diag(np.asarray(side.pixel_covariance))
         keep = keep & np.isfinite(variance) & (variance > 0)

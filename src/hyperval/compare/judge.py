@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
@@ -15,7 +14,7 @@ from pydantic import Field, model_validator
 
 from hyperval.compare.rows import COMPARISON, said
 from hyperval.config import Model
-from hyperval.errors import UsageError, refuse
+from hyperval.errors import UsageError, nearest, refuse
 from hyperval.metrics import Kind, base_name, metric_of, product_words
 from hyperval.model.intervals import Z95, clopper_pearson
 from hyperval.results import EVERY, Cause, Effect, Outcome, Result, Role
@@ -426,7 +425,7 @@ def _nearest(rows: Sequence[Result], gate: Gate) -> dict[str, list[str]]:
     same = [row for row in rows if row.product == gate.product and row.metric != COMPARISON]
     anywhere = gate.model_copy(update={"subjects": ("*",), "method": "*", "bands_nm": None})
     near = list(dict.fromkeys(f"{r.subject!r} ({r.method})" for r in same if anywhere.covers(r)))
-    return {"near": near, "close": difflib.get_close_matches(gate.metric, sorted({row.metric for row in same}), n=1)}
+    return {"near": near, "close": nearest(gate.metric, sorted({row.metric for row in same}))}
 
 
 def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:

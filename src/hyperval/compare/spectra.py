@@ -37,7 +37,7 @@ from hyperval.metrics import Kind, metric_of
 from hyperval.model.intervals import Z95, clopper_pearson, difference_ratio, difference_ratio_covariance
 from hyperval.products import EstimatedPart, Products, SpectralEstimate
 from hyperval.results import Cause, Effect, Outcome, Result, Role
-from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis, in_window
+from hyperval.spectra.axis import SPECTRAL_REGIONS_NM, SpectralAxis
 
 _DRAWS = 1000
 _SEED = 20180216
@@ -52,11 +52,11 @@ def comparable_bands(predicted: SpectralEstimate, collected: SpectralEstimate, a
 
 def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
     """Bands of each summary: all windows, their part in VNIR, SWIR1 and SWIR2, and the absorption bands."""
-    wavelength = axis.centre_nm
-    window = in_window(wavelength)
+    wavelength, window = axis.centre_nm, axis.in_windows
     ends = SPECTRAL_REGIONS_NM.items()
     parts = {name.lower(): window & (wavelength >= low) & (wavelength < high) for name, (low, high) in ends}
-    return {"windows": window, **parts, "absorption": ~window & (wavelength >= 400.0) & (wavelength <= 2500.0)}
+    dark = ~window & (wavelength >= 400.0) & (wavelength <= 2500.0) & (not axis.numbered)
+    return {"windows": window, **parts, "absorption": dark}
 
 
 def half_of_mean(covariance: Array) -> float:
@@ -838,7 +838,7 @@ def joint_pieces(predicted: Products, observed: Products) -> JointDifference | N
     here, axis = observed.radiance, observed.axis
     mixed = {subject for subject, _ in predicted.scores}
     pairs = {s: (p, here[s]) for s, p in predicted.radiance.items() if s in here and s not in mixed and p.errors}
-    pieces = [(axis.centre_nm >= low) & (axis.centre_nm < high) & in_window(axis.centre_nm) for low, high in PIECES_NM]
+    pieces = [(axis.centre_nm >= low) & (axis.centre_nm < high) & axis.in_windows for low, high in PIECES_NM]
     good = [comparable_bands(p, m, axis) & (p.mean > 0) & (m.mean > 0) for p, m in pairs.values()]
     use = np.reshape(good, (-1, 1, len(axis))).astype(bool) & np.array(pieces)
     use &= np.count_nonzero(use, axis=2, keepdims=True) >= _FEWEST_BANDS

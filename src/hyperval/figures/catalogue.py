@@ -41,7 +41,7 @@ from hyperval.pixels import exceedance_of_distance
 from hyperval.products import ClassificationError, Products, RocCurve, ScoreDistribution, SpectralEstimate
 from hyperval.results import WORST_FIRST, Cause, Result, ResultTable, grouped
 from hyperval.run import ScoreMap
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra.axis import SpectralAxis
 
 Sides = tuple[Products | None, Products | None]
 SIDES = ("predicted", "measured")
@@ -75,7 +75,7 @@ def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[
 
 def in_windows(axis: SpectralAxis) -> Mask:
     """Bands in the windows of the atmosphere; all, where none is."""
-    keep = in_window(axis.centre_nm)
+    keep = axis.in_windows
     return keep if keep.any() else np.ones(keep.shape, bool)
 
 

@@ -20,7 +20,6 @@ from skimage.measure import block_reduce
 from hyperval.data import Array, Mask
 from hyperval.figures.spec import VIRIDIS, Drawing, shortened, tones
 from hyperval.run import Quicklook, ScoreMap
-from hyperval.units import PLAUSIBLE_NM
 
 _MOST_PIXELS = 800  # along the longer side of a picture
 _PER_CSS = 200 / 96  # points of the picture to a pixel of the page
@@ -52,9 +51,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     step = max(1, math.ceil(max(_size(view)) / _MOST_PIXELS))
     whole = Image.fromarray(np.ascontiguousarray(rgb[view][::step, ::step]))
     few = whole.quantize(_OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    bands = ", ".join(f"{band:.0f}" for band in quicklook.band_nm)
-    bands = f"bands {bands}" if min(quicklook.band_nm, default=PLAUSIBLE_NM[0]) < PLAUSIBLE_NM[0] else f"{bands} nm"
-    title = f"Scene with its regions of interest{f' (red, green, blue: {bands})' if quicklook.band_nm else ''}"
+    title = f"Scene with its regions of interest{f' (red, green, blue: {quicklook.bands})' if quicklook.bands else ''}"
     title += _cut(rgb.shape, view)
     canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
     return canvas.drawing("scene", "scene", title, quicklook.regions, quicklook.pixel_size_m)

@@ -18,11 +18,11 @@ import numpy.typing as npt
 from affine import Affine
 from rasterio.crs import CRS
 
-from hyperval.data import Array, Index, Mask
+from hyperval.data import Array, Index, Mask, equals
 from hyperval.envi_header import data_beside, header_beside
 from hyperval.errors import HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
-from hyperval.imagery.description import Bands, Description, ListedBands, Raster, equals, fill_notes, filled
+from hyperval.imagery.description import Bands, Description, ListedBands, Raster, fill_notes, filled
 from hyperval.imagery.envi import EnviRaster, described_by, open_envi, pixel_area_m2
 from hyperval.imagery.products import image_of, open_product
 from hyperval.imagery.tiff import TIFF_MARKS, TIFF_SUFFIXES, open_tiff

@@ -24,7 +24,7 @@ from rasterio.errors import CRSError
 from hyperval.data import Array, Index, Mask
 from hyperval.envi_header import EnviHeader
 from hyperval.errors import filled_words, needed, reader, refusal, refuse
-from hyperval.paths import checked_file
+from hyperval.paths import checked_file, read_text
 from hyperval.spectra.axis import SUNLIT_NM, SpectralAxis, fwhm_from_spacing, spacing_note, wavelengths_in_nm
 from hyperval.spectra.record import reflectance_factor
 from hyperval.spectra.text import number_table
@@ -331,7 +331,7 @@ def _gain_file(path: Path, bands: int) -> Scale:
     Source: JPL, AVIRIS Distribution Document 030217: two columns, factor and channel; spectra divided by the
     factors are radiances in micro-watts/cm^2/nm/sr.
     """
-    text = checked_file(path, what="gain file", most=_MAX_GAIN_BYTES).read_text("latin-1")
+    text = read_text(checked_file(path, what="gain file", most=_MAX_GAIN_BYTES))
     _, table, first = number_table(text, path)
     refuse(len(table) != bands, "gain.rows", path, what=f"{len(table)} rows for {bands} bands", bands=bands)
     divisor, channel = table[:, 0], table[:, 1] if table.shape[1] > 1 else np.arange(1.0, bands + 1.0)
@@ -447,25 +447,6 @@ def gdal_transform(text: str | None) -> Affine | None:
     """The transform of six numbers in the order of GDAL's GeoTransform; None where a text has others."""
     numbers = re.findall(r"[-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?", text or "")
     return Affine.from_gdal(*(float(n) for n in numbers)) if len(numbers) == 6 else None
-
-
-def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
-    """Where the stored values are the ignore value, compared in the stored type; nowhere where that cannot hold it.
-
-    >>> [equals(np.array([of], kind), of).tolist() for of, kind in ((np.nan, "f4"), (-9999.1, "f4"), (-1.0, "i2"))]
-    [[True], [True], [True]]
-    >>> [equals(np.array([2**63 - 1, 7]), of).tolist() for of in (2.0**63, 2.0**64, 7.5)]
-    [[True, False], [False, False], [False, False]]
-    """
-    if np.isnan(ignore):
-        return np.asarray(np.isnan(stored))
-    kind: type[Any] = stored.dtype.type
-    if stored.dtype.kind == "f":
-        fits = np.isinf(ignore) or abs(ignore) <= 1.0000001 * float(np.finfo(kind).max)
-        return np.asarray(stored == (kind(ignore) if fits else np.nan))
-    least, most = np.iinfo(kind).min, np.iinfo(kind).max
-    fits = ignore % 1.0 == 0.0 and least <= ignore <= float(most)  # of 64 bits the next power of two
-    return np.asarray(stored == kind(min(int(ignore), most))) if fits else np.zeros(stored.shape, bool)
 
 
 _LEAST_FILLED = 8  # bands that hold one number by no chance

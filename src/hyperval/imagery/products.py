@@ -460,7 +460,7 @@ def _stac_assets(image: Path) -> Iterator[tuple[Path, dict[str, Any], dict[str, 
         if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
             continue
         try:
-            item = json.loads(checked_file(path, what="STAC item").read_text("utf-8"))
+            item = json.loads(checked_file(path, what="STAC item").read_bytes())
         except (ValueError, RecursionError):
             continue
         assets = item.get("assets") if isinstance(item, dict) and "stac_version" in item else None

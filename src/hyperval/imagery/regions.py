@@ -35,15 +35,15 @@ from scipy import ndimage
 from shapely.geometry import shape as shape_of
 from shapely.geometry.base import BaseGeometry
 
-from hyperval.data import Array, Mask
-from hyperval.envi_header import header_beside
+from hyperval.data import Array, Mask, equals
+from hyperval.envi_header import DATA_SUFFIXES, header_beside
 from hyperval.errors import WARNING, HypervalError, InputError, needed, reader, refusal, refuse
 from hyperval.imagery import arrays
 from hyperval.imagery.cube import HDF5, MATRICES, TIFF, Cube, kind_of, open_raster
-from hyperval.imagery.description import Raster, crs_of_wkt, equals
+from hyperval.imagery.description import Raster, crs_of_wkt
 from hyperval.imagery.placing import MAX_VERTICES, LocationTable, table_of
 from hyperval.paths import checked_file, head_of, read_table, read_text, read_xml
-from hyperval.storage import number_of
+from hyperval.storage import decoded, number_of
 
 _EDGE = 1e-6  # [pixel] rounding allowed to a vertex on the border of the image
 _OFF_GRID = 0.25  # [pixel] that a raster may lie off the image; half of one puts a pixel on another
@@ -477,17 +477,17 @@ def csv_regions(path: Path, grid: ImageGrid) -> Drawn:
     """Regions of a CSV pixel list.
 
     Columns ``row0,col0`` or ``line,sample`` (0-based) or ``row1,col1`` (1-based), and ``region``,
-    ``name`` or ``class`` where the file holds more than one region.
+    ``name`` or ``class`` where the file holds more than one region; ``grid.name_field`` names another column.
     """
     fields, rows = read_table(path, {*REGION_COLUMNS, *(name for p in _COLUMNS for name in p)})
     pair = next((p for p in _COLUMNS if set(p) <= set(fields)), None)
     pair = needed(pair, "region.columns", f"{path}:1", columns=", ".join(fields) or "none")
-    column = next((c for c in REGION_COLUMNS if c in fields), None)
+    column = grid.name_field or next((c for c in REGION_COLUMNS if c in fields), None)
+    refuse(column not in (None, *fields), "region.property", f"{path}:1", name=column, known=", ".join(fields))
     pixels: dict[str, list[list[int]]] = {}
     for number, row in rows:
-        if not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair):
-            numbers = {"first": row[pair[0]], "second": row[pair[1]]}
-            raise refusal("region.row", f"{path}:{number}", pair=pair, **numbers)
+        wrong = not all(re.fullmatch(r"[+-]?[0-9]{1,12}", row[key]) for key in pair)
+        refuse(wrong, "region.row", f"{path}:{number}", pair=pair, first=row[pair[0]], second=row[pair[1]])
         name = row[column] if column else path.stem
         refuse(not name, "region.no_name", f"{path}:{number}", column=column)
         pixels.setdefault(name, []).append([int(row[key]) - _COLUMNS[pair] for key in pair])
@@ -615,9 +615,9 @@ def _once(path: Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def is_kml(head: bytes) -> bool:
-    """True for the first bytes of a KML file."""
-    return re.search(rb"<\s*(\w+:)?kml[\s>]", head) is not None
+def is_kml(words: str) -> bool:
+    """True for the first words of a KML file."""
+    return re.search(r"<\s*(\w+:)?kml[\s>]", words) is not None
 
 
 def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
@@ -660,10 +660,10 @@ def vector_regions(path: Path, grid: ImageGrid) -> Drawn:
 
 def _check_files(path: Path) -> None:
     files = [path]
-    if is_kml(head_of(path)) and re.search(rb"<!\s*(DOCTYPE|ENTITY)", path.read_bytes()[:MAX_BYTES], re.IGNORECASE):
+    if is_kml(decoded(head_of(path))) and re.search(r"(?i)<!\s*(DOCTYPE|ENTITY)", read_text(path, MAX_BYTES)):
         raise refusal("vector.entity", path)
     if path.suffix.lower() == ".shp":
-        parts = {p.suffix.lower(): p for p in path.parent.glob(f"{path.stem}.*")}
+        parts = {p.suffix.lower(): p for p in path.parent.iterdir() if p.stem == path.stem}
         for end in (".dbf", ".shx"):
             refuse(end not in parts, "vector.part", path, end=end)
         files += [checked_file(parts[end], what="region file") for end in _SIDECARS if end in parts]
@@ -672,15 +672,15 @@ def _check_files(path: Path) -> None:
 
 def _reader_of(path: Path) -> Callable[[Path, ImageGrid], Drawn]:
     """What reads a file of regions, whose format is known from its content; UsageError for one that is not known."""
-    head, ending = head_of(path), path.suffix.lower()
-    stripped = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    words, ending = decoded(head_of(path)).lstrip("\ufeff \t\r\n"), path.suffix.lower()
+    is_image = ending in DATA_SUFFIXES and header_beside(path) is not None  # whatever letters its first pixels are
     for fits, regions in (
-        (kind_of(path) in (TIFF, *MATRICES), raster_regions),
-        (stripped.startswith(b"<") and not is_kml(head), xml_regions),
-        (b"ENVI Output of ROIs" in head[:200], ascii_regions),
-        (head.startswith(b"JoeB"), binary_regions),
-        (head.startswith((b"SQLite format 3\0", b"\x00\x00\x27\x0a")) or is_kml(head), vector_regions),
-        (stripped.startswith(b"{"), geojson_regions),
+        (is_image or kind_of(path) in (TIFF, *MATRICES), raster_regions),
+        (words.startswith("<") and not is_kml(words), xml_regions),
+        ("ENVI Output of ROIs" in words[:200], ascii_regions),
+        (words.startswith("JoeB"), binary_regions),
+        (words.startswith(("SQLite format 3\0", "\x00\x00\x27\x0a")) or is_kml(words), vector_regions),
+        (words.startswith("{"), geojson_regions),
     ):
         if fits:
             return regions

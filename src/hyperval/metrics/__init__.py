@@ -6,7 +6,6 @@ differ by and what a change of the science makes (docs/regression.md has both as
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,7 +18,7 @@ from typing import Literal, NamedTuple
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from hyperval.errors import needed, package_table, worded
+from hyperval.errors import nearest, needed, package_table, worded
 
 
 class Evidence(StrEnum):
@@ -170,7 +169,7 @@ def metric_of(name: str) -> Metric:
     row = next((m for m in metrics.values() if fnmatchcase(base, m.name)), None)
     if row is None and set(base) & set("*?"):
         row = next((m for m in metrics.values() if fnmatchcase(m.name, base)), None)
-    near = "" if row else "".join(difflib.get_close_matches(base, metrics, n=1))
+    near = "" if row else "".join(nearest(base, metrics))
     return needed(row, "metric.near" if near else "metric.unknown", name=name, near=near)
 
 

@@ -25,7 +25,6 @@ from hyperval.model.stated import Origins, Truth, band_correlation
 from hyperval.model.world import World, read_world, settled, with_truths
 from hyperval.products import Abundance, ClassificationError, PixelDistribution, PredictedProducts
 from hyperval.scenario import Scenario, TargetSubject
-from hyperval.spectra.axis import in_window
 
 
 def bhattacharyya_distance(
@@ -461,7 +460,7 @@ def predicted_classification(
     """
     axis = prediction.axis
     spectra = prediction.radiance if quantity == "radiance" else prediction.reflectance
-    usable = in_window(axis.centre_nm) & axis.good
+    usable = axis.in_windows & axis.good
     out = {}
     for chosen in sets:
         if not all(name in spectra for name in chosen):

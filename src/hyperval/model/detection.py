@@ -39,7 +39,7 @@ from hyperval.model.stated import Keeps, distinct
 from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Scenario, TargetSubject
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra.axis import SpectralAxis
 
 RocKey = tuple[str, str, str]
 
@@ -390,7 +390,7 @@ def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: Mask) -> Ind
     if choice.drop_bad:
         keep &= axis.good
     if choice.windows_only:
-        keep &= in_window(axis.centre_nm)
+        keep &= axis.in_windows
     if choice.ranges:
         keep &= np.any([(axis.centre_nm >= a) & (axis.centre_nm <= b) for a, b in choice.ranges], axis=0)
     for name, listed in (("channels", choice.channels), ("bad_channels", choice.bad_channels)):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from itertools import product
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -42,7 +42,7 @@ from hyperval.scenario import (
     TargetSubject,
 )
 from hyperval.sensor.noise import NoiseModel
-from hyperval.sensor.specification import Sensor, binned_axis, library_names, library_sensor, load_sensor
+from hyperval.sensor.specification import Sensor, binned_axis, sensor_named
 from hyperval.settings import with_settings
 from hyperval.spectra import FieldSpectrum, read_records, read_spectrum
 from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
@@ -754,8 +754,7 @@ def read_files(
     find, measured, operation = source.find(scenario), source.measured or {}, scenario.sensor_operation
     name, sensor = scenario.sensor or "", source.sensor
     if sensor is None and name:
-        path = find(name) if PurePath(name).suffix or ":" in name else name
-        sensor = library_sensor(name) if name in library_names() else load_sensor(path)
+        sensor = sensor_named(name, find)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = needed(next((a for a in axes if a is not None), None), "scenario.bands")
     true, noise, kept = axis, None, dict[Any, Any]()

@@ -10,7 +10,6 @@ move (:data:`PATHS`) composes: factors multiply, what is added adds up.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -23,7 +22,7 @@ import numpy.typing as npt
 
 from hyperval.atmosphere.terms import AtmosphericTerms
 from hyperval.data import Array, Index
-from hyperval.errors import UsageError, package_table, refuse
+from hyperval.errors import UsageError, nearest, package_table, refuse
 from hyperval.model.fill import (
     FillDistribution,
     fill_distribution,
@@ -223,7 +222,7 @@ def value_at(world: World, path: str) -> Any:
     try:
         return column_of([setting(stated.scenario, path)])
     except UsageError as error:
-        near = difflib.get_close_matches(path, every_path(world), n=1)
+        near = nearest(path, every_path(world))
         if error.mend or not near:
             raise
         mend = f"did you mean {near[0]}?"

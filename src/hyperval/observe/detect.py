@@ -29,7 +29,6 @@ from hyperval.observe.open import IMAGE, Place, number_rows, said
 from hyperval.paths import Resolve
 from hyperval.products import ANOMALIES, Abundance, ExceedanceCurve, ObjectScores, ScoreDistribution, background_of
 from hyperval.progress import track, watch_lines
-from hyperval.spectra import in_window
 
 Groups = dict[str, list[TargetObject]]
 
@@ -215,7 +214,7 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
     axis, line, sample = place.cube.axis, place.line, place.statistics[BACKGROUND]
     rules: dict[str, Mask | bool] = {
         "bad in the band list": axis.good | (detection.bands == "all"),
-        "in absorption bands": in_window(axis.centre_nm) | (detection.bands != "windows"),
+        "in absorption bands": axis.in_windows | (detection.bands != "windows"),
         "not in the target spectra": np.asarray(np.isfinite([np.zeros(len(axis)), *spectra]).all(axis=0)),
         "without a gain of the empirical line": True if line is None else line.usable,
     }

@@ -51,7 +51,7 @@ from hyperval.paths import Resolve, checked_file, read_text
 from hyperval.pixels import SCENE as SCENE
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
-from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, in_window, number_table, spacing_note
+from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, number_table, spacing_note
 from hyperval.units import RADIANCE_UNIT, to_internal
 
 IMAGE = "image"
@@ -151,7 +151,7 @@ class Place:
     def clear_bands(self) -> Mask:
         """(B,) good bands in the windows of the atmosphere; all good ones where bands go by number."""
         axis = self.cube.axis
-        return np.asarray(axis.good & (in_window(axis.centre_nm) | axis.numbered))
+        return np.asarray(axis.good & (axis.in_windows | axis.numbered))
 
     @property
     def near_targets(self) -> Mask:

@@ -27,7 +27,7 @@ from hyperval.paths import Resolve
 from hyperval.pixels import EmpiricalLine, Labels, MeasuredPanel, fit_elm
 from hyperval.products import EstimatedPart, ObservedProducts, SpectralEstimate
 from hyperval.scenario import SpectrumSource, Surface, Uncertainty, load_scenario
-from hyperval.sensor.specification import Sensor, load_sensor
+from hyperval.sensor.specification import Sensor, sensor_named
 from hyperval.spectra import TOP, FieldSpectrum, SpectralAxis, band_average, read_radcalnet, read_spectrum
 from hyperval.units import RADIANCE_UNIT
 
@@ -260,7 +260,7 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     axis = read_band_table(resolve(bands.path), bands)
     detector = None
     if (name := collection.detector) is not None:
-        detector = load_sensor(resolve(name) if name.endswith((".yaml", ".yml")) else name)
+        detector = sensor_named(name, resolve)
     notes = [*band_table_notes(bands, axis)]
     radiance: dict[str, SpectralEstimate] = {}
     for site in collection.spectra:

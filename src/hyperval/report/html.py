@@ -8,11 +8,9 @@ from __future__ import annotations
 import functools
 import gzip
 import hashlib
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +26,7 @@ from hyperval.products import background_of
 from hyperval.report import verdict as v
 from hyperval.results import WORST_FIRST, Outcome, Result, ResultTable, grouped, row_name
 from hyperval.run import Run, is_run, provenance_of, read_products
-from hyperval.storage import installed_file, whole_folder
+from hyperval.storage import installed_file, stated_time, whole_folder
 
 # Packages and files: the library, what unpacks it and draws the figures, and the script of every page, which sorts and
 # filters tables and links to evidence.
@@ -56,8 +54,12 @@ def page_hashes(figures: bool = True) -> str:
 
 
 def anchor(row: Result) -> str:
-    """Where the evidence of a row stands on its page."""
-    return re.sub(r"[^A-Za-z0-9]+", "-", f"e-{row.product}-{row.subject}").strip("-")
+    """Where the evidence of a row stands on its page.
+
+    >>> [anchor(Result("", "radiance", subject, "6S", "bias_ratio")) for subject in ("dry lawn, cut", "草", "木")]
+    ['e-radiance-dry-lawn-cut', 'e-radiance-草', 'e-radiance-木']
+    """
+    return re.sub(r"\W+", "-", f"e-{row.product}-{row.subject}").strip("-")
 
 
 def matrix_of(
@@ -289,13 +291,6 @@ def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (),
     )  # fmt: skip
 
 
-def stated_time() -> datetime | None:
-    """When SOURCE_DATE_EPOCH says that something is made; None when it is not set."""
-    text = os.environ.get("SOURCE_DATE_EPOCH", "")
-    refuse(text and not text.isdigit(), "results.date", text=text)
-    return datetime.fromtimestamp(int(text), UTC) if text else None
-
-
 def _made(rows: Sequence[Result], product: str) -> list[Result]:
     """Planned rows of a product that were made."""
     return [row for row in rows if row.product == product and row.planned and row.outcome is not Outcome.SKIPPED]
@@ -358,7 +353,7 @@ def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
 
 def figures_to_folder(run: Path, output: Path, kind: Kind, journal: bool) -> int:
     """Write the drawings of a run into a new folder; errors as of :func:`run_drawings`."""
-    with whole_folder(output) as folder:
+    with whole_folder(output, beside=[run]) as folder:
         for drawing in run_drawings(run, kind, journal):
             (folder / drawing.file_name).write_bytes(drawing.content)
     return 0

@@ -35,7 +35,7 @@ def compare_runs(one: Path, other: Path, output: Path) -> str:
     a, b = Run.open(one), Run.open(other)
     pairs = paired(a.table, b.table)
     refuse(not any(p.a and p.b for p in pairs), "results.common", f"{one}, {other}")
-    with whole_folder(output) as folder:
+    with whole_folder(output, beside=(one, other)) as folder:
         Run(difference_table(pairs)).write(folder, side_by_side_page(a, b, pairs))
     return conclusion(pairs)
 

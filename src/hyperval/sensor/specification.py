@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib import resources
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -583,6 +583,11 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
     library = shipped("hyperval.sensor", "library")
     path = file_of(name_or_path, library, "sensor")
     return library_sensor(path.stem) if path in library.values() else Sensor(load_model(SensorSpecification, path))
+
+
+def sensor_named(name: str, find: Callable[[str], Path]) -> Sensor:
+    """The sensor that an entry of a file names: of the library, or in a file that ``find`` leads to."""
+    return load_sensor(find(name) if PurePath(name).suffix or ":" in name else name)
 
 
 @lru_cache(maxsize=16)

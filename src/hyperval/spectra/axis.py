@@ -77,6 +77,25 @@ class SpectralAxis:
         """True where numbers of bands stand in place of wavelengths, which are never below 100 nm."""
         return bool(self.centre_nm[0] < PLAUSIBLE_NM[0])
 
+    @property
+    def in_windows(self) -> Mask:
+        """(B,) bands in the clear windows of the atmosphere; none where bands go by number.
+
+        >>> SpectralAxis(np.arange(1.0, 481.0), 1.0).in_windows.any()
+        np.False_
+        """
+        return in_window(self.centre_nm) & (not self.numbered)
+
+    @property
+    def words(self) -> str:
+        """How many bands, and from where to where.
+
+        >>> SpectralAxis(np.array([500.0, 520.0]), 5.0).words, SpectralAxis(np.array([1.0, 2.0]), 1.0).words
+        ('2 bands, 500-520 nm', '2 bands by number')
+        """
+        ends = " by number" if self.numbered else f", {self.centre_nm[0]:.0f}-{self.centre_nm[-1]:.0f} nm"
+        return f"{len(self)} bands{ends}"
+
     def select(self, keep: npt.NDArray[Any]) -> SpectralAxis:
         """The axis of the bands that ``keep`` (mask or indices) names."""
         return SpectralAxis(self.centre_nm[keep], self.fwhm_nm[keep], self.good[keep])

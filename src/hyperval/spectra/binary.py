@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.data import Array
+from hyperval.data import Array, equals
 from hyperval.envi_header import data_beside, header_beside, read_header
 from hyperval.errors import needed, package_table, refusal, refuse
 from hyperval.paths import checked_file
@@ -278,10 +278,10 @@ def library_records(file: SpectraFile) -> list[FieldSpectrum]:
     wavelength = needed(header.numbers("wavelength", channels), "library.wavelengths", header.path, channels=channels)
     names = header.strings("spectra names") or tuple(f"spectrum {i + 1}" for i in range(lines))
     refuse(len(names) != lines, "library.names", header.where("spectra names"), count=len(names), lines=lines)
-    values = np.fromfile(path, header.dtype, offset=header.header_offset).reshape(lines, channels).astype(float)
+    values = np.fromfile(path, header.dtype, offset=header.header_offset).reshape(lines, channels)
     # An ignore value and a list of bad bands both say that channels hold no value.
     ignore, flags = header.number("data ignore value"), header.numbers("bbl", channels)
-    empty = np.zeros(values.shape, bool) if ignore is None else values == ignore
+    empty = np.zeros(values.shape, bool) if ignore is None else equals(values, ignore)
     if flags is not None:
         empty |= flags == 0.0
     key, factor = "reflectance scale factor", header.number("reflectance scale factor")

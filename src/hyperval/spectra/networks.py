@@ -25,7 +25,7 @@ import numpy as np
 from hyperval.data import Array
 from hyperval.errors import package_table, reader, refusal, refuse
 from hyperval.hdf5 import opened_netcdf
-from hyperval.paths import checked_file
+from hyperval.paths import checked_file, read_text
 from hyperval.spectra.record import MAX_BYTES, FieldSpectrum, SpectraFile, SpectrumErrors
 from hyperval.storage import number_of
 
@@ -146,7 +146,7 @@ def read_radcalnet(path: Path | str) -> RadCalNetDay:
     UsageError : neither the name, by .input or .output, nor the content says what was measured.
     """
     path = checked_file(path, what="daily file of RadCalNet", most=MAX_BYTES)
-    return day_of(path.read_text("utf-8", errors="replace"), path)
+    return day_of(read_text(path), path)
 
 
 def radcalnet_records(file: SpectraFile) -> list[FieldSpectrum]:

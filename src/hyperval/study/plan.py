@@ -26,7 +26,7 @@ from hyperval.model.stated import plain, state_entries
 from hyperval.model.world import check_numbers, column_of, in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.settings import with_settings
-from hyperval.spectra.axis import SpectralAxis, in_window
+from hyperval.spectra.axis import SpectralAxis
 from hyperval.study.schema import Input, Moving, Output, Random, Required, StudyFile
 
 Column = npt.NDArray[Any]
@@ -134,7 +134,7 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
         band = axis.nearest(output.band_nm, widths=2.0)
         return np.array([needed(band, "study.band", name=output.name, nm=output.band_nm)])
     low, high = output.range_nm or (0.0, np.inf)
-    bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & in_window(w))
+    bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & axis.in_windows)
     refuse(not bands.size, "study.range", name=output.name, low=low, high=high)
     return bands
 

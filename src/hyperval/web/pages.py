@@ -12,7 +12,6 @@ from starlette.datastructures import FormData
 from starlette.responses import FileResponse, HTMLResponse, Response
 
 import hyperval
-from hyperval.config import schema_text
 from hyperval.errors import package_table
 from hyperval.report.html import CHARTS, LIBRARY, strict_templates
 from hyperval.sensor.specification import library_names, load_sensor
@@ -80,8 +79,7 @@ def static(name: str) -> Response:
 @pages.get("/{kind}.schema.json")
 def schema(kind: Literal["campaign", "scenario", "study"]) -> Response:
     """The schema that the first line of a file names, by which editors complete and check it."""
-    headers = {"content-disposition": f'attachment; filename="{kind}.schema.json"'}
-    return Response(schema_text(kind), media_type="application/json", headers=headers)
+    return FileResponse(installed_file("hyperval", "schemas", f"{kind}.json"), filename=f"{kind}.schema.json")
 
 
 @pages.get("/docs")

@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import lru_cache
-from mimetypes import guess_type
 from operator import itemgetter
 from pathlib import Path
 from typing import Annotated, Any
@@ -140,15 +139,14 @@ def file(request: Request, run: OwnRun, name: str) -> Response:
     # What a command wrote is reached by a link of the store's own; no other leads out of the run.
     is_own = any(path.resolve().is_relative_to(p.resolve()) for p in (place, place / "results"))
     deny(not path.is_file() or not is_own, 404, "this run has no such file")
-    shown = {".html", ".svg", ".png"} & {path.suffix}
-    stem = run.name.removeprefix("run:")
-    headers = {"content-disposition": f'{"inline" if shown else "attachment"}; filename="{stem}-{path.name}"'}
+    taken_as = "inline" if path.suffix in (".html", ".svg", ".png") else "attachment"
+    saved_as, headers = f"{run.name.removeprefix('run:')}-{path.name}", dict[str, str]()
     if path.suffix == ".html":  # the page of a report has scripts of its own, and these alone
         headers["content-security-policy"] = (
             f"default-src 'none'; img-src data: 'self'; style-src 'unsafe-inline'; script-src {page_hashes()}; "
             "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
         )
-    return FileResponse(path, media_type=guess_type(path.name)[0] or "application/octet-stream", headers=headers)
+    return FileResponse(path, headers=headers, filename=saved_as, content_disposition_type=taken_as)
 
 
 @pages.post("/runs/{run_id}/cancel")

@@ -38,7 +38,6 @@ from hyperval.run import file_stems, read_products
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.simulate import simulate
-from hyperval.spectra.axis import in_window
 from hyperval.storage import write_text
 from hyperval.study import live_figure, next_piece, study_to_folder
 from hyperval.web.refusal import for_pages
@@ -84,7 +83,7 @@ def predict(folder: str) -> dict[str, Any]:
         with suppress(UsageError):  # where the curves of the scenario begin above it
             found = zip(("pd", "lower", "upper"), map(_number, prediction.pd(pfa=pfa, **about)), strict=True)
             rows.append({**about, "pfa": pfa, **dict(found)})
-    good = prediction.axis.good & in_window(prediction.axis.centre_nm)
+    good = prediction.axis.good & prediction.axis.in_windows
     medians = {n: _number(np.nanmedian(e.mean[good])) for n, e in prediction.snr.items() if not n.endswith(")")}
     snr = [{"subject": name, "median": median} for name, median in medians.items()]
     nm = prediction.axis.centre_nm
