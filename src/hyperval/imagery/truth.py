@@ -246,10 +246,8 @@ def _outline(centre: tuple[float, float], sides: Array, scale: float, heading_de
     return np.asarray(np.array(centre) + (sides[:, :1] / scale) * along + (sides[:, 1:] / scale) * across)
 
 
-_NUMERIC = frozenset(
-    {"side_m", "width_m", "length_m", "area_m2", "heading_deg", "position_uncertainty_m"}
-    | {column for pair in _PLACES for column in pair}
-)
+_SIZES = {"side_m", "width_m", "length_m", "area_m2", "heading_deg", "position_uncertainty_m"}
+_NUMERIC = frozenset(_SIZES.union(*_PLACES))
 
 
 def intersected_objects(

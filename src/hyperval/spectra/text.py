@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hyperval.data import Array
-from hyperval.errors import refusal, refuse
+from hyperval.errors import package_table, refusal, refuse
 from hyperval.paths import checked_file, csv_rows
 from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum, SpectraFile
 from hyperval.storage import decoded
@@ -50,15 +50,8 @@ _NOTHING = re.compile(r"\b((n|of) \d+|mean|average|avg|refl|rfl|(reflect|radi|ir
 _COVERAGE = re.compile(r"\b(?:u\W{1,2})?k ?= ?([1-9][0-9.]*)|\b([1-9])[- ]?(?=sigma\b)", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
-# What titles say of values that are no reflectance.
-_QUANTITIES = {
-    "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])|^(?!.*irrad).*\.asd\.rad$",  # the last as ViewSpec exports it
-    "irradiance": r"(?<![a-z])(irradiance|ppfd)|irrad.*\.asd\.rad$",
-    "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
-    "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
-    "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
-    r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed|error.?bars?|bandpass)",
-}
+# What titles say of values that are no reflectance; the first that a title fits.
+_QUANTITIES: dict[str, str] = package_table("spectra/words.yaml")["quantities_of_titles"]
 # A line above a table that says what it holds, and the titles of the edges of its steps.
 _ABOVE = re.compile(r"(?im)^\W*(measurement type\W+\w+|ppfd\b|(spectral )?(ir)?radiance\s*[(\[].*[)\]]\W*$)")
 _EDGES = re.compile(r"(?i)[^\t]*(lower|low|start|min)(?![a-z])[^\t]*\t[^\t]*(upper|end|max)(?![a-z]).*\t")
