@@ -114,8 +114,7 @@ def delivery(tmp_path):
     kinds = "file type = ENVI Classification", "classes = 6", f"class names = {{none, {', '.join(names)}}}"
     written(tmp_path / "map.img", classes, *kinds, bands=None)
     table = np.column_stack([w, lawn, court, felt, 0.04 + 0 * w, 0.6 + 0 * w])
-    head = "wavelength_nm,lawn,court,felt,black,white"
-    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header=head, comments="")
+    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header="nm,lawn,court,felt,black,white", comments="")
     (tmp_path / "asd").mkdir()
     for i, (name, k) in product((1, 2), {"Felt.0000": 3, "lawn_000": 1, "black0": 4, "WR0": 5, "white0": 5}.items()):
         np.savetxt(tmp_path / "asd" / f"{name}{i}.txt", table[:, [0, k]] * [1.0, 0.8 + 0.1 * i], header="nm refl")
@@ -147,7 +146,8 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     assert decides == tests | {(of, "median_difference_ratio_windows"): True for of, _ in tests}
 
     # Readings that the instrument numbered are the replicates of a spectrum; those of its reference are of nothing.
-    assert cli.run([*delivery, str(tmp_path / "asd"), "-o", str(tmp_path / "many")]) == 0
+    asked = [*delivery, str(tmp_path / "asd"), "-o", str(tmp_path / "many")]
+    assert [cli.run([*asked, *more]) for more in ([], ["--cube", str(tmp_path / "map.img")])] == [0, 2]  # of classes
     assert summary(dry_run([tmp_path / "many" / "campaign.yaml"])) == ["many: ready"]
     many = job_of(tmp_path / "many" / "campaign.yaml").campaign
     sought = [*many.detection.targets, *many.collection.empirical_line.panels]
@@ -155,8 +155,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     assert files == [f"{name}{i}.txt" for name in ("Felt.0000", "black0", "white0") for i in (1, 2)]
     assert re.search("a third: felt.#, black#, lawn_#, white#.*not used: WR01.txt, WR02.txt;", str(many.assumptions))
 
-    felts = tmp_path / "felts.csv"
-    felts.write_text(felts.read_text("utf-16").replace(",0.5\n", ",1\n"))  # of one size
+    (felts := tmp_path / "felts.csv").write_text(felts.read_text("utf-16").replace(",0.5\n", ",1\n"))  # of one size
     assert cli.run([*delivery, str(tmp_path / "field.csv"), "-o", str(tmp_path / "one")]) == 0
     scene = job_of(tmp_path / "one" / "campaign.yaml").campaign.scenarios[0].scene
     assert scene.targets[0].fill.geometry.side_m == 1.0
@@ -216,5 +215,5 @@ def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, region, recor
     content = yaml.safe_load((tmp_path / "new" / "campaign.yaml").read_text())
     assert re.search(rf"True, 'scale': '?{'0.001' if matched else FILL_IN}", str(content["collection"]["cube"]))
     classes = [s["spectrum"] for one in content.get("scenarios", []) for s in one["scene"]["classes"]]
-    found = [each.get("record") or each["replicates"]["records"] for each in classes]
-    assert found == [matched][: matched is not None]  # nothing is predicted, or compared, without one
+    # Nothing is predicted, or compared, without one.
+    assert [c.get("record") or c["replicates"]["records"] for c in classes] == [matched][: matched is not None]

@@ -166,6 +166,7 @@ class Draft:
         # Numbers without wavelengths, or of MATLAB, say nothing of what they are.
         stated = "counts" if numbered or "MATLAB" in about.product else about.quantity or told_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
+        refuse("class names" in about.entries, "starter.classes", sources.cube)
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         refuse(quantity == "deviations", "scale.deviations", sources.cube, quantity="radiance or reflectance")
         lines, samples, bands = self.raster.size
@@ -393,10 +394,8 @@ class Draft:
         the dark, is none of the scene.
         """
         words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
-        fits = (
-            [s for s in pool if _words(s.name) and test(_words(s.name), words) and not _REFERENCE.search(s.name)]
-            for test, pool in product(tests, (self.spectra, self.kinds))
-        )
+        pools = [[s for s in p if _words(s.name) and not _REFERENCE.search(s.name)] for p in (self.spectra, self.kinds)]
+        fits = ([s for s in pool if test(_words(s.name), words)] for test, pool in product(tests, pools))
         return next((matches[0] for matches in fits if len(matches) == 1), None)
 
     def _unused(self) -> None:
