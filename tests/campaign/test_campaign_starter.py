@@ -168,12 +168,14 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
     path = tmp_path / "new" / "campaign.yaml"
     assert any("no detection: in radiance it needs an empirical line" in a for a in job_of(path).campaign.assumptions)
     assert summary(dry_run([path])) == ["new: ready"]
-    # Written by hand all the same, the dry run says so before the collection is read.
+    # Written by hand all the same, the dry run says so before the collection is read; and that spectra end too early.
     content = yaml.safe_load(path.read_text())
     target = {"name": "felt", "material": "felt", "spectrum": {"file": "../few.csv", "record": "felt"}}
     content["detection"] = {"group": "{target} {side_m} m", "detectors": ["cem"], "targets": [target]}
     path.write_text(yaml.safe_dump(content))
-    assert any("detection on radiance needs an empirical line" in str(i) for i in dry_run([path]) if i.state == WRONG)
+    for bands, words in ((45, "detection on radiance needs an empirical line"), (20, "'court' does not cover")):
+        np.savetxt(tmp_path / "few.csv", table[:bands], delimiter=",", header="nm,lawn,court,felt", comments="")
+        assert any(words in str(i) for i in dry_run([path]) if i.state == WRONG)
 
 
 def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_path):

@@ -25,10 +25,11 @@ from hyperval.errors import HypervalError, InputError, T, package_table
 from hyperval.imagery import needs_header
 from hyperval.metrics import foreign, metric_of
 from hyperval.model import Sources
+from hyperval.model.stated import SurfaceStatistics, uncovered_bands
 from hyperval.observe import Place, check_line_for_detection, observe, open_place, target_groups
 from hyperval.paths import Resolve, is_pattern
 from hyperval.products import SPECTRA
-from hyperval.results import Outcome, Result, row_name
+from hyperval.results import Outcome, Result, grouped, row_name
 from hyperval.run import is_run, read_rows
 from hyperval.scenario import Scenario
 from hyperval.sensor.specification import load_sensor
@@ -101,12 +102,13 @@ def overview(items: Sequence[Item]) -> list[Item]:
 
     The words of a run stand in braces where an item is that of several campaigns.
     """
-    groups: dict[tuple[str, str, str, str], list[Item]] = {}
-    for item in items:
+
+    def alike(item: Item) -> tuple[str, str, str, str]:
         what, detail = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
-        groups.setdefault((item.kind, item.state, item.general(what), item.general(detail)), []).append(item)
+        return item.kind, item.state, item.general(what), item.general(detail)
+
     rows = []
-    for (kind, state, what, detail), members in groups.items():
+    for (kind, state, what, detail), members in grouped(items, alike).items():
         names = list(dict.fromkeys(i.campaign for i in members))
         general = {i.general(i.campaign) for i in members}
         one_file = f", {general.pop()}" if len(general) == 1 else ""
@@ -243,20 +245,22 @@ class Lookup:
 
     def spectra(
         self, location: Location, entry: Any, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
-    ) -> None:
-        """Read the spectrum of an entry, and its covariance, as the run does; of ``regions`` the names alone.
+    ) -> SurfaceStatistics | None:
+        """The spectrum of an entry, read with its covariance as the run does; of ``regions`` the names alone.
 
         What a simulation writes is not there yet; a spread that is stated stands in no file.
         """
+        found = dict[str, SurfaceStatistics | None]()
         if axis is None:
-            return
+            return None
         none = np.zeros(len(axis))
         sources = Sources(axis, dict.fromkeys(regions, ClassStatistics("", axis, none, np.diag(none))), self.find)
         for key in ("spectrum", "covariance"):
             source: Any = getattr(entry, key, None)
             stated = {} if source is None else source.model_dump(exclude_none=True)
             if stated and "relative_sd" not in stated and not str(stated.get("file")).startswith(SIMULATED):
-                self.tried((*location, key), sources.spectrum, source, name)
+                found[key] = self.tried((*location, key), sources.spectrum, source, name)
+        return found.get("spectrum")
 
 
 def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
@@ -308,9 +312,12 @@ def _predicted(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, re
         of_file = name.endswith((".yaml", ".yml"))
         sensor = lookup.tried(("sensor",), lambda: load_sensor(lookup.find(name) if of_file else name))
         axis = sensor.axis if axis is None and sensor is not None else axis
+    read = dict[str, Any]()
     for kind in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scene, kind)):
-            lookup.spectra(("scene", kind, i), surface, surface.name, axis, regions)
+            read[surface.name] = lookup.spectra(("scene", kind, i), surface, surface.name, axis, regions)
+    if axis is not None and None not in read.values():
+        lookup.tried(("scene",), list, uncovered_bands(scenario, read, axis))
     lookup.spectra(("scene", "adjacency"), scene.adjacency, "surroundings", axis, regions)
     populations = [p.name for target in scene.targets for p in target.populations]
     return [s.name for s in (*scene.classes, *scene.panels, *scene.sites)] + populations
