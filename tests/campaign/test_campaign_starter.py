@@ -135,8 +135,8 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
     # Panels by their flat spectra, as no name says it; four pixels of black tell no SNR.
     assert [[p.region for p in line.panels], campaign.collection.snr_regions] == [["black", "white"], ["white"]]
-    assert [c.name for c in scene.classes] == ["court", "lawn"]  # a single pixel has no spread
-    assert scene.targets[0].host == "lawn"  # no class is drawn around them: what is seen there is like the lawn
+    # A single pixel has no spread; no class is drawn around the felts: what is seen there is like the lawn.
+    assert ([c.name for c in scene.classes], scene.targets[0].host) == (["court", "lawn"], "lawn")
     subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
     assert subjects == {"felt 1 m": 1.0, "felt 0.5 m": 0.5}
     assert next(g for g in campaign.comparisons if g.product == "roc").subjects == tuple(subjects)
@@ -147,7 +147,8 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
 
     # Readings that the instrument numbered are the replicates of a spectrum; those of its reference are of nothing.
     asked = [*delivery, str(tmp_path / "asd"), "-o", str(tmp_path / "many")]
-    assert [cli.run([*asked, *more]) for more in ([], ["--cube", str(tmp_path / "map.img")])] == [0, 2]  # of classes
+    classes = ["init", "--cube", str(tmp_path / "map.img"), "-o", str(tmp_path / "none")]  # which are no image
+    assert [cli.run(each) for each in (asked, [*asked, *classes[1:3]], classes)] == [0, 2, 2]
     assert summary(dry_run([tmp_path / "many" / "campaign.yaml"])) == ["many: ready"]
     many = job_of(tmp_path / "many" / "campaign.yaml").campaign
     sought = [*many.detection.targets, *many.collection.empirical_line.panels]
