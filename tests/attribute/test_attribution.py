@@ -10,13 +10,7 @@ import pytest
 import yaml
 from uncertain_scene import AXIS, engine, run, scenario
 
-from hyperval.attribute import (
-    NotInjectable,
-    errors_of_file,
-    further_candidates,
-    injected_errors,
-    injected_prediction,
-)
+from hyperval.attribute import NotInjectable, errors_of_file, further_candidates, injected_errors, injected_prediction
 from hyperval.campaign import jobs_of, run_campaign
 from hyperval.errors import UsageError
 from hyperval.model import Origins, predict, read_world
@@ -32,10 +26,7 @@ BY_NAME = injected_errors()
 GREEN = "{name: green, spectrum: {builtin: green-paint-plank}, host: grass, "
 GREEN += "fill: {geometry: {side_m: 0.4, gsd_m: 1.0, psf_fwhm_pixels: 0.8}}}"
 SCENE = scenario(
-    **{
-        "{name: grass, fraction": "{name: grass, tail_dof: 8, fraction",
-        "processing:": f"    - {GREEN}\nprocessing:",
-    }
+    **{"{name: grass, fraction": "{name: grass, tail_dof: 8, fraction", "processing:": f"    - {GREEN}\nprocessing:"}
 )
 BLUR = "scene.targets.green.fill.geometry.psf_fwhm_pixels"
 BASE, ORIGINS = run(SCENE), Origins(axis=AXIS, engine=engine)

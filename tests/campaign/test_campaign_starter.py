@@ -2,6 +2,7 @@
 
 import json
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -113,8 +114,10 @@ def delivery(tmp_path):
     kinds = "file type = ENVI Classification", "classes = 6", f"class names = {{none, {', '.join(names)}}}"
     written(tmp_path / "map.img", classes, *kinds, bands=None)
     table = np.column_stack([w, lawn, court, felt, 0.04 + 0 * w, 0.6 + 0 * w])
-    head = "wavelength_nm,lawn,court,felt,black,white"
-    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header=head, comments="")
+    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header="nm,lawn,court,felt,black,white", comments="")
+    (tmp_path / "asd").mkdir()
+    for i, (name, k) in product((1, 2), {"Felt.0000": 3, "lawn_000": 1, "black0": 4, "WR0": 5, "white0": 5}.items()):
+        np.savetxt(tmp_path / "asd" / f"{name}{i}.txt", table[:, [0, k]] * [1.0, 0.8 + 0.1 * i], header="nm refl")
     rows = "".join(f"felt,{line + 0.5},{sample + 0.5},{side:g}\n" for line, sample, side in felts)
     (tmp_path / "felts.csv").write_text("material,line,sample,side_m\n" + rows, "utf-16")  # as spreadsheets save it
     return [
@@ -132,20 +135,28 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
     # Panels by their flat spectra, as no name says it; four pixels of black tell no SNR.
     assert [[p.region for p in line.panels], campaign.collection.snr_regions] == [["black", "white"], ["white"]]
-    assert [c.name for c in scene.classes] == ["court", "lawn"]  # a single pixel has no spread
-    assert scene.targets[0].host == "lawn"  # no class is drawn around them: what is seen there is like the lawn
+    # A single pixel has no spread; no class is drawn around the felts: what is seen there is like the lawn.
+    assert ([c.name for c in scene.classes], scene.targets[0].host) == (["court", "lawn"], "lawn")
     subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
     assert subjects == {"felt 1 m": 1.0, "felt 0.5 m": 0.5}
     assert next(g for g in campaign.comparisons if g.product == "roc").subjects == tuple(subjects)
     # What tests a budget that is guessed does not decide.
     decides = {(g.product, g.metric): g.gate for g in campaign.comparisons if g.product in ("radiance", "reflectance")}
-    assert decides == {
-        ("radiance", "median_difference_ratio_windows"): True, ("radiance", "p_value_shape"): False,
-        ("reflectance", "median_difference_ratio_windows"): True, ("reflectance", "p_value_full"): False,
-    }  # fmt: skip
+    tests = {("radiance", "p_value_shape"): False, ("reflectance", "p_value_full"): False}
+    assert decides == tests | {(of, "median_difference_ratio_windows"): True for of, _ in tests}
 
-    felts = tmp_path / "felts.csv"
-    felts.write_text(felts.read_text("utf-16").replace(",0.5\n", ",1\n"))  # of one size
+    # Readings that the instrument numbered are the replicates of a spectrum; those of its reference are of nothing.
+    asked = [*delivery, str(tmp_path / "asd"), "-o", str(tmp_path / "many")]
+    classes = ["init", "--cube", str(tmp_path / "map.img"), "-o", str(tmp_path / "none")]  # which are no image
+    assert [cli.run(each) for each in (asked, [*asked, *classes[1:3]], classes)] == [0, 2, 2]
+    assert summary(dry_run([tmp_path / "many" / "campaign.yaml"])) == ["many: ready"]
+    many = job_of(tmp_path / "many" / "campaign.yaml").campaign
+    sought = [*many.detection.targets, *many.collection.empirical_line.panels]
+    files = [Path(file).name for one in sought for file in one.spectrum.replicates.files]
+    assert files == [f"{name}{i}.txt" for name in ("Felt.0000", "black0", "white0") for i in (1, 2)]
+    assert re.search("a third: felt.#, black#, lawn_#, white#.*not used: WR01.txt, WR02.txt;", str(many.assumptions))
+
+    (felts := tmp_path / "felts.csv").write_text(felts.read_text("utf-16").replace(",0.5\n", ",1\n"))  # of one size
     assert cli.run([*delivery, str(tmp_path / "field.csv"), "-o", str(tmp_path / "one")]) == 0
     scene = job_of(tmp_path / "one" / "campaign.yaml").campaign.scenarios[0].scene
     assert scene.targets[0].fill.geometry.side_m == 1.0
@@ -158,12 +169,14 @@ def test_without_two_panels_there_is_no_detection_in_radiance(delivery, tmp_path
     path = tmp_path / "new" / "campaign.yaml"
     assert any("no detection: in radiance it needs an empirical line" in a for a in job_of(path).campaign.assumptions)
     assert summary(dry_run([path])) == ["new: ready"]
-    # Written by hand all the same, the dry run says so before the collection is read.
+    # Written by hand all the same, the dry run says so before the collection is read; and that spectra end too early.
     content = yaml.safe_load(path.read_text())
     target = {"name": "felt", "material": "felt", "spectrum": {"file": "../few.csv", "record": "felt"}}
     content["detection"] = {"group": "{target} {side_m} m", "detectors": ["cem"], "targets": [target]}
     path.write_text(yaml.safe_dump(content))
-    assert any("detection on radiance needs an empirical line" in str(i) for i in dry_run([path]) if i.state == WRONG)
+    for bands, words in ((45, "detection on radiance needs an empirical line"), (20, "'court' does not cover")):
+        np.savetxt(tmp_path / "few.csv", table[:bands], delimiter=",", header="nm,lawn,court,felt", comments="")
+        assert any(words in str(i) for i in dry_run([path]) if i.state == WRONG)
 
 
 def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_path):
@@ -190,8 +203,7 @@ def test_a_cube_alone_becomes_a_draft_without_a_prediction(small, capsys, tmp_pa
 
 @pytest.mark.parametrize(("region", "records", "matched"), data_of("names_of_spectra"))
 def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, region, records, matched):
-    stored = np.random.default_rng(3).normal(600.0, 40.0, (20, 20, W.size)).round()
-    cube = written(tmp_path / "line_refl.img", stored)
+    cube = written(tmp_path / "line_refl.img", np.random.default_rng(3).normal(600.0, 40.0, (20, 20, W.size)).round())
     (header := cube.with_suffix(".hdr")).write_text(header.read_text().replace("450.0, 460.0", "460.0, 450.0"))
     shape = {"type": "Polygon", "coordinates": [[[0, 0], [9, 0], [9, 9], [0, 9], [0, 0]]]}
     features = [{"type": "Feature", "properties": {"name": region}, "geometry": shape}]
@@ -203,5 +215,6 @@ def test_spectra_go_with_names_only_where_one_alone_fits(tmp_path, region, recor
                     str(tmp_path / "field.csv"), "-o", str(tmp_path / "new")]) == 0  # fmt: skip
     content = yaml.safe_load((tmp_path / "new" / "campaign.yaml").read_text())
     assert re.search(rf"True, 'scale': '?{'0.001' if matched else FILL_IN}", str(content["collection"]["cube"]))
-    found = [s["spectrum"].get("record") for one in content.get("scenarios", []) for s in one["scene"]["classes"]]
-    assert found == [matched][: matched is not None]  # nothing is predicted, or compared, without one
+    classes = [s["spectrum"] for one in content.get("scenarios", []) for s in one["scene"]["classes"]]
+    # Nothing is predicted, or compared, without one.
+    assert [c.get("record") or c["replicates"]["records"] for c in classes] == [matched][: matched is not None]

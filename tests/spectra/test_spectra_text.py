@@ -98,7 +98,7 @@ def test_units_that_nobody_states_or_that_disagree(tmp_path):
         ("nm,r [%]\n" + rows(WAVE, RHO), {"reflectance_unit": "fraction"}, "percent, the caller in fraction"),
         *((rows(WAVE, RHO), {"reflectance_unit": u}, "scaled:10000") for u in ("per mille", "scaled:0", "scaled:nan")),
         ("name,Measurement Units,400,500,600,700\na,Percent," + ",".join(map(str, RHO)), {}, "(?s)percent.*_unit"),
-        ("nm,rho,Expanded uncertainty\n" + rows(WAVE, RHO, RHO / 10), {}, "without its coverage factor"),
+        *((f"nm,r,{u}\n" + rows(WAVE, RHO, RHO), {}, "coverage") for u in ("Expanded uncertainty", "Uncertainty 95%")),
     ):
         with pytest.raises((UsageError, InputError), match=message):
             read(tmp_path, text, **options)
@@ -110,7 +110,7 @@ def test_a_mean_has_its_standard_deviation_and_number(tmp_path):
     assert (found.n, found.standard_deviation.tolist()) == (68, pytest.approx(RHO / 10))
     percent = read(tmp_path, text.replace("Average", "Average [%]") + rows(WAVE, RHO, RHO / 10))
     assert np.allclose(percent.standard_deviation, RHO / 1000)  # converted with its mean
-    for titles, k in (("Tile (mean of 9),Tile STDEV", 1), ("Factor,Expanded uncertainty U (k=2)", 2), ("a,2 sigma", 2)):
+    for titles, k in (("Tile 95%,Tile 95% STDEV", 1), ("Factor,Expanded uncertainty U (k=2)", 2), ("a,2 sigma", 2)):
         found = read(tmp_path, f"nm,{titles}\n" + rows(WAVE, RHO, RHO / 10))
         assert np.allclose(found.standard_deviation, RHO / 10 / k)
     head = "Wavelength in microns   reflectance   standard deviation\n"

@@ -25,6 +25,7 @@ from hyperval.errors import HypervalError, InputError, T, package_table
 from hyperval.imagery import needs_header
 from hyperval.metrics import foreign, metric_of
 from hyperval.model import Sources
+from hyperval.model.stated import SurfaceStatistics, uncovered_bands
 from hyperval.observe import Place, check_line_for_detection, observe, open_place, target_groups
 from hyperval.paths import Resolve, is_pattern
 from hyperval.products import SPECTRA
@@ -243,20 +244,22 @@ class Lookup:
 
     def spectra(
         self, location: Location, entry: Any, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
-    ) -> None:
-        """Read the spectrum of an entry, and its covariance, as the run does; of ``regions`` the names alone.
+    ) -> SurfaceStatistics | None:
+        """The spectrum of an entry, read with its covariance as the run does; of ``regions`` the names alone.
 
         What a simulation writes is not there yet; a spread that is stated stands in no file.
         """
+        found = dict[str, SurfaceStatistics | None]()
         if axis is None:
-            return
+            return None
         none = np.zeros(len(axis))
         sources = Sources(axis, dict.fromkeys(regions, ClassStatistics("", axis, none, np.diag(none))), self.find)
         for key in ("spectrum", "covariance"):
             source: Any = getattr(entry, key, None)
             stated = {} if source is None else source.model_dump(exclude_none=True)
             if stated and "relative_sd" not in stated and not str(stated.get("file")).startswith(SIMULATED):
-                self.tried((*location, key), sources.spectrum, source, name)
+                found[key] = self.tried((*location, key), sources.spectrum, source, name)
+        return found.get("spectrum")
 
 
 def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
@@ -307,9 +310,12 @@ def _predicted(scenario: Scenario, lookup: Lookup, axis: SpectralAxis | None, re
     if name is not None:
         sensor = lookup.tried(("sensor",), sensor_named, name, lookup.find)
         axis = sensor.axis if axis is None and sensor is not None else axis
+    read = dict[str, Any]()
     for kind in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scene, kind)):
-            lookup.spectra(("scene", kind, i), surface, surface.name, axis, regions)
+            read[surface.name] = lookup.spectra(("scene", kind, i), surface, surface.name, axis, regions)
+    if axis is not None and None not in read.values():
+        lookup.tried(("scene",), list, uncovered_bands(scenario, read, axis))
     lookup.spectra(("scene", "adjacency"), scene.adjacency, "surroundings", axis, regions)
     populations = [p.name for target in scene.targets for p in target.populations]
     return [s.name for s in (*scene.classes, *scene.panels, *scene.sites)] + populations

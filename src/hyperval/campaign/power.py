@@ -105,9 +105,8 @@ class Reasons(Model):
             words = f"of {total} errors of {kind} {right} are named first, {self.grouped.get(kind, 0)} are in its group"
             out.append("; ".join([words, *(f"{n} are called {name}" for n, name in others)]))
         parts = [f"{100 * p:.0f} % was correct in {100 * share:.0f} % of {n}" for p, share, n in self.calibration]
-        out.append(f"Stated probabilities of a cause: {'; '.join(parts)}.")
-        out.append(f"Wrong but called sufficient: {100 * self.wrong_enough:.1f} %.")
-        return out
+        stated = f"Stated probabilities of a cause: {'; '.join(parts)}."
+        return [*out, stated, f"Wrong but called sufficient: {100 * self.wrong_enough:.1f} %."]
 
 
 class PowerTable(Model):

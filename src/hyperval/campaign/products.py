@@ -290,9 +290,8 @@ def collected(
             inputs.simulated, seed = scratch, scene.seed
         if question is not None:
             campaign = question(scenarios, inputs)
-        observed = observe.observe(
-            campaign.collection, campaign.detection, inputs.resolve, classification=campaign.classification
-        )
+        of = campaign.collection, campaign.detection, inputs.resolve
+        observed = observe.observe(*of, classification=campaign.classification)
         for path in observed.place.source_files if observed.place is not None else ():  # such as a cube's header
             inputs.add(path)
         scenarios = [completed_scenario(scenario, observed.place, campaign.detection) for scenario in scenarios]

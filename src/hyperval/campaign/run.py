@@ -151,13 +151,10 @@ def made_of(job: Job, files: Mapping[str, str]) -> str:
     if job.words:  # one of several runs: what the file says of this one is below
         digests.pop(job.path.resolve(), None)
     configuration = {"campaign": job.campaign, "words": dict(job.words), "program": _program()}
-    inner = record_of(log, [], None, configuration, []) | {
-        "command": None,
-        "source_revision": None,  # a commit that leaves the program as it is
-        "inputs": sorted(digests.values()),
-        "named": _named(job),
-        "power": repr(accepted_table(job.campaign.name, job.folder)),
-    }
+    inner = record_of(log, [], None, configuration, [])
+    inner |= {"command": None, "source_revision": None}  # a commit that leaves the program as it is
+    power = repr(accepted_table(job.campaign.name, job.folder))
+    inner |= {"inputs": sorted(digests.values()), "named": _named(job), "power": power}
     return hashlib.sha256(json.dumps(inner, sort_keys=True, default=str).encode()).hexdigest()
 
 
@@ -305,10 +302,8 @@ def validate(
             done = _run_all([CampaignRun(jobs[0], folder, earlier, True)], scheduler, tell)
             return done[0][0].table.exit_code(strict=strict)
         kept, names = partial_folder(output) / "campaigns", file_stems(job.outline.name for job in jobs).values()
-        pieces = [
-            CampaignRun(job, kept / name, earlier / name if earlier else None, False)
-            for job, name in zip(jobs, names, strict=True)
-        ]
+        each = zip(jobs, names, strict=True)
+        pieces = [CampaignRun(job, kept / name, earlier and earlier / name, False) for job, name in each]
         done = _run_all(pieces, scheduler, tell)
         write_index([run for run, _ in done], folder, parts=kept)
         for name in names:

@@ -11,9 +11,10 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from glob import escape
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ from hyperval.observe import Place, open_place
 from hyperval.paths import checked_store, head_of
 from hyperval.pixels import drawn_pixels
 from hyperval.products import background_of
+from hyperval.results import grouped
 from hyperval.sensor.specification import library_names, load_sensor
 from hyperval.spectra import FieldSpectrum, in_window, read_records
 from hyperval.storage import decoded, write_text
@@ -40,6 +42,8 @@ _RING_PIXELS = 4.0
 _MOST_SIZES = 12
 _FLAT = 0.06  # standard deviation over mean, of grey cloths and panels
 _PANEL = re.compile(r"panel|tarp|calib|spectralon|permaflect", re.IGNORECASE)
+# Of an instrument, not of the scene: its white reference, or what it shows in the dark.
+_REFERENCE = re.compile(r"(?<![a-z])wr(?![a-z])|(white|dark)[ _-]?(ref|current)", re.IGNORECASE)
 _THOUSANDS = 0.001  # whose brighter images are as possible as dark ones times 10000
 _SCALES = (1.0, 0.01, _THOUSANDS, 0.0001)  # reflectance, percent, and times 10000, which most whole numbers are
 _WHOLE = {"name": "whole image", "whole_image": True}
@@ -162,6 +166,7 @@ class Draft:
         # Numbers without wavelengths, or of MATLAB, say nothing of what they are.
         stated = "counts" if numbered or "MATLAB" in about.product else about.quantity or told_quantity(self.raster)
         self.quantity = quantity = sources.quantity or stated
+        refuse("class names" in about.entries, "starter.classes", sources.cube)
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         refuse(quantity == "deviations", "scale.deviations", sources.cube, quantity="radiance or reflectance")
         lines, samples, bands = self.raster.size
@@ -375,14 +380,25 @@ class Draft:
                     out += [one for one in _records(file, self.reference(file)) if not any(map(one.is_again, out))]
         return out
 
+    @cached_property
+    def kinds(self) -> list[RecordedSpectrum]:
+        """The spectra, of replicates, whose names differ in their last number alone, the mean."""
+        named = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", one.name.lower()))
+        return [one for name, members in named.items() for one in _replicates(name, members)]
+
     def matching(self, name: str) -> RecordedSpectrum | None:
-        """The spectrum of the same name, else the only one with all its words, else the only one whose words it has."""
+        """The spectrum of the same name, else the only one with all its words, else the only one whose words it has.
+
+        Replicates are one where no single spectrum fits; what an instrument shows of its own white reference, or in
+        the dark, is none of the scene.
+        """
         words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
-        fits = ([s for s in self.spectra if _words(s.name) and test(_words(s.name), words)] for test in tests)
+        pools = [[s for s in p if _words(s.name) and not _REFERENCE.search(s.name)] for p in (self.spectra, self.kinds)]
+        fits = ([s for s in pool if test(_words(s.name), words)] for test, pool in product(tests, pools))
         return next((matches[0] for matches in fits if len(matches) == 1), None)
 
     def _unused(self) -> None:
-        """Say which options and files of spectra stand nowhere in the campaign, and which folders hold none."""
+        """Say which options and files of spectra stand nowhere in the campaign, and which replicates are averaged."""
         text, sources = str(self.content), self.sources
         if FILL_IN in str(cube := self.collection["cube"]):
             return  # of which nothing is drafted yet
@@ -391,6 +407,8 @@ class Draft:
         unread = [k for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
         if options := [f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread]:
             self.guess("unread", names=", ".join(options), quantity=self.quantity)
+        if means := [spectrum.name for spectrum in self.kinds if str(spectrum.source) in text and "#" in spectrum.name]:
+            self.guess("replicates", names=", ".join(means))
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
         if idle:
@@ -587,11 +605,25 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
     raise refusal("starter.unit", path)
 
 
+def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[RecordedSpectrum]:
+    """The mean of spectra under one name, where they are as bright to a third; else the spectra as they are."""
+    source, nm = members[0].source, members[0].record.wavelength_nm
+    values = [np.interp(nm, one.record.wavelength_nm, one.record.values) for one in members]
+    mean = np.mean(values, axis=0)
+    unlike = max(float(np.median(np.abs(one - mean))) for one in values) > np.median(mean) / 3.0
+    told = {(*one.source, one.source.get("reflectance_unit")) for one in members}  # which keys, and what is the same
+    if len(members) < 2 or unlike or len(told) > 1:
+        return members
+    files = {"files": list(dict.fromkeys(one.source["file"] for one in members))}
+    records = {"records": [one.source["record"] for one in members]} if "record" in source else {}
+    unit = {key: value for key, value in source.items() if key == "reflectance_unit"}
+    return [RecordedSpectrum(name, {"replicates": files | records | unit}, replace(members[0].record, values=mean))]
+
+
 def _by_size(members: Sequence[TargetObject]) -> dict[str, list[TargetObject]]:
     """Squares of known sizes by their side, greatest first; empty where they are all alike, not known, or many."""
-    each: dict[str, list[TargetObject]] = {}
-    for target in sorted(members, key=lambda target: -target.side_m):
-        each.setdefault(target.attributes.get("side_m", ""), []).append(target)
+    largest_first = sorted(members, key=lambda target: -target.side_m)
+    each = grouped(largest_first, lambda target: target.attributes.get("side_m", ""))
     is_known = "" not in each and all(math.isfinite(target.side_m) for target in members)
     return each if is_known and 1 < len(each) <= _MOST_SIZES else {}
 

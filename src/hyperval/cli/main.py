@@ -352,7 +352,7 @@ def explain(
 
 @command("init --cube line1_rad.img --regions rois.xml --targets planks.csv --spectra spectra -o mine")
 def init(
-    cube: Annotated[Path, Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
+    cube: Annotated[list[Path], Option(help="The image: ENVI, GeoTIFF, NetCDF or HDF5 product, MATLAB or NumPy file.")],
     output: Annotated[Path, Option("--output", "-o", help="Folder for campaign.yaml, or a .yaml file.")],
     regions: Annotated[list[Path] | None, Option(help="Files of regions of interest.")] = None,
     targets: Annotated[Path | None, Option(help="Regions, mask or list (CSV) of the targets.")] = None,
@@ -373,22 +373,22 @@ def init(
     name: Annotated[str | None, Option(help="Name of the campaign; default: that of the folder.")] = None,
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
+    refuse(len(cube) > 1, "starter.cubes", ", ".join(map(str, cube)))
     path = output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml"
     refuse(path.exists(), "file.exists", path)  # before what lies beside it is written anew
     called = path.stem if path == output else output.resolve().name
     title = re.sub(r"[^a-z0-9]+", "-", (name or called).lower()).strip("-") or "campaign"
-    files = cube, regions or (), targets, spectra or (), header, quantity, unit
+    files = cube[0], regions or (), targets, spectra or (), header, quantity, unit
     sources = campaign.StarterSources(*files, sensor, time, altitude_km, pixel_size_m, key, scale)
     text, guesses = campaign.starter_campaign(sources, path.parent, title)
     hyperval.config.write_draft(path, "campaign", text)
     for guess in guesses:
         note(f"guess: {guess}")
-    data, lines = hyperval.config.parse_yaml(text)
-    asked = hyperval.config.placeholders(data, lines, str(path))
+    asked = hyperval.config.placeholders(*hyperval.config.parse_yaml(text), str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
-    drafted = ("validate", "--dry-run", path) if asked or "comparisons" in data else ("observe", path, "-o", "seen")
-    again = bool(asked) and "scenarios" not in data
+    drafted = ("validate", "--dry-run", path) if asked or "\ncomparisons:" in text else ("observe", path, "-o", "seen")
+    again = asked and "\nscenarios:" not in text
     then = "hyperval init again, with these options, into another folder" if again else as_typed(*drafted)
     count = f"{len(asked)} value{'s' if len(asked) > 1 else ''} to fill in, then"
     note(f"{path}: {count if asked else 'now'}: {then}")

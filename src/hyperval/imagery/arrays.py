@@ -61,12 +61,8 @@ _NO_CENTRE = re.compile(f"{_WIDTH.pattern}|{_GOOD.pattern}", re.IGNORECASE)
 _SAMPLE = re.compile(r"^(x|lon|longitude|easting|samples?|cross.?track|col(umn)?s?|ortho_x)$", re.IGNORECASE)
 _LINE = re.compile(r"^(y|lat|latitude|northing|lines?|down.?track|along.?track|rows?|ortho_y)$", re.IGNORECASE)
 # Vectors beside an image without labels, and the axis that they lie along.
-_BESIDE = (
-    (_WAVE, "b"),
-    (_WIDTH, "b"),
-    (re.compile("easting", re.IGNORECASE), "s"),
-    (re.compile("northing", re.IGNORECASE), "l"),
-)
+_EASTING, _NORTHING = re.compile("easting", re.IGNORECASE), re.compile("northing", re.IGNORECASE)
+_BESIDE = (_WAVE, "b"), (_WIDTH, "b"), (_EASTING, "s"), (_NORTHING, "l")
 _FRACTIONS = {"%": "percent", "percent": "percent", "1": "1", "unitless": "1", "none": "1"}
 _FRACTIONS |= dict.fromkeys(("sr-1", "sr^-1", "1/sr", "/sr"), "sr-1")
 

@@ -373,6 +373,10 @@ def image_record(raster: Raster) -> list[tuple[str, str, str]]:
     >>> told = {what: (value, origin) for what, value, origin in image_record(labelled_array(array))}
     >>> told["scale of reflectance"], told["no data"][0]
     (('x 0.1; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
+    >>> from hyperval.imagery.description import Description
+    >>> of_map = Description("ENVI", None, entries={"class names": "none, lawn, lot"})
+    >>> [row[:2] for row in image_record(Raster(Path("map"), 1, 1, 1, np.dtype("u1"), description=of_map))][3:5]
+    [('quantity', 'classes: none, lawn, lot'), ('no data', 'none')]
     """
     about, where, files = raster.description, str(raster.path), ", ".join(p.name for p in raster.other_files)
     by, header = about.product or raster.kind, about.header
@@ -402,13 +406,14 @@ def image_record(raster: Raster) -> list[tuple[str, str, str]]:
         notes += more
     except HypervalError as error:
         row("wavelengths", f"not known: {error.what}", error.mend or str(error.expected))
-    row("quantity", about.quantity, lacking="state quantity: (init: --quantity)")
-    if about.quantity != "reflectance":
+    names = about.entries.get("class names")  # of a map, whose numbers are no measurement
+    row("quantity", about.quantity or (names and f"classes: {names}"), lacking="state quantity: (init: --quantity)")
+    if about.quantity != "reflectance" and names is None:
         key, written = about.unit_in_entries()
         known_unit = about.unit if is_radiance(about.unit) else None
         by_init = by if known_unit else f"{origin(key)}: init takes it; a campaign states unit:"
         row("unit of radiance", known_unit or written, by_init, "state unit: (init: --unit)")
-    for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"]:
+    for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"] if names is None else []:
         try:
             stages = [*about.scales(quantity), Scale(*about.packing, f"{by}: as it is packed")]
             if quantity == "reflectance":

@@ -719,10 +719,8 @@ class Region:
     @property
     def remarks(self) -> list[str]:
         """The notes as sentences with the name of the region."""
-        return [
-            f"{WARNING * note.startswith(WARNING)}the region {self.name!r} {note.removeprefix(WARNING)}"
-            for note in self.notes
-        ]
+        said = f"the region {self.name!r} "
+        return [WARNING * note.startswith(WARNING) + said + note.removeprefix(WARNING) for note in self.notes]
 
 
 @reader
@@ -832,12 +830,10 @@ def _apart(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = 
 
 def window_of(mask: Mask, margin: tuple[int, int] = (0, 0)) -> tuple[slice, slice]:
     """Lines and samples of the window of a mask that holds all that is True in it, and a margin."""
-    lines, samples = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-    above, beside = margin
-    return (
-        slice(max(int(lines[0]) - above, 0), int(lines[-1]) + above + 1),
-        slice(max(int(samples[0]) - beside, 0), int(samples[-1]) + beside + 1),
-    )
+    held = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    ends = zip(held, margin, strict=True)
+    lines, samples = (slice(max(int(at[0]) - more, 0), int(at[-1]) + more + 1) for at, more in ends)
+    return lines, samples
 
 
 def overlaps(regions: Iterable[Region]) -> list[tuple[str, str, int]]:

@@ -131,13 +131,15 @@ def read_targets(
     >>> from tempfile import NamedTemporaryFile
     >>> utm, at = CRS.from_epsg(32618), Affine(1.0, 0.0, 500000.0, 0.0, -1.0, 4427800.0)
     >>> for row in ("lon,lat,material,side_m\\n-75,40,felt,2", "targets_utmx,targets_utmy,targets_type,targets_size,"
-    ...             "\\n500000.5,4427757,felt,2,", "line,sample,material,position_uncertainty_m\\n5,9,felt,1"):
+    ...             "\\n500000.5,4427757,felt,2,", "line,sample,material,position_uncertainty_m\\n5,9,felt,1",
+    ...             "Material,UTM_E,UTM_N,Size (m)\\nfelt,500000.5,4427757,2"):
     ...     with NamedTemporaryFile("w", suffix=".csv") as file:
     ...         print(row, file=file, flush=True)
     ...         read_targets(file.name, (90, 9), transform=at @ Affine.translation(-4, 0), crs=utm)[0].centre_pixel
     (42, 4)
     (43, 4)
     (5, 8)
+    (43, 4)
 
     Raises
     ------
@@ -246,10 +248,8 @@ def _outline(centre: tuple[float, float], sides: Array, scale: float, heading_de
     return np.asarray(np.array(centre) + (sides[:, :1] / scale) * along + (sides[:, 1:] / scale) * across)
 
 
-_NUMERIC = frozenset(
-    {"side_m", "width_m", "length_m", "area_m2", "heading_deg", "position_uncertainty_m"}
-    | {column for pair in _PLACES for column in pair}
-)
+_SIZES = {"side_m", "width_m", "length_m", "area_m2", "heading_deg", "position_uncertainty_m"}
+_NUMERIC = frozenset(_SIZES.union(*_PLACES))
 
 
 def intersected_objects(

@@ -314,7 +314,7 @@ def _statistics(cube: Cube, name: str, labels: Labels, sums: Mapping[int, Sums])
     parts = [sums[key] for key in sorted(sums) if labels.members[name][key]]
     if not parts:
         missing = np.count_nonzero(labels[name])
-        raise UsageError(f"region {name!r} has no valid pixel ({missing} left out as invalid)", expected="one or more")
+        raise UsageError(f"region {name!r} has no valid pixel ({missing} empty or saturated)", expected="one or more")
     joined, gain = reduce(Sums.merged, parts), cube.gain
     mean, covariance = joined.mean_and_covariance()
     return SampleStatistics(gain * mean + cube.offset, covariance * np.outer(gain, gain), joined.n, float("nan"))

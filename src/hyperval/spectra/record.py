@@ -243,19 +243,13 @@ def mean_of(records: list[FieldSpectrum]) -> FieldSpectrum:
     unlike = len(records) < 2 or any(not np.array_equal(r.wavelength_nm, first.wavelength_nm) for r in records)
     refuse(unlike, "spectrum.mean", first.source)
     values = np.stack([r.values for r in records])
-    spread = values.std(axis=0, ddof=1)
-    mean = replace(first, name="mean", values=values.mean(axis=0), standard_deviation=spread)
-    return replace(mean, n=len(records), errors=None)
+    mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
+    return replace(first, name="mean", values=mean, standard_deviation=spread, n=len(records), errors=None)
 
 
 def _kept(record: FieldSpectrum, index: Rows, factor: float = 1.0, note: str = "") -> FieldSpectrum:
     """Some channels of a record, its values multiplied."""
-    spread, errors = record.standard_deviation, record.errors
-    return replace(
-        record,
-        wavelength_nm=record.wavelength_nm[index],
-        values=record.values[index] * factor,
-        standard_deviation=None if spread is None else spread[index] * factor,
-        notes=(*record.notes, note) if note else record.notes,
-        errors=None if errors is None else errors.at(index, factor),
-    )
+    nm, values, spread = record.wavelength_nm[index], record.values[index] * factor, record.standard_deviation
+    spread = None if spread is None else spread[index] * factor
+    errors, notes = record.errors and record.errors.at(index, factor), (*record.notes, *[note] * bool(note))
+    return replace(record, wavelength_nm=nm, values=values, standard_deviation=spread, errors=errors, notes=notes)

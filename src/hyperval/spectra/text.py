@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from hyperval.data import Array
-from hyperval.errors import refusal, refuse
+from hyperval.errors import package_table, refusal, refuse
 from hyperval.paths import checked_file, csv_rows
 from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum, SpectraFile
 from hyperval.storage import decoded
 from hyperval.units import only_wavelength_unit, power_unit, wavelength_unit_named
 
+_WORDS = package_table("spectra/words.yaml")
 MAX_TITLE = 1000
 _PLOT = "ENVI ASCII Plot File"  # whose titles stand one a line
 _REMARK = "#;%/ \t"  # what a line of titles may begin with
@@ -41,24 +42,16 @@ _END = re.compile(r"^>+\s*End\b|^\[END\]")  # of the numbers, in files of Ocean 
 _PER_SR = r"(?<![a-z])rrs(?![a-z])|[\[(] *(1 */ *sr|sr *\^? *[-−]1) *[\])]", "sr-1"
 _UNIT_TITLE = re.compile(r"^(\[.*\]|\(.*\)|nm|[uµμ]m|%|1|[-−–]|a\.?u\.?|unitless|none)?$", re.IGNORECASE)
 # Of the words of a title: those that say standard deviation, and those that name nothing of their own.
-_SPREAD = re.compile(
-    r"\b(st(d|and|andard)? dev[a-z]*|std(d?ev|v)?( err(or)?)?|sd|sigma|((standard|expanded) )?uncertaint(y|ies))\b"
-)
+_SPREAD = re.compile(_WORDS["deviation_in_titles"])
 _SUM = re.compile(rf"(\w\s*\+|\b(mean|av\w*)\s*[-−–])\s*[0-9]?\s*{_SPREAD.pattern}", re.IGNORECASE)  # of a mean and it
 _NOTHING = re.compile(r"\b((n|of) \d+|mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent)\b")
 # How many standard uncertainties a stated one is, as in U (k=2).
+_EXPANDED = re.compile(r"expanded|\b9[059] ?(%|percent) ?conf|uncertaint\w+\W+(at )?9[059] ?(%|percent)", re.IGNORECASE)
 _COVERAGE = re.compile(r"\b(?:u\W{1,2})?k ?= ?([1-9][0-9.]*)|\b([1-9])[- ]?(?=sigma\b)", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
-# What titles say of values that are no reflectance.
-_QUANTITIES = {
-    "radiance": r"(?<![a-z])(radiance|rdn)(?![a-z])|^(?!.*irrad).*\.asd\.rad$",  # the last as ViewSpec exports it
-    "irradiance": r"(?<![a-z])(irradiance|ppfd)|irrad.*\.asd\.rad$",
-    "absorbance": r"^abs\.?$|^abs(\.|\s*[(\[])|log\w*\s*\(?\s*1\s*/\s*r|-\s*log",
-    "counts": r"(?-i:(?<![A-Za-z0-9])DN(?![A-Za-z0-9]))|(?<![a-z])(raw )?counts?(?![a-z])|digital number",
-    "": r"(?<![a-z])(transmittance|transmission|absorbance|absorption|emissivity|emittance|intensity|snr(?![a-z])"
-    r"|signal.to.noise|kubelka|k[-/]m(?![a-z])|derivative|continuum.removed|error.?bars?|bandpass)",
-}
+# What titles say of values that are no reflectance; the first that a title fits.
+_QUANTITIES: dict[str, str] = _WORDS["quantities_of_titles"]
 # A line above a table that says what it holds, and the titles of the edges of its steps.
 _ABOVE = re.compile(r"(?im)^\W*(measurement type\W+\w+|ppfd\b|(spectral )?(ir)?radiance\s*[(\[].*[)\]]\W*$)")
 _EDGES = re.compile(r"(?i)[^\t]*(lower|low|start|min)(?![a-z])[^\t]*\t[^\t]*(upper|end|max)(?![a-z]).*\t")
@@ -121,7 +114,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
         has, times = np.isfinite(nm), _COVERAGE.search(titles[spread.get(i, 0)])
-        refuse(not times and "expanded" in titles[spread.get(i, 0)].lower(), "text.coverage", where)
+        refuse(not times and _EXPANDED.search(titles[spread.get(i, 0)]), "text.coverage", where)
         beside = table[has, spread[i]] / float((times[1] or times[2]) if times else 1.0) if i in spread else None
         unmeasured = beside is not None and not beside.any()
         says = y_units or (titles[i] if quantity_in(titles[i]) or percent_in(titles[i]) else above or titles[i])
@@ -143,8 +136,8 @@ def title_words(title: str) -> tuple[str, bool]:
 
     >>> [title_words(t) for t in ("Mean + Stdev", "mean-sd", "grass, +/- SD", "grass, mean of 9", "soil k=3")]
     [('mean + stdev', False), ('mean-sd', False), ('grass', True), ('grass', False), ('soil', False)]
-    >>> [title_words(t) for t in ("Uncertainty (k=2)", "U(k=2)", "2-sigma")]
-    [('', True), ('', True), ('', True)]
+    >>> [title_words(t) for t in ("Uncertainty (k=2)", "U(k=2)", "2-sigma", "Uncertainty (95 % confidence)")]
+    [('', True), ('', True), ('', True), ('', True)]
     """
     if _SUM.search(title):
         return title.lower(), False
