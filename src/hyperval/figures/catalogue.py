@@ -74,8 +74,14 @@ def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[
 
 
 def in_windows(axis: SpectralAxis) -> Mask:
-    """Bands in the windows of the atmosphere; all, where none is."""
-    keep = axis.in_windows
+    """Bands that are summarised: the good ones in the windows of the atmosphere; all, where none is.
+
+    Examples
+    --------
+    >>> in_windows(SpectralAxis([500.0, 600.0, 940.0], 10.0, np.array([True, False, True])))
+    array([ True, False, False])
+    """
+    keep = axis.in_windows & axis.good
     return keep if keep.any() else np.ones(keep.shape, bool)
 
 
