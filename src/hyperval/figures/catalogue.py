@@ -265,7 +265,17 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
 
 
 def tail_figure(sides: Sides) -> Figure | None:
-    """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
+    """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best.
+
+    Examples
+    --------
+    >>> from hyperval.products import PixelDistribution
+    >>> about = {"distance": np.array([2.0]), "exceedance": np.array([0.1]), "leading_dimension": 2, "n": 100}
+    >>> law = PixelDistribution(leading_tail_dof=np.inf, leading_scale=0.5, **about)  # distances by twice the variance
+    >>> view = tail_figure((None, Products(SpectralAxis([500.0], 10.0), distribution={"grass": law}))).views[0]
+    >>> {mark.label: round(float(mark.numbers["y"][0]), 3) for mark in view.marks[1:]}
+    {'normal law': 0.368, 'fitted t': 0.135}
+    """
     predicted, measured = both_of(sides, "distribution")
 
     def view(subject: str) -> Panels:
@@ -274,13 +284,13 @@ def tail_figure(sides: Sides) -> Figure | None:
         low, high = clopper_pearson(law.exceedance * n, np.full(distance.size, n))
         columns = {"x": distance, "y": law.exceedance, "low": low, "high": high}
 
-        def curve(dof: float) -> dict[str, Array]:
-            return {"x": distance, "y": exceedance_of_distance(law.distance, dimension, dof)}
+        def curve(dof: float, scale: float = 1.0) -> dict[str, Array]:
+            return {"x": distance, "y": exceedance_of_distance(law.distance / scale, dimension, dof)}
 
         marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
         marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]
         marks.append(Mark("line", curve(math.inf), "normal law", dash="dotted"))
-        marks.append(Mark("line", curve(law.leading_tail_dof), "fitted t", DIFFERENCE, "dashdot"))
+        marks.append(Mark("line", curve(law.leading_tail_dof, law.leading_scale), "fitted t", DIFFERENCE, "dashdot"))
         prediction = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
         y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
