@@ -229,9 +229,8 @@ def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
     measured, band, n = sample.measured, sample.band, sample.n
     expected, low, high = sample.eigenvalues
     for k, value in enumerate(measured.eigenvalues):
-        ends = low[k] / value, high[k] / value
         reason = f"measured {value:.4g}, expected for {n} pixels of the prediction {expected[k]:.4g}"
-        yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
+        yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, (low[k] / value, high[k] / value), n, reason)
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
     yield row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
     total = band.total / band.total.mean() * float(np.trace(sample.covariances[0]) / measured.total)
