@@ -704,8 +704,7 @@ def compare_roc(predicted: RocCurve, observed: RocCurve, equivalence_margin: flo
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
-    background = observed.n_background
-    rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
+    rare = [x for x in IF_BACKGROUND_ALLOWS if x * (observed.n_background or 0) >= LEAST_EXPECTED_ALARMS]
     for level in (*ALWAYS, *rare):
         yield from _at(predicted, observed, level, equivalence_margin)
         yield from alarm_rows(predicted, observed, level)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -116,6 +116,12 @@ def wavelengths(axis: SpectralAxis) -> Axis:
     return Axis("number of the band" if axis.numbered else WAVELENGTH, ends=ends)
 
 
+def look_of(sides: Iterable[Products | None], product: str) -> tuple[str, str, bool]:
+    """Axis and title of the spectra of a product, and whether their difference is a ratio; counts are named so."""
+    counted = any(side and side.provenance.get("quantity") == "counts" for side in sides)
+    return ("counts", "Counts", False) if counted else SPECTRA[product]
+
+
 def spectra_figure(
     sides: Sides, product: str, rows: Sequence[Result] = (), names: tuple[str, str] = SIDES
 ) -> Figure | None:
@@ -138,8 +144,7 @@ def spectra_figure(
     aligned = [each if side and side.axis.matches(axis) else {} for side, each in zip(sides, both, strict=True)]
     pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in each for each in aligned)]
     identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
-    counted = any(side and side.provenance.get("quantity") == "counts" for side in sides)
-    about = ("counts", "Counts", False) if counted else SPECTRA[product]
+    about = look_of(sides, product)
     views = tuple(_view(axis, s, [each.get(s) for each in aligned], about, not identical, names) for s in shown)
     title = f"{about[1]}: {_there(both, names)}" + ", which are identical" * identical
     return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
@@ -454,8 +459,7 @@ def abundance_figure(sides: Sides) -> Figure | None:
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
-    rules = () if scattered else (0.0,)
-    return a_row_each("abundance", both_first(*both), both, x, rules=rules, sides=_there(both))
+    return a_row_each("abundance", both_first(*both), both, x, rules=() if scattered else (0.0,), sides=_there(both))
 
 
 def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
