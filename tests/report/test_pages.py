@@ -350,7 +350,7 @@ def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
     moved = {**run.given, "predicted": dataclasses.replace(run.pair[0], radiance=radiance)}
     report.write_outputs(dataclasses.replace(run, given=moved, table=table), tmp_path / "moved")
     page = compared(folders / "a", tmp_path / "moved", tmp_path / "out")
-    assert "run A (dashed) and run B" in page
+    assert "run B (dashed) and run A" in page
     assert page.count('id="chart-radiance"') == page.count('id="chart-snr"') == 1
 
 
