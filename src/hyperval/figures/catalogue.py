@@ -339,7 +339,7 @@ _MOST_POPULATIONS = 12
 _SPAN = 5.0  # standard deviations about the mean, where a density is not stated
 _DEEPEST = 1e-8  # part of the greatest density
 _BINS = 24
-_PFA = "P_FA per pixel"
+_PFA = "P_FA per background sample"
 Key = tuple[str, str, str]
 
 
@@ -361,7 +361,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     if not views:
         return None
     title = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
-    title += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
+    title += " (dotted: 1 / background samples)" if any(curve.n_background for curve in measured.values()) else ""
     title += left_out(len(views), len({*both[0], *measured}))
     return Figure("roc", "roc", title, tuple(views), together="first")
 
@@ -375,7 +375,7 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
         kind = "steps" if names[1] == SIDES[1] else "line"
         marks.append(measured_mark(kind, _roc_columns(measured, low), names[1]))
         background, n = measured.n_background, measured.n_target
-        counted = (n, measured.unit + "s" * (n != 1)), (background, "background pixels")
+        counted = (n, measured.unit + "s" * (n != 1)), (background, "background samples")
         note = ", ".join(f"{count_text(number)} {what}" for number, what in counted if number is not None)
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
     x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
