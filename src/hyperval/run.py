@@ -388,8 +388,7 @@ def write_joined(
         head, _, listed = (parts / name / TABLE).read_text("utf-8").partition(_ROWS)
         counts.update(json.loads(head.removesuffix(",\n") + "}" if listed else head)["counts"])
         lines += [listed.removesuffix("\n ]\n}\n")] if listed and counts.total() <= MOST_JOINED else []
-    is_small = counts.total() <= MOST_JOINED
-    write_text(folder / TABLE, _document(lines if is_small else [], counts, {"runs": list(names)}))
+    write_text(folder / TABLE, _document(lines if counts.total() <= MOST_JOINED else [], counts, {"runs": list(names)}))
     write_text(folder / JUNIT, junit_xml(planned))
     write_text(folder / PAGE, page)
 
@@ -681,14 +680,19 @@ def _add_column(
 
 
 def write_products(folder: Path, sides: Mapping[str, Products], *, title: str, simulated: bool) -> None:
-    """Write ``products.nc`` of the sides that there are into a folder; two writes give the same bytes."""
+    """Write ``products.nc`` of the sides that there are into a folder; two writes give the same bytes.
+
+    Of their provenance it has what was measured, such as counts, by which figures name their axes.
+    """
     with h5netcdf.File(Path(folder) / PRODUCTS, "w") as file:
         file.attrs.update({
             "Conventions": "CF-1.11", "title": title, "source": f"hyperval {hyperval.__version__}",
             "simulated": "yes" if simulated else "no",
         })  # fmt: skip
         for name, products in sides.items():
-            _write_group(file.create_group(name), to_arrays(products))
+            group = file.create_group(name)
+            group.attrs.update({key: what for key, what in products.provenance.items() if key == "quantity"})
+            _write_group(group, to_arrays(products))
         _write_group(file, _all_spectra(sides))  # last: its axes are not those of the groups
 
 
@@ -764,7 +768,7 @@ def _products(group: Any, kind: type[Products]) -> Products:
     content: dict[str, Any] = {
         name: {key[0] if len(key) == 1 else key: item for key, item in entries} for name, entries in held.items()
     }
-    return kind(axis=axis, **content, object_scores=scores)
+    return kind(axis=axis, **content, object_scores=scores, provenance=dict(group.attrs))
 
 
 def _entries(group: Any, layout: Layout) -> list[tuple[tuple[str, ...], Any]]:

@@ -229,7 +229,7 @@ def test_curves_have_a_tab_a_detector_and_of_long_or_many_what_matters_is_drawn(
     (part,) = figure.views[0].parts
     assert [(mark.kind, mark.dash) for mark in part.marks] == [("line", "dashed"), ("steps", "solid")]
     assert (figure.together, part.rules) == ("first", (("x", 1.0 / 12203),))
-    assert ("12\u202f203 background pixels" in figure.views[0].note, figure.caption[-13:]) == (True, "95 % interval")
+    assert ("12\u202f203 background samples" in figure.views[0].note, figure.caption[-13:]) == (True, "95 % interval")
     pfa = np.geomspace(1e-6, 1.0, 50_000)
     curve = RocCurve(pfa, *(np.sqrt(pfa),) * 3, pfa)
     held = {(f"t{i}", "cem", "pixel"): dataclasses.replace(curve, n_target=i) for i in range(30)}

@@ -18,7 +18,7 @@ from hyperval.campaign import PowerTable
 from hyperval.errors import InputError
 from hyperval.figures import Drawing
 from hyperval.products import ObservedProducts, PredictedProducts
-from hyperval.results import Outcome, Result, ResultTable, Role, paired
+from hyperval.results import Outcome, Result, ResultTable, Role, of_campaign, paired
 from hyperval.run import SIDES, Run, read_rows, write_table
 
 # What is written: complete, self-contained, honest, and the same bytes twice.
@@ -275,23 +275,24 @@ def test_campaigns_without_their_collection_are_folded_by_what_gets_it():
 
 
 def test_an_index_joins_campaigns_and_sets_computed_and_simulated_references_apart(run, tmp_path):
-    failed = row("t", product="roc")
+    failed = [row(f"{name} background", product="scores") for name in ("felt", "plank")]
     second, network = (
-        Run(ResultTable([dataclasses.replace(failed, campaign=n)]), campaign=n, title=n, computed=n == "network")
+        Run(ResultTable(of_campaign(failed, n)), campaign=n, title=n, computed=n == "network")
         for n in ("second <b>", "network")
     )
-    runs = {"invented": dataclasses.replace(run, computed=True), "second_b_": second, "network": network}
+    runs = {"second_b_": second, "network": network, "invented": dataclasses.replace(run, computed=True)}
     for name, one in runs.items():
         written(one, tmp_path / name)
     report.write_index(list(runs.values()), tmp_path)
     page = Page((tmp_path / "report.html").read_text())
-    links = [attributes["href"].partition("#")[0] for tag, attributes in page.tags if tag == "a"]
-    assert list(dict.fromkeys(links)) == [f"{name}/report.html" for name in ("second_b_", "network", "invented")]
+    links = [attributes["href"].split("#") for tag, attributes in page.tags if tag == "a"]
+    assert all(f'id="{place}"' in (tmp_path / file).read_text() for file, *places in links for place in places)
+    assert list(dict.fromkeys(file for file, *_ in links)) == [f"{name}/report.html" for name in runs]
     titles = ("Collected imagery", "Not met.", "Computed references", "SIMULATED: made by a computer")
     places = [page.text.index(title) for title in titles]
     assert places == sorted(places)
-    assert sum(json.loads((tmp_path / "results.json").read_text())["counts"].values()) == len(run.table) + 2
-    assert len(list(read_rows(tmp_path))) == len(run.table) + 2
+    assert sum(json.loads((tmp_path / "results.json").read_text())["counts"].values()) == len(run.table) + 4
+    assert len(list(read_rows(tmp_path))) == len(run.table) + 4
     assert (tmp_path / "junit.xml").read_text().count("<testsuite ") == 3
 
 
@@ -308,10 +309,9 @@ def folders(tmp_path_factory):
     tmp_path = tmp_path_factory.mktemp("pair")
     run = make_run()
     changed = [dataclasses.replace(row, campaign="another") for row in run.table]  # whatever their names
-    for i, row in enumerate(changed):
-        if row.outcome is Outcome.AGREES:
-            turned = {"outcome": Outcome.DISAGREES, "value": row.value + 1.0, "upper": row.upper + 1.0}
-            changed[i] = dataclasses.replace(row, **turned)
+    for i, r in enumerate(changed):
+        if r.outcome is Outcome.AGREES:
+            changed[i] = dataclasses.replace(r, outcome=Outcome.DISAGREES, value=r.value + 1.0, upper=r.upper + 1.0)
     for name, table in (("a", run.table), ("b", ResultTable(changed))):
         (tmp_path / name).mkdir()
         report.write_outputs(dataclasses.replace(run, table=table), tmp_path / name)
@@ -350,7 +350,7 @@ def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
     moved = {**run.given, "predicted": dataclasses.replace(run.pair[0], radiance=radiance)}
     report.write_outputs(dataclasses.replace(run, given=moved, table=table), tmp_path / "moved")
     page = compared(folders / "a", tmp_path / "moved", tmp_path / "out")
-    assert "run A (dashed) and run B" in page
+    assert "run B (dashed) and run A" in page
     assert page.count('id="chart-radiance"') == page.count('id="chart-snr"') == 1
 
 

@@ -56,7 +56,7 @@ def _sides():
     )  # fmt: skip
     alarms = products.AlarmsAtDetection(0.9, 0.31, 17, 1.7e-3, 1e-3, 3e-3, 1.1e-3, 2.7e-3)
     observed = products.ObservedProducts(
-        AXIS, {"plank": spectrum},
+        AXIS, {"plank": spectrum}, provenance={"quantity": "counts"},
         roc={
             (*key, "pixel"): _curve(4, n_target=40, n_background=10_000, alarms=np.array([1, 20, 300, 10_000]),
                                     areas=areas, at_detection=(alarms,)),

@@ -23,8 +23,8 @@ from hyperval import baseline, imagery, model, spectra
 from hyperval import campaign as campaigns
 from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, refuse
-from hyperval.figures.catalogue import SPECTRA as PRODUCT_LABELS
-from hyperval.figures.spec import SOURCES, WAVELENGTH, Axis, Dash, Mark, Panels, Part, single
+from hyperval.figures.catalogue import look_of, wavelengths
+from hyperval.figures.spec import SOURCES, Axis, Dash, Mark, Panels, Part, single
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
 from hyperval.model import Z95, detection_at
@@ -85,6 +85,16 @@ class SidesPlot:
         Raises
         ------
         UsageError : no side has the product.
+
+        Examples
+        --------
+        >>> from hyperval.products import SpectralEstimate
+        >>> counts = {"grass": SpectralEstimate(np.ones(2), np.eye(2))}
+        >>> axis, origin = spectra.SpectralAxis([1, 2], 1), {"quantity": "counts"}
+        >>> side = ObservedProducts(axis, reflectance=counts, provenance=origin)
+        >>> axes = Observation(side).plot.spectra("reflectance")
+        >>> axes.get_xlabel(), axes.get_ylabel()
+        ('number of the band', 'counts')
         """
         every = self.tables.spectra
         use = every.assign(half=Z95 * every["standard_uncertainty"])[every["product"] == product]
@@ -92,7 +102,9 @@ class SidesPlot:
             names = ", ".join(every["product"].unique())
             raise UsageError(f"nothing to draw: no {product}", expected=f"one of {names}" if names else None)
         columns = {"x": "band_nm", "y": "value", "half": "half"}
-        return _drawn(single(Axis(WAVELENGTH), Axis(PRODUCT_LABELS[product][0]), _lines(use, ["subject"], columns)), ax)
+        sides = list(self.tables.both.values())
+        x, y = wavelengths(sides[0].axis), Axis(look_of(sides, product)[0])
+        return _drawn(single(x, y, _lines(use, ["subject"], columns)), ax)
 
     def roc(self, ax: Axes | None = None) -> Axes:
         """Every ROC curve, false alarms on a logarithmic scale.
@@ -634,8 +646,7 @@ def compare(
     """
     measured = (observation if isinstance(observation, Observation) else observe(observation)).products
     predicted = prediction if isinstance(prediction, Prediction) else predict(prediction, axis=measured.axis)
-    rows = hyperval.compare.compare_products(predicted.products, measured, method=method)
-    return Results(of_campaign(rows, name))
+    return Results(of_campaign(hyperval.compare.compare_products(predicted.products, measured, method=method), name))
 
 
 def validate(
@@ -697,9 +708,8 @@ def check(
 
     files = [campaigns] if isinstance(campaigns, Path | str) else list(campaigns)
     names = [sensors] if isinstance(sensors, str) else list(sensors)
-    folder = Path(baselines or baseline.DEFAULT_FOLDER)
     with bars(show_progress):
-        runs = baseline.check([Path(f) for f in files], names, baselines=folder)
+        runs = baseline.check([Path(f) for f in files], names, baselines=Path(baselines or baseline.DEFAULT_FOLDER))
     return Results(baseline.rows_of(runs))
 
 

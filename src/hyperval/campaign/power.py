@@ -116,7 +116,7 @@ class PowerTable(Model):
     campaign: str
     version: str = Field(description="of hyperval, which computed it")
     files: dict[str, str] = Field(description="the campaign's own files: SHA-256 of each")
-    gates: int = Field(ge=0, description="criteria met without an injected error")
+    gates: int = Field(ge=0, description="criteria met or inconclusive without an injected error")
     disagreeing: int = Field(ge=0, description="criteria not met without an injected error, which cannot detect any")
     stated: dict[str, float] = Field({}, description="criterion of the model -> its value without an injected error")
     errors: dict[str, Injected] = Field(min_length=1)

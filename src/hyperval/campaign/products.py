@@ -405,7 +405,8 @@ def outcomes(side: Collected, prediction: PredictedProducts) -> list[Result]:
     method = "+".join(sorted({s.atmosphere.engine for s in side.scenarios if s.atmosphere})) or "statistics"
     margin, fitted_on = campaign.equivalence_margin, campaign.fitted_on
     rows = compare_products(*sides, method=method, equivalence_margin=margin, fitted_on=fitted_on)
-    return marked_as_fitted(judged(rows, campaign.comparisons), fitted_on)
+    pools = {pool.name: pool.subjects for pool in campaign.detection.pools} if campaign.detection else {}
+    return marked_as_fitted(judged(rows, campaign.comparisons), fitted_on, pools)
 
 
 def undecided(side: Collected, rows: Iterable[Result], prediction: Products) -> list[tuple[Result, str]]:
@@ -435,8 +436,7 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
 
     observation = of_noise(side.observed.observation)
     # Where every object is one pixel, the scores of pixels say the same.
-    whole = any(few_objects(observation, subject, name) for subject, name in observation.object_scores)
-    draws = OBJECT_DRAWS if whole else False
+    draws = OBJECT_DRAWS if any(few_objects(observation, *key) for key in observation.object_scores) else False
 
     def of_truths(scenario: Scenario, truths: Sequence[model.Truth], budgeted: bool) -> Iterator[PredictedProducts]:
         # Scores and false alarms of pixels and draws of objects are looked at, not curves of objects, and

@@ -229,9 +229,8 @@ def _eigenvalue_rows(sample: Sampled) -> Iterator[Result]:
     measured, band, n = sample.measured, sample.band, sample.n
     expected, low, high = sample.eigenvalues
     for k, value in enumerate(measured.eigenvalues):
-        ends = low[k] / value, high[k] / value
         reason = f"measured {value:.4g}, expected for {n} pixels of the prediction {expected[k]:.4g}"
-        yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, ends, n, reason)
+        yield _row(f"eigenvalue_ratio@{k + 1}", expected[k] / value, (low[k] / value, high[k] / value), n, reason)
     inside = (measured.eigenvalues >= low) & (measured.eigenvalues <= high)
     yield row("eigenvalues_inside_95", float(np.mean(inside)), n=n)
     total = band.total / band.total.mean() * float(np.trace(sample.covariances[0]) / measured.total)
@@ -293,10 +292,9 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     texture = np.asarray(predicted.pixel_covariance)[block] - np.diag(total[bands])
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
     beyond = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
-    calibration = calibration + beyond
     noise = total[bands] + beyond + _rounding(observed)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[block]
-    columns = {"calibration": calibration, "samples": samples, "errors": _errors(sample.sides, bands)}
+    columns = {"calibration": calibration + beyond, "samples": samples, "errors": _errors(sample.sides, bands)}
     factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)
     low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:

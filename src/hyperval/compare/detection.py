@@ -547,8 +547,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         yield from without("vacuous.region", name, n=m, unit=observed.unit)
         return
     first, last = float(predicted.pfa[0]), float(predicted.pfa[-1])
-    without_band = math.nan, math.nan
-    lo, hi = (read_at(predicted, x) if first <= x <= last else (float(x > last), without_band) for x in span)
+    lo, hi = (read_at(predicted, x) if first <= x <= last else (float(x > last), (math.nan, math.nan)) for x in span)
     bands = np.nan_to_num([hi[1][1] - hi[0], lo[0] - lo[1][0]])
     below, above = np.hypot([detected / m - least, most - detected / m], bands)
     # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
@@ -705,8 +704,7 @@ def compare_roc(predicted: RocCurve, observed: RocCurve, equivalence_margin: flo
     ('pd_inside_interval@1e-2', 0.0), ('pd_inside_measured_interval@1e-2', 0.0), ('pd_predicted_preset@1e-2',
     0.46), ('pd_inside_interval_preset@1e-2', 0.0)]
     """
-    background = observed.n_background
-    rare = [x for x in IF_BACKGROUND_ALLOWS if background and x * background >= LEAST_EXPECTED_ALARMS]
+    rare = [x for x in IF_BACKGROUND_ALLOWS if x * (observed.n_background or 0) >= LEAST_EXPECTED_ALARMS]
     for level in (*ALWAYS, *rare):
         yield from _at(predicted, observed, level, equivalence_margin)
         yield from alarm_rows(predicted, observed, level)

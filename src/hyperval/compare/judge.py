@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any, Literal
@@ -173,14 +173,22 @@ def judged(rows: Iterable[Result], gates: Sequence[Gate]) -> list[Result]:
     return shared_levels(out)
 
 
-def marked_as_fitted(rows: Sequence[Result], fitted_on: Sequence[str]) -> list[Result]:
+def marked_as_fitted(
+    rows: Sequence[Result], fitted_on: Sequence[str], pools: Mapping[str, Sequence[str]] = {}
+) -> list[Result]:
     """The rows with whether budget and settings were fitted on their subjects: names, or patterns with * and ?.
 
-    What is about several subjects is unseen where all of them are.
+    What is about several subjects is unseen where all of them are; ``pools`` : subjects of those that have a name.
 
     Raises
     ------
     UsageError : a name that no row has.
+
+    Examples
+    --------
+    >>> rows = [Result("c", "roc", name, "cem/object", "pd_difference@1e-2") for name in ("a", "b", "both")]
+    >>> [row.subjects_seen for row in marked_as_fitted(rows, ["a"], {"both": ["a", "b"]})]
+    ['fitted', 'unseen', 'fitted']
     """
     subjects = dict.fromkeys(row.subject for row in rows)
     for name in fitted_on:
@@ -188,9 +196,8 @@ def marked_as_fitted(rows: Sequence[Result], fitted_on: Sequence[str]) -> list[R
         refuse(unknown, "gate.fitted", name=name, known=", ".join(list(subjects)[:_NAMED]))
 
     def fitted(subject: str) -> bool:
-        return subject in EVERY or any(
-            fnmatchcase(s, name) for name in fitted_on for s in (subject, *subject.split(", "))
-        )
+        named = subject, *subject.split(", "), *pools.get(subject, ())
+        return subject in EVERY or any(fnmatchcase(s, name) for name in fitted_on for s in named)
 
     kinds = {subject: "fitted" if fitted(subject) else "unseen" for subject in subjects}
     return [replace(row, subjects_seen=kinds[row.subject]) for row in rows] if fitted_on else list(rows)

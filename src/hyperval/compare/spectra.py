@@ -941,7 +941,8 @@ def _sensor_rows(joint: JointDifference, found: InCommon) -> Iterator[Result]:
 def would_decide(item: Result, predicted: Products, observed: Products, fitted_on: Sequence[str] = ()) -> str:
     """What would decide an inconclusive criterion, in words: how well which sources would have to be known, or how many
     more would have to be counted.  The value is taken to stay; of the interval the side counts where an end of the
-    range lies, by the logarithm where that has the more even sides.  Of an area no more pixels can be had.
+    range lies, by the logarithm where that has the more even sides.  Of an area no more pixels can be had, and a number
+    of bands or of pieces of a spectrum is none of independent samples.
 
     Examples
     --------
@@ -950,6 +951,11 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     >>> alarms = Result("", "scores", "", "cem", "pfa_ratio@1e-2", 0.26, lower=0.105, upper=0.57, n=4773, **limits)
     >>> would_decide(alarms, nothing, nothing)
     '6878 pixels in place of 4773; or an interval 1.2 times narrower'
+    >>> spread = replace(alarms, subject="all objects", metric="pit_spread_ratio", n=5)
+    >>> would_decide(spread, nothing, nothing)
+    '8 objects in place of 5; or an interval 1.2 times narrower'
+    >>> would_decide(replace(alarms, product="radiance", metric="unstated_difference_ratio"), nothing, nothing)
+    'an interval 1.2 times narrower'
     >>> limits = {"limit_low": 0.75, "limit_high": 1.25}
     >>> area = Result("", "abundance", "", "", "area_ratio", 1.1032, lower=0.891, upper=1.3154, n=16, **limits)
     >>> would_decide(area, nothing, nothing), round((1.3154 - 1.1032) / (1.25 - 1.1032), 3)
@@ -975,9 +981,10 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     if wanted <= 0.0:
         return "another collection: the value is at the limit of its range"
     if not budget:
-        counted = "objects" if item.method.endswith("/object") else "pixels"
-        more = f"{math.ceil(item.n / wanted**2)} {counted} in place of {item.n}; or " if item.n else ""
-        return f"{more * (item.product != 'abundance')}an interval {1.0 / wanted:.3g} times narrower"
+        counted = "objects" if "/object" in item.method or item.metric.startswith("pit_") else "pixels"
+        narrows = item.n and item.product in ("scores", "roc", "covariance", "classification")
+        more = f"{math.ceil((item.n or 0) / wanted**2)} {counted} in place of {item.n}; or " if narrows else ""
+        return f"{more}an interval {1.0 / wanted:.3g} times narrower"
     same = [p for s, p in getattr(predicted, item.product).items() if side or s == item.subject]
     # Field spectra of several subjects have no one uncertainty.
     scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items() if not side or name != OWN}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -74,8 +74,14 @@ def drawn_of(sides: Sides, product: str) -> tuple[list[Mapping[Any, Any]], list[
 
 
 def in_windows(axis: SpectralAxis) -> Mask:
-    """Bands in the windows of the atmosphere; all, where none is."""
-    keep = axis.in_windows
+    """Bands that are summarised: the good ones in the windows of the atmosphere; all, where none is.
+
+    Examples
+    --------
+    >>> in_windows(SpectralAxis([500.0, 600.0, 940.0], 10.0, np.array([True, False, True])))
+    array([ True, False, False])
+    """
+    keep = axis.in_windows & axis.good
     return keep if keep.any() else np.ones(keep.shape, bool)
 
 
@@ -110,6 +116,12 @@ def wavelengths(axis: SpectralAxis) -> Axis:
     return Axis("number of the band" if axis.numbered else WAVELENGTH, ends=ends)
 
 
+def look_of(sides: Iterable[Products | None], product: str) -> tuple[str, str, bool]:
+    """Axis and title of the spectra of a product, and whether their difference is a ratio; counts are named so."""
+    counted = any(side and side.provenance.get("quantity") == "counts" for side in sides)
+    return ("counts", "Counts", False) if counted else SPECTRA[product]
+
+
 def spectra_figure(
     sides: Sides, product: str, rows: Sequence[Result] = (), names: tuple[str, str] = SIDES
 ) -> Figure | None:
@@ -132,8 +144,7 @@ def spectra_figure(
     aligned = [each if side and side.axis.matches(axis) else {} for side, each in zip(sides, both, strict=True)]
     pairs = [(aligned[0][s].mean, aligned[1][s].mean) for s in shown if all(s in each for each in aligned)]
     identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
-    counted = any(side and side.provenance.get("quantity") == "counts" for side in sides)
-    about = ("counts", "Counts", False) if counted else SPECTRA[product]
+    about = look_of(sides, product)
     views = tuple(_view(axis, s, [each.get(s) for each in aligned], about, not identical, names) for s in shown)
     title = f"{about[1]}: {_there(both, names)}" + ", which are identical" * identical
     return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
@@ -259,7 +270,17 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
 
 
 def tail_figure(sides: Sides) -> Figure | None:
-    """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best."""
+    """Share of pixels beyond a Mahalanobis distance: measured, as predicted, normal, and the t that fits best.
+
+    Examples
+    --------
+    >>> from hyperval.products import PixelDistribution
+    >>> about = {"distance": np.array([2.0]), "exceedance": np.array([0.1]), "leading_dimension": 2, "n": 100}
+    >>> law = PixelDistribution(leading_tail_dof=np.inf, leading_scale=0.5, **about)  # distances by twice the variance
+    >>> view = tail_figure((None, Products(SpectralAxis([500.0], 10.0), distribution={"grass": law}))).views[0]
+    >>> {mark.label: round(float(mark.numbers["y"][0]), 3) for mark in view.marks[1:]}
+    {'normal law': 0.368, 'fitted t': 0.135}
+    """
     predicted, measured = both_of(sides, "distribution")
 
     def view(subject: str) -> Panels:
@@ -268,13 +289,13 @@ def tail_figure(sides: Sides) -> Figure | None:
         low, high = clopper_pearson(law.exceedance * n, np.full(distance.size, n))
         columns = {"x": distance, "y": law.exceedance, "low": low, "high": high}
 
-        def curve(dof: float) -> dict[str, Array]:
-            return {"x": distance, "y": exceedance_of_distance(law.distance, dimension, dof)}
+        def curve(dof: float, scale: float = 1.0) -> dict[str, Array]:
+            return {"x": distance, "y": exceedance_of_distance(law.distance / scale, dimension, dof)}
 
         marks = [measured_mark("line", columns, "measured, with its 95 % interval")]
         marks += [] if stated is None else [predicted_mark("line", curve(stated.tail_dof), "predicted law")]
         marks.append(Mark("line", curve(math.inf), "normal law", dash="dotted"))
-        marks.append(Mark("line", curve(law.leading_tail_dof), "fitted t", DIFFERENCE, "dashdot"))
+        marks.append(Mark("line", curve(law.leading_tail_dof, law.leading_scale), "fitted t", DIFFERENCE, "dashdot"))
         prediction = "" if stated is None else f", {_dof(stated.tail_dof)} predicted"
         x = Axis("Mahalanobis distance", ends=(0.0, float(distance[-1]) * 1.03))
         y = Axis("share of pixels farther out", "log", ends=(0.3 / n, 1.5))
@@ -318,7 +339,7 @@ _MOST_POPULATIONS = 12
 _SPAN = 5.0  # standard deviations about the mean, where a density is not stated
 _DEEPEST = 1e-8  # part of the greatest density
 _BINS = 24
-_PFA = "P_FA per pixel"
+_PFA = "P_FA per background sample"
 Key = tuple[str, str, str]
 
 
@@ -340,7 +361,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
     if not views:
         return None
     title = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
-    title += " (dotted: 1 / background pixels)" if any(curve.n_background for curve in measured.values()) else ""
+    title += " (dotted: 1 / background samples)" if any(curve.n_background for curve in measured.values()) else ""
     title += left_out(len(views), len({*both[0], *measured}))
     return Figure("roc", "roc", title, tuple(views), together="first")
 
@@ -354,7 +375,7 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
         kind = "steps" if names[1] == SIDES[1] else "line"
         marks.append(measured_mark(kind, _roc_columns(measured, low), names[1]))
         background, n = measured.n_background, measured.n_target
-        counted = (n, measured.unit + "s" * (n != 1)), (background, "background pixels")
+        counted = (n, measured.unit + "s" * (n != 1)), (background, "background samples")
         note = ", ".join(f"{count_text(number)} {what}" for number, what in counted if number is not None)
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
     x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
@@ -438,8 +459,7 @@ def abundance_figure(sides: Sides) -> Figure | None:
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
-    rules = () if scattered else (0.0,)
-    return a_row_each("abundance", both_first(*both), both, x, rules=rules, sides=_there(both))
+    return a_row_each("abundance", both_first(*both), both, x, rules=() if scattered else (0.0,), sides=_there(both))
 
 
 def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:

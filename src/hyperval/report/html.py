@@ -225,7 +225,7 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     pages = {name: f"{folder}/report.html" for name, folder in folders.items()}
 
     def link(campaign: str, rows: Sequence[Result]) -> str:
-        return f"{pages[campaign]}#{anchor(rows[0])}" if rows else pages[campaign]
+        return pages[campaign] + _link("", rows)
 
     def heading(run: Run) -> str:
         collected = "Computed references" if run.computed else "Collected imagery"
@@ -234,7 +234,7 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
     groups = []
     for kind, of_kind in sorted(grouped((run for run in runs if not run.remedy), heading).items()):
         together = [row for run in of_kind for row in run.table]
-        matrices = _matrices(of_kind[0], together, lambda r: r.campaign, link)
+        matrices = _matrices(of_kind[0], same_background_once(together), lambda r: r.campaign, link)
         entries = [(run, v.first_screen(list(run.table)), pages[run.campaign]) for run in of_kind]
         sentence = f"{v.accepted_words(together)} Whether model and collection agree is not asked here."
         groups.append((kind, v.first_screen(together), sentence if of_kind[0].sentence else "", matrices, entries))

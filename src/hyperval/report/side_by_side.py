@@ -83,9 +83,9 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     changed.sort(key=lambda p: WORST_FIRST.index((p.b or p.either).outcome))
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
     whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
-    # Of their predictions, or of their collections where those alone differ.
-    both = [(x, y) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not to_xarray(x).equals(to_xarray(y))]
-    charts = first_figures(both[0], names=("run A", "run B")) if both and (moved or changed) else []
+    # Of their predictions, or of their collections where those alone differ: B first, so that differences are B - A.
+    both = [(y, x) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not to_xarray(x).equals(to_xarray(y))]
+    charts = first_figures(both[0], names=("run B", "run A")) if both and (moved or changed) else []
     alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
     first, second = flat(a.provenance), flat(b.provenance)
     folders = [(run.folder or Path()).resolve() for run in (a, b)]
