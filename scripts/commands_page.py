@@ -17,7 +17,8 @@ from hyperval.cli import app
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "commands.md"
 HEAD = """# The commands
 
-Made by `scripts/commands_page.py` from the command line itself; `hyperval COMMAND --help` prints the same.
+Made by `scripts/commands_page.py` from the command line itself; `hyperval COMMAND --help` has types, defaults and
+examples besides.
 """
 
 
@@ -30,8 +31,9 @@ def entry(name: str, command: click.Command) -> list[str]:
         lines += ["| argument or option | what it is |", "| --- | --- |"]
         for parameter in rows:
             words = " ".join(str(getattr(parameter, "help", "") or "").split()).replace("|", "\\|")
-            option = parameter.opts[0].startswith("-")
-            lines.append(f"| `{', '.join(parameter.opts) if option else str(parameter.name).upper()}` | {words} |")
+            is_option = parameter.opts[0].startswith("-")
+            names = parameter.opts if is_option else [parameter.metavar or str(parameter.name)]
+            lines.append(f"| `{', '.join(names)}` | {words} |")
         lines.append("")
     for below in inner:
         lines += entry(f"{name} {below}", inner[below])

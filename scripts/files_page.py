@@ -69,7 +69,7 @@ def limits_text(field: Mapping[str, Any]) -> str:
 def default_text(field: Mapping[str, Any], is_required: bool) -> str:
     """The default as it would be written, or that there is none."""
     value = field.get("default")
-    if is_required or value is None:
+    if is_required or value in (None, ""):
         return "required" if is_required else ""
     if isinstance(value, dict):
         return "its own defaults"
@@ -101,8 +101,8 @@ def section(name: str, schema: Mapping[str, Any]) -> str:
     words = " ".join(schema.get("description", "").split("Attributes")[0].split())
     rows = ["| key | value | default | meaning |", "| --- | --- | --- | --- |"]
     for key, field in schema.get("properties", {}).items():
-        words = (field["title"], field["description"], limits_text(field))
-        meaning = "; ".join(text for text in dict.fromkeys(words) if text).replace("|", "\\|")
+        told = (field["title"], field["description"], limits_text(field))
+        meaning = "; ".join(text for text in dict.fromkeys(told) if text).replace("|", "\\|").replace("; (as", " (as")
         default = default_text(field, key in schema.get("required", ()))
         rows.append(f"| `{key}` | {type_text(field)} | {default} | {meaning} |")
     return f"### {name}\n\n{words}\n\n" + "\n".join(rows) + "\n"

@@ -44,10 +44,10 @@ def test_readme_names_every_campaign_and_command_and_no_other():
 
 
 def test_the_reference_of_files_has_every_model_and_its_keys():
-    """It is made when the documentation is built."""
+    """It is made when the documentation is built; each model says first what it is."""
     page = runpy.run_path(str(ROOT / "scripts" / "files_page.py"))["page"]()
     assert {*re.findall(r"\[(\w+)\]\(#\w+\)", page)} <= {*re.findall(r"^### (\w+)$", page, re.MULTILINE)}
-    section = page.partition("### Scenario\n")[2].partition("\n### ")[0]
+    section = page.partition("### Scenario\n\nOne scenario.\n")[2].partition("\n### ")[0]
     keys = [info.alias or name for name, info in Scenario.model_fields.items()]
     assert re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE) == keys
 

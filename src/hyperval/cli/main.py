@@ -416,7 +416,7 @@ def study(
     output: Output,
     scheduler: Scheduler = None,
 ) -> int:
-    """Evaluate a trade-off study; an interrupted run goes on where it stopped."""
+    """Evaluate a trade study; an interrupted run goes on where it stopped."""
     return finished(hyperval.study.study_to_folder(study_file, output, scheduler=scheduler), output)
 
 
@@ -490,7 +490,7 @@ def validate(
     campaigns: Annotated[list[Path], Argument(help="Campaign files.")],
     output: AnyOutput = None,
     dry_run: Annotated[
-        bool, Option("--dry-run", help="List files, values to fill in, comparisons, and criteria that stay undecided.")
+        bool, Option("--dry-run", help="List files, values to fill in, comparisons, inconclusive criteria.")
     ] = False,
     junit: Annotated[Path | None, Option(help="Copy of junit.xml, where a test server looks for it.")] = None,
     scheduler: Scheduler = None,

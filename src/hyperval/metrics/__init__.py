@@ -223,7 +223,13 @@ def foreign(name: str, product: str) -> str:
 
 
 def explained(names: Iterable[str]) -> list[tuple[str, str]]:
-    """(metric, what it is), each once, by name."""
+    """(metric, what it is), each once, by name.
+
+    Examples
+    --------
+    >>> explained(["sensor_gain@550", "sensor_gain@800"])[0][1][:33]
+    'measured over predicted radiance,'
+    """
     return [(base, metric_of(base).words) for base in sorted({base_name(name) for name in names})]
 
 
@@ -234,6 +240,8 @@ def facts(m: Metric) -> dict[str, str]:
     --------
     >>> facts(metric_of("pd_difference"))["range"], facts(metric_of("z"))["range"]
     ('-1 to 1', '')
+    >>> facts(metric_of("bias_ratio"))["effect in"]
+    '% of the product'
     """
     return {name: worded("metrics/facts.yaml", name)(m=m, span=_span) for name in package_table("metrics/facts.yaml")}
 

@@ -59,7 +59,7 @@ SAME_BAND_NM = 0.05  # centres this close are the same band
 FEW_PER_BAND = 3
 MOST_UNCOVERED = 0.1  # of the usable bands; a spectrum that lacks more is another one than was meant
 _SUN, _VIEW = ("solar_zenith_deg", "solar_azimuth_deg"), ("view_zenith_deg", "view_azimuth_deg")
-MOST_RUNS = 400  # of the engine, at about seven seconds each where nothing is cached
+MOST_RUNS = 400  # of the engine, at about four seconds each where nothing is cached
 # What decides which files an engine finds.
 _ENVIRONMENT = (
     "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"

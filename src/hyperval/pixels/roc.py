@@ -716,10 +716,10 @@ def empirical_roc(
     bounds x from above and the lower limit of P_D is 0.  Where the places of the background are known, alarms that come
     in clusters widen that range.  The distances of
     both from P_D are added in quadrature on each side (as in Newcombe, Stat. Med. 17, 873-890, 1998).  The true P_D
-    rises with P_FA, so limits that do not are widened until they do.  Simulated coverage at 95 % is 0.95 to 0.99,
-    tables in docs/statistics.md, and 0.92 where 300 targets stand on 44 alarms that come in clusters; with the first
-    part alone it falls below 0.4 for a small background and many targets.  Targets must be independent of each
-    other, so count objects, not the pixels of one object.
+    rises with P_FA, so limits that do not are widened until they do.  Simulated coverage at 95 % is 0.95 to 0.99
+    (tables in validation/coverage/README.md), and 0.92 where 300 targets stand on 44 alarms that come in clusters;
+    with the first part alone it falls below 0.4 for a small background and many targets.  Targets must be
+    independent of each other, so count objects, not the pixels of one object.
 
     Parameters
     ----------

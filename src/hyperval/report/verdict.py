@@ -83,6 +83,15 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     >>> broken = Result("", "radiance", "lawn", "", "bias_ratio", outcome=Outcome.ERROR)
     >>> first_screen([broken]).head, first_screen([broken]).lead
     ('Error', 'Nothing here can pass or fail. 1 informational comparison ended in an error.')
+
+    What can never be met is counted alike in the sentence and beside it, checks of the pipeline apart.
+
+    >>> from dataclasses import replace
+    >>> from hyperval.results import Role
+    >>> wide = replace(broken, role=Role.GATE, outcome=Outcome.UNDECIDED, cause=Cause.NEVER)
+    >>> screen = first_screen([replace(wide, evidence=evidence) for evidence in Evidence])
+    >>> ["1 of the inconclusive ones can never be met" in text for text in (screen.words, screen.asides[0])]
+    [True, True]
     """
     gates = [row for row in rows if row.gates]
     model = [row for row in gates if row.evidence is Evidence.MODEL]
@@ -100,7 +109,7 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
         products.append((product_words(kind), [(o, counts[o]) for o in WORST_FIRST if counts[o]], outcome_words(some)))
     reason, ahead = _reason(rows, first.subject if first else "all"), _AHEAD.get(first.outcome, "") if first else ""
     counted = _counted(gates, Evidence.MODEL), _counted(gates, Evidence.PIPELINE), _counted(informing, None)
-    words = opening, *counted[:2], _never_met(gates), counted[2], _which_to_believe(rows)
+    words = opening, *counted[:2], _never_met(model), counted[2], _which_to_believe(rows)
     return FirstScreen(
         outcome, head, _lead(gates, informing, ahead, first), " ".join(filter(None, words)), list(filter(None, asides)),
         products, first, ahead, reason, _steps(rows, shown, reason),

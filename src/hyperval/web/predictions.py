@@ -361,7 +361,7 @@ class StudyOrder(Model):
 
 @api.post("/studies", status_code=201)
 def studies(request: Request, order: StudyOrder) -> RunAnswer:
-    """Evaluate a trade-off study; ask for the run to learn how far it is."""
+    """Evaluate a trade study; ask for the run to learn how far it is."""
     return answer_of(request, order_study(request, order.study))
 
 
