@@ -752,9 +752,7 @@ def read_files(
     UsageError, InputError : a scenario that contradicts itself, a file that is missing or corrupt.
     """
     find, measured, operation = source.find(scenario), source.measured or {}, scenario.sensor_operation
-    name, sensor = scenario.sensor or "", source.sensor
-    if sensor is None and name:
-        sensor = sensor_named(name, find)
+    sensor = source.sensor or (sensor_named(scenario.sensor, find) if scenario.sensor else None)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = needed(next((a for a in axes if a is not None), None), "scenario.bands")
     true, noise, kept = axis, None, dict[Any, Any]()

@@ -587,7 +587,8 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
 
 def sensor_named(name: str, find: Callable[[str], Path]) -> Sensor:
     """The sensor that an entry of a file names: of the library, or in a file that ``find`` leads to."""
-    return load_sensor(find(name) if PurePath(name).suffix or ":" in name else name)
+    path = find(name) if PurePath(name).suffix or ":" in name else name
+    return library_sensor(name) if name in library_names() else load_sensor(path)
 
 
 @lru_cache(maxsize=16)
