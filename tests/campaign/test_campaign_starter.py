@@ -101,8 +101,8 @@ def delivery(tmp_path):
     lawn, court, felt = 0.05 + 0.4 * (w > 700.0), 0.1 + 0.0002 * (w - 450.0), np.where(w < 600.0, 0.1, 0.6)
     image = np.where(np.arange(40)[None, :, None] < 20, lawn, court) * rng.normal(1.0, 0.05, (40, 40, 1))
     names = {"court": np.s_[10:30, 30:38], "lawn": np.s_[34:39, 2:8], "black": np.s_[0:2, 22:24]}
-    names |= {"white": np.s_[0:5, 32:38], "single pixel": np.s_[37:38, 15:16]}
-    image[names["black"]], image[names["white"]] = 0.04, 0.6
+    names |= {"whiteref": np.s_[0:5, 32:38], "single pixel": np.s_[37:38, 15:16]}
+    image[names["black"]], image[names["whiteref"]] = 0.04, 0.6
     felts = [(8, 5, 1.0), (14, 10, 0.5), (20, 5, 1.0), (26, 10, 0.5)]
     for line, sample, side in felts:
         image[line, sample] += side**2 * (felt - image[line, sample])
@@ -114,9 +114,9 @@ def delivery(tmp_path):
     kinds = "file type = ENVI Classification", "classes = 6", f"class names = {{none, {', '.join(names)}}}"
     written(tmp_path / "map.img", classes, *kinds, bands=None)
     table = np.column_stack([w, lawn, court, felt, 0.04 + 0 * w, 0.6 + 0 * w])
-    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header="nm,lawn,court,felt,black,white", comments="")
+    np.savetxt(tmp_path / "field.csv", table, delimiter=",", header="nm,lawn,court,felt,black,whiteref", comments="")
     (tmp_path / "asd").mkdir()
-    for i, (name, k) in product((1, 2), {"Felt.0000": 3, "lawn_000": 1, "black0": 4, "WR0": 5, "white0": 5}.items()):
+    for i, (name, k) in product((1, 2), {"Felt.0000": 3, "lawn_000": 1, "black0": 4, "WR0": 5, "whiteref0": 5}.items()):
         np.savetxt(tmp_path / "asd" / f"{name}{i}.txt", table[:, [0, k]] * [1.0, 0.8 + 0.1 * i], header="nm refl")
     rows = "".join(f"felt,{line + 0.5},{sample + 0.5},{side:g}\n" for line, sample, side in felts)
     (tmp_path / "felts.csv").write_text("material,line,sample,side_m\n" + rows, "utf-16")  # as spreadsheets save it
@@ -134,7 +134,7 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     cube, line, scene = campaign.collection.cube, campaign.collection.empirical_line, campaign.scenarios[0].scene
     assert (cube.quantity, cube.unit, cube.scale) == ("radiance", "microW/cm^2/nm/sr", 0.001)
     # Panels by their flat spectra, as no name says it; four pixels of black tell no SNR.
-    assert [[p.region for p in line.panels], campaign.collection.snr_regions] == [["black", "white"], ["white"]]
+    assert [[p.region for p in line.panels], campaign.collection.snr_regions] == [["black", "whiteref"], ["whiteref"]]
     # A single pixel has no spread; no class is drawn around the felts: what is seen there is like the lawn.
     assert ([c.name for c in scene.classes], scene.targets[0].host) == (["court", "lawn"], "lawn")
     subjects = {s.name: s.fill.geometry.side_m for s in scene.targets[0].subjects}
@@ -153,8 +153,8 @@ def test_a_delivered_radiance_line_becomes_a_campaign_without_a_question(deliver
     many = job_of(tmp_path / "many" / "campaign.yaml").campaign
     sought = [*many.detection.targets, *many.collection.empirical_line.panels]
     files = [Path(file).name for one in sought for file in one.spectrum.replicates.files]
-    assert files == [f"{name}{i}.txt" for name in ("Felt.0000", "black0", "white0") for i in (1, 2)]
-    assert re.search("a third: felt.#, black#, lawn_#, white#.*not used: WR01.txt, WR02.txt;", str(many.assumptions))
+    assert files == [f"{name}{i}.txt" for name in ("Felt.0000", "black0", "whiteref0") for i in (1, 2)]
+    assert re.search("a third: felt.#, black#, lawn_#, whiteref#.*not used: WR01.txt, WR02.txt;", str(many.assumptions))
 
     (felts := tmp_path / "felts.csv").write_text(felts.read_text("utf-16").replace(",0.5\n", ",1\n"))  # of one size
     assert cli.run([*delivery, str(tmp_path / "field.csv"), "-o", str(tmp_path / "one")]) == 0

@@ -68,9 +68,7 @@ def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
         for subject, estimate in getattr(observed, product).items():
             if (spectrum := getattr(some, product).get(subject)) is None:
                 continue
-            use = (
-                observed.axis.good & observed.axis.in_windows & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
-            )
+            use = observed.axis.clear & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
             level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
             if level > 0:
                 found[product, subject, "", "ratio_windows"] = float(np.mean(spectrum.mean[use])) / level
@@ -317,7 +315,7 @@ def _blocks(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
 
 def _spectrum(product: str, subject: str, predicted: Products, estimate: SpectralEstimate) -> Iterator[ResidualBlock]:
     mean = getattr(predicted, product)[subject].mean
-    use = predicted.axis.good & predicted.axis.in_windows & np.isfinite(mean) & np.isfinite(estimate.mean)
+    use = predicted.axis.clear & np.isfinite(mean) & np.isfinite(estimate.mean)
     use &= mean > 0.01 * np.nanmax(mean, initial=0.0)  # bands without light say nothing
     if not use.any():
         return

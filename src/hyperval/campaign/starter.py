@@ -390,10 +390,11 @@ class Draft:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has.
 
         Replicates are one where no single spectrum fits; what an instrument shows of its own white reference, or in
-        the dark, is none of the scene.
+        the dark, is none of the scene, unless the scene has such a panel.
         """
-        words, tests = _words(name), (frozenset.__eq__, frozenset.__ge__, frozenset.__le__)
-        pools = [[s for s in p if _words(s.name) and not _REFERENCE.search(s.name)] for p in (self.spectra, self.kinds)]
+        words, is_reference = _words(name), _REFERENCE.search(name)
+        tests, both = (frozenset.__eq__, frozenset.__ge__, frozenset.__le__), (self.spectra, self.kinds)
+        pools = [[s for s in p if _words(s.name) and (is_reference or not _REFERENCE.search(s.name))] for p in both]
         fits = ([s for s in pool if test(_words(s.name), words)] for test, pool in product(tests, pools))
         return next((matches[0] for matches in fits if len(matches) == 1), None)
 

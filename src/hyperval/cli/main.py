@@ -384,11 +384,12 @@ def init(
     hyperval.config.write_draft(path, "campaign", text)
     for guess in guesses:
         note(f"guess: {guess}")
-    asked = hyperval.config.placeholders(*hyperval.config.parse_yaml(text), str(path))
+    data, lines = hyperval.config.parse_yaml(text)
+    asked = hyperval.config.placeholders(data, lines, str(path))
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
-    drafted = ("validate", "--dry-run", path) if asked or "\ncomparisons:" in text else ("observe", path, "-o", "seen")
-    again = asked and "\nscenarios:" not in text
+    drafted = ("validate", "--dry-run", path) if asked or "comparisons" in data else ("observe", path, "-o", "seen")
+    again = bool(asked) and "scenarios" not in data
     then = "hyperval init again, with these options, into another folder" if again else as_typed(*drafted)
     count = f"{len(asked)} value{'s' if len(asked) > 1 else ''} to fill in, then"
     note(f"{path}: {count if asked else 'now'}: {then}")

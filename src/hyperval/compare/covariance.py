@@ -31,7 +31,7 @@ _MOST_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
     """(B,) usable bands in the atmospheric windows in which both covariances say something."""
-    keep = axis.in_windows & axis.good
+    keep = axis.clear
     for side in (predicted, observed):
         variance = np.diag(np.asarray(side.pixel_covariance))
         keep = keep & np.isfinite(variance) & (variance > 0)

@@ -81,7 +81,7 @@ def in_windows(axis: SpectralAxis) -> Mask:
     >>> in_windows(SpectralAxis([500.0, 600.0, 940.0], 10.0, np.array([True, False, True])))
     array([ True, False, False])
     """
-    keep = axis.in_windows & axis.good
+    keep = axis.clear
     return keep if keep.any() else np.ones(keep.shape, bool)
 
 

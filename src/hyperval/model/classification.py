@@ -460,7 +460,7 @@ def predicted_classification(
     """
     axis = prediction.axis
     spectra = prediction.radiance if quantity == "radiance" else prediction.reflectance
-    usable = axis.in_windows & axis.good
+    usable = axis.clear
     out = {}
     for chosen in sets:
         if not all(name in spectra for name in chosen):

@@ -129,7 +129,7 @@ def observe(
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
     snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance) for n in collection.snr_regions}
-    remark = said("classifiers", used=place.clear_bands.sum(), bands=cube.bands)
+    remark = said("classifiers", used=cube.axis.clear.sum(), bands=cube.bands)
     observation = ObservedProducts(
         axis=cube.axis,
         snr=snr,
@@ -321,7 +321,7 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
     """
     n, axis = statistics.n, place.cube.axis
     variance = np.diag(statistics.covariance)
-    bands = np.flatnonzero(place.clear_bands & np.isfinite(variance) & (variance > 0))
+    bands = np.flatnonzero(place.cube.axis.clear & np.isfinite(variance) & (variance > 0))
     if n < FEWEST_PIXELS or bands.size < px.FEWEST_LEADING:
         return None
     rng = np.random.default_rng(_TAIL_SEED)
@@ -465,7 +465,7 @@ class RegionLaws:
         finite = np.isfinite(pixels[valid]).any(axis=0)
         pixels = np.where(finite, pixels, 0.0)
         valid &= np.isfinite(pixels).all(axis=1)
-        lead = np.flatnonzero(self._place.clear_bands & finite)
+        lead = np.flatnonzero(self._place.cube.axis.clear & finite)
         return pixels[valid], lines[valid], samples[valid], lead
 
     def _numbered(self, region: str) -> Index:
@@ -553,7 +553,7 @@ def classification_errors(place: Place, task: Classification) -> dict[tuple[str,
     out = {}
     for chosen in class_sets(task):
         for choice in task.features:
-            bands = feature_bands(place.cube.axis.centre_nm, place.clear_bands, choice.bands_nm)
+            bands = feature_bands(place.cube.axis.centre_nm, place.cube.axis.clear, choice.bands_nm)
             trained = [statistics_of(halves[name][0][0][:, bands]) for name in chosen]
             laws = [ClassLaw(s.mean, s.covariance) for s in trained]
             psi = class_features(laws, choice.pca)

@@ -148,12 +148,6 @@ class Place:
         return np.asarray(number.reshape(-1).astype(np.int32)[self.labels.number])
 
     @property
-    def clear_bands(self) -> Mask:
-        """(B,) good bands in the windows of the atmosphere; all good ones where bands go by number."""
-        axis = self.cube.axis
-        return np.asarray(axis.good & (axis.in_windows | axis.numbered))
-
-    @property
     def near_targets(self) -> Mask:
         """(lines, samples) target pixels with their guard ring."""
         return self.labels[_NEAR]

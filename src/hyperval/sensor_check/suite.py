@@ -267,7 +267,7 @@ class SensorCheck:
     @cached_property
     def good(self) -> Mask:
         """(B,) good bands in the atmospheric windows; all good ones where none lies in a window."""
-        inside = self.axis.good & self.axis.in_windows
+        inside = self.axis.clear
         return inside if inside.any() else self.axis.good
 
     @cached_property
@@ -732,7 +732,7 @@ def scenario_runs(check: SensorCheck) -> Values:
 def not_positive(check: SensorCheck) -> Values:
     """Radiances and ratios of the scenarios that are not positive."""
     for name, products in check.predictions.items():
-        good = products.axis.good & products.axis.in_windows
+        good = products.axis.clear
         spectra = (e.mean[good] for group in (products.radiance, products.snr) for e in group.values())
         yield Found(sum(int(np.count_nonzero(~(np.isfinite(mean) & (mean > 0)))) for mean in spectra), name)
 
@@ -748,7 +748,7 @@ def snr_over_cap(check: SensorCheck) -> Values:
 def panel_error(check: SensorCheck) -> Values:
     """Reflectance of the scenarios' panels after the empirical line against their own."""
     for name, products in check.predictions.items():
-        good = products.axis.good & products.axis.in_windows
+        good = products.axis.clear
         off = [
             (products.reflectance[panel.name].mean - builtin_mean(panel.spectrum.builtin, products.axis))[good]
             for panel in load_scenario(name).scene.panels

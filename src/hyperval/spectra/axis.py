@@ -87,6 +87,17 @@ class SpectralAxis:
         return in_window(self.centre_nm) & (not self.numbered)
 
     @property
+    def clear(self) -> Mask:
+        """(B,) good bands in these windows, by which a spectrum is summarised; all good ones where bands go by number.
+
+        >>> SpectralAxis([500.0, 600.0, 940.0], 10.0, np.array([True, False, True])).clear
+        array([ True, False, False])
+        >>> SpectralAxis(np.arange(1.0, 4.0), 1.0, np.array([True, False, True])).clear
+        array([ True, False,  True])
+        """
+        return self.good & (self.in_windows | self.numbered)
+
+    @property
     def words(self) -> str:
         """How many bands, and from where to where.
 

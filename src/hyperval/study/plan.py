@@ -134,7 +134,7 @@ def bands_of(output: Output, axis: SpectralAxis) -> Index:
         band = axis.nearest(output.band_nm, widths=2.0)
         return np.array([needed(band, "study.band", name=output.name, nm=output.band_nm)])
     low, high = output.range_nm or (0.0, np.inf)
-    bands = np.flatnonzero((w >= low) & (w <= high) & axis.good & axis.in_windows)
+    bands = np.flatnonzero((w >= low) & (w <= high) & axis.clear)
     refuse(not bands.size, "study.range", name=output.name, low=low, high=high)
     return bands
 

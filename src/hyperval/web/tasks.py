@@ -83,7 +83,7 @@ def predict(folder: str) -> dict[str, Any]:
         with suppress(UsageError):  # where the curves of the scenario begin above it
             found = zip(("pd", "lower", "upper"), map(_number, prediction.pd(pfa=pfa, **about)), strict=True)
             rows.append({**about, "pfa": pfa, **dict(found)})
-    good = prediction.axis.good & prediction.axis.in_windows
+    good = prediction.axis.clear
     medians = {n: _number(np.nanmedian(e.mean[good])) for n, e in prediction.snr.items() if not n.endswith(")")}
     snr = [{"subject": name, "median": median} for name, median in medians.items()]
     nm = prediction.axis.centre_nm
