@@ -157,7 +157,7 @@ class Run:
     given : name of a side -> its products, of a run that is to be written
     campaign, title, description : name (also of the output folder), heading, a sentence or two
     simulated : True when the collection is simulated; every page, figure and file then says so
-    computed : True when the reference is what another program computed, and no imagery
+    group : heading that it stands under on an index page; empty: that of collected or of simulated imagery
     score_maps : "TARGET-DETECTOR" -> map
     quicklook : picture of the scene
     notes : assumptions made, what was left out
@@ -179,7 +179,7 @@ class Run:
     simulated: bool = False
     campaign: str = ""
     description: str = ""
-    computed: bool = False
+    group: str = ""
     score_maps: Mapping[str, ScoreMap] = field(default_factory=dict)
     quicklook: Quicklook | None = None
     notes: Sequence[str] = ()

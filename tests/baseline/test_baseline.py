@@ -323,8 +323,9 @@ def test_a_sensor_of_ones_own(place, tmp_path, own_atmosphere, monkeypatch):
     (done,) = accept([], [file], reason="First", baselines=folder)
     assert (done.owner, bool(done.changes)) == ("sensor small-sensor", True)
     assert (folder / "sensors/small-sensor.yaml").is_file()
-    (done,) = check([], [file], baselines=folder)
+    (done,) = check([], [file], baselines=folder, output=tmp_path / "out")
     assert done.rows.exit_code() == 0
+    assert re.search("(?s)Accepted numbers: 1 run<.*<h2>Sensors<", (tmp_path / "out/report.html").read_text())
     told = shlex.split(done.acceptance(folder))  # the command that is printed names the file
     assert told[told.index("--sensors") + 1] == file
     data["measured_noise"]["table"][0][1] *= 1.01

@@ -276,11 +276,9 @@ def test_campaigns_without_their_collection_are_folded_by_what_gets_it():
 
 def test_an_index_joins_campaigns_and_sets_computed_and_simulated_references_apart(run, tmp_path):
     failed = [row(f"{name} background", product="scores") for name in ("felt", "plank")]
-    second, network = (
-        Run(ResultTable(of_campaign(failed, n)), campaign=n, title=n, computed=n == "network")
-        for n in ("second <b>", "network")
-    )
-    runs = {"second_b_": second, "network": network, "invented": dataclasses.replace(run, computed=True)}
+    second, network = (Run(ResultTable(of_campaign(failed, n)), campaign=n, title=n) for n in ("second <b>", "network"))
+    network = dataclasses.replace(network, group="Computed references")
+    runs = {"second_b_": second, "network": network, "invented": run}
     for name, one in runs.items():
         written(one, tmp_path / name)
     report.write_index(list(runs.values()), tmp_path)

@@ -479,7 +479,7 @@ def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
             run.rows, {"command": command_without_output(), "versions": run.versions, "inputs": inputs},
             campaign=run.owner, title=f"{run.run.title}: against the accepted numbers", simulated=run.run.simulated,
             description="Each number of this run beside the accepted one; it fails beyond its tolerance.",
-            kind="Accepted numbers of",
+            kind="Accepted numbers of", group=f"{run.kind.capitalize()}s",
             sentence=accepted_words(run.rows) if run.before else next(row.reason for row in run.rows),
         ))  # fmt: skip
         inner = folder / folders[run.owner]

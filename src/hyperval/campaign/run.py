@@ -119,7 +119,8 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
 def report_of(campaign: Outline, rows: Iterable[Result], **more: Any) -> Run:
     """What a campaign's file and its rows alone say; ``more`` : other fields of :class:`hyperval.run.Run`."""
     fields: dict[str, Any] = {name: getattr(campaign, name) for name in ("title", "description", "references")}
-    fields["computed"] = isinstance(campaign, Campaign) and campaign.collection.radcalnet is not None  # by a network
+    if isinstance(campaign, Campaign) and campaign.collection.radcalnet is not None:  # by a network
+        fields["group"] = "Computed references"
     table = ResultTable(of_campaign(rows, campaign.name))
     return Run(table, campaign=campaign.name, simulated=bool(campaign.simulated), **fields, **more)
 

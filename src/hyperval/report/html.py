@@ -218,9 +218,9 @@ def _link(subject: str, rows: Sequence[Result]) -> str:
 def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Validation") -> str:
     """The page of several campaigns; ``folders`` maps a campaign to its folder beside the page.
 
-    Collected imagery, references that were computed and simulated collections stand apart: agreement with the
-    second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of their own are
-    set beside accepted numbers.
+    Collected imagery, references that were computed and simulated collections stand apart, each in its group:
+    agreement with the second compares two programs, with the last it tests the software.  Runs with a ``sentence`` of
+    their own are set beside accepted numbers.
     """
     pages = {name: f"{folder}/report.html" for name, folder in folders.items()}
 
@@ -228,8 +228,7 @@ def index_page(runs: Sequence[Run], folders: Mapping[str, str], title: str = "Va
         return pages[campaign] + _link("", rows)
 
     def heading(run: Run) -> str:
-        collected = "Computed references" if run.computed else "Collected imagery"
-        return "Simulated collections" if run.simulated else collected
+        return run.group or ("Simulated collections" if run.simulated else "Collected imagery")
 
     groups = []
     for kind, of_kind in sorted(grouped((run for run in runs if not run.remedy), heading).items()):
