@@ -18,8 +18,8 @@ from playwright.sync_api import Page, sync_playwright
 
 # The question as the front page has it; the links that are clicked, by their text; words of the answer.
 QUESTIONS = {
-    "What failed, and by how much?": (["how to read a verdict", "Not met"], "Two of seventeen criteria fail"),
-    "Is it the sensor or the atmosphere?": (["attribution"], "points to the sensor, the light or the atmosphere"),
+    "What failed, and by how much?": (["how to read a verdict", "Not met"], "One of seventeen criteria fails"),
+    "Is it the sensor or the atmosphere?": (["attribution"], "points to sensor, light or atmosphere"),
     "How do I run my own cube?": (["a campaign from your own imagery"], "hyperval init --cube"),
     "Which test is this p-value from?": (["which interval, which test", "spectra"], "Hotelling"),
     "How do I add a detector?": (["extending"], "register_detector"),
