@@ -157,7 +157,8 @@ def reader(function: Callable[P, R]) -> Callable[P, R]:
     def read(*args: P.args, **options: P.kwargs) -> R:
         named = next(iter((*args, *options.values())), "")
         try:
-            if isinstance(named, str | Path) and _is_endless(named):
+            path = named if isinstance(named, str | Path) else "."
+            if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
                 raise InputError("is a pipe, socket or device", where=str(named), expected="a regular file")
             return function(*args, **options)
         except HypervalError:
@@ -169,10 +170,6 @@ def reader(function: Callable[P, R]) -> Callable[P, R]:
             raise InputError(what, where=place, mend="correct it there, or copy the file again") from error
 
     return read
-
-
-def _is_endless(path: str | Path) -> bool:
-    return os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path))
 
 
 def words_and_code(error: Exception) -> tuple[str, int]:

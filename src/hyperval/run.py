@@ -296,20 +296,24 @@ def runs_in(folders: Iterable[Path]) -> list[Path]:
     return out
 
 
-def days_of(folders: Sequence[Path], product: str, subject: str, metric: str) -> list[tuple[datetime, Result]]:
+def days_of(folders: Sequence[Path], **asked: str) -> list[tuple[datetime, Result]]:
     """A row of every run in the folders, by the time of its scenario; skipped ones are left out.
+
+    ``asked`` : what names the row: its product, subject and metric, and its method where there are several
 
     Raises
     ------
     InputError : a folder without results.
-    UsageError : a run with several times, or none of the runs has such a row.
+    UsageError : a run with several times, or no such row, or several, such as of single bands.
     """
-    days, asked = [], {"product": product, "subject": subject, "metric": metric}
+    days = []
     for run in map(Run.open, runs_in(folders)):
         rows = [row for row in run.table.where(**asked) if not math.isnan(row.value)]
         refuse(rows and len(run.times) != 1, "results.times", run.folder, count=len(run.times))
-        days += [(when, rows[0]) for when in run.times if rows]
-    refuse(not days, "results.row", row=f"{product}, {subject}, {metric}")
+        days += [(when, row) for when in run.times for row in rows]
+    refuse(not days, "results.row", row=", ".join(asked.values()))
+    several = sorted({row.key for _, row in days})
+    refuse(len(several) > 1, "results.several", count=len(several), rows="; ".join(several[:3]))
     return sorted(days, key=lambda day: day[0])
 
 

@@ -124,7 +124,7 @@ def test_from_files_to_verdict_and_drift(overpasses, tmp_path, capsys):
     for code, *words in (
         (0, out, "--within", "-0.05", "0.05"),
         (5, out, "--within", "-0.0195", "0.05"),
-        (2, out, "--metric", "bias"),
+        *((2, out, "--metric", metric) for metric in ("bias", "difference_ratio")),  # none, and one for each band
         (3, tmp_path / "none"),
         (2, out, "--within", "1", "0"),
     ):

@@ -13,8 +13,8 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import FrameType, SimpleNamespace
-from typing import Annotated, Any, Literal, NoReturn, TypeVar
+from types import SimpleNamespace
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 from typer import Argument, Option
@@ -295,11 +295,13 @@ def drift(
     metric: Annotated[str, Option(help="Metric to follow.")] = "bias_ratio",
     product: Annotated[str, Option(help="Product of its row.")] = "radiance",
     subject: Annotated[str, Option(help="Subject of its row.")] = "site",
+    method: Annotated[str, Option(help="Method of its row, where there are several.")] = "",
     within: Annotated[tuple[float, float] | None, Option(help="Accepted change in a year, lowest and highest.")] = None,
 ) -> int:
     """Print a row for each day of finished runs, and the change in a year with its interval."""
     refuse(within is not None and not within[0] < within[1], "drift.within", within=within)
-    days = hyperval.run.days_of(folders, product, subject, metric)
+    named = {"product": product, "subject": subject, "metric": metric, "method": method}
+    days = hyperval.run.days_of(folders, **{key: name for key, name in named.items() if name})
     rows = [
         (f"{when:%Y-%m-%dT%H:%M:%SZ}", row.campaign, *(f"{x:.6g}" for x in (row.value, row.lower, row.upper)))
         for when, row in days
@@ -311,8 +313,7 @@ def drift(
     outcome = within and hyperval.compare.against_range(trend.lower, trend.upper, *within)
     judged = f": {outcome} with {within[0]:g} to {within[1]:g}" if within else ""
     note(f"{metric} changes by {trend.value:+.3g} in a year, {interval}{judged}")
-    outcomes = hyperval.results.Outcome
-    return {None: 0, outcomes.AGREES: 0, outcomes.DISAGREES: 1}.get(outcome, 5)
+    return {None: 0, "agrees": 0, "disagrees": 1}.get(outcome, 5)
 
 
 @command("figures results -o figures --format svg --style journal")
@@ -660,11 +661,6 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 _PLACES = (errno.ENAMETOOLONG, errno.EACCES, errno.EROFS, errno.ENOTDIR, errno.EISDIR, errno.EEXIST)
 
 
-def _terminate(signum: int, frame: FrameType | None) -> NoReturn:
-    """SIGTERM came: unwind like an interrupt, so that half-written files are removed."""
-    sys.exit(TERMINATED)
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; every error becomes one message on standard error."""
     settings.quiet = settings.debug = False
@@ -737,5 +733,6 @@ def main() -> None:
     # number of threads, and our own workers would fight for the processors with those of the library.
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    signal.signal(signal.SIGTERM, _terminate)
+    # It unwinds like an interrupt, so that half-written files are removed.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
     sys.exit(run())
