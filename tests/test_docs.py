@@ -34,6 +34,9 @@ def test_every_page_stands_in_the_table_of_contents():
     pages = {p.stem for p in DOCS.glob("*.md")} - {"index"} | {f"notebooks/{p.stem}" for p in NOTEBOOKS}
     pages |= {"gallery/index", "reference/commands", "reference/files", "reference/metrics"}
     assert sorted(listed) == sorted(pages)
+    asked = runpy.run_path(str(DOCS.parent / "scripts" / "docs_check.py"))["QUESTIONS"].values()
+    texts = "".join(p.read_text("utf-8") for p in DOCS.glob("*.md"))
+    assert [words for _, words in asked if words not in texts] == []  # what make docs-check looks for
 
 
 @pytest.mark.parametrize("page", [p for p in DOCS.glob("*.md") if ">>> " in p.read_text("utf-8")], ids=lambda p: p.stem)
