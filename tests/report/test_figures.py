@@ -206,9 +206,9 @@ def test_the_subject_that_disagrees_stands_first_and_their_number_is_bounded(run
 
 def test_a_side_alone(run):
     """Bands may go by number; ends of axes take in a single value, and rules that lie near."""
-    axis = run.pair[1].axis
-    numbered = dataclasses.replace(axis, centre_nm=np.arange(1.0, 25.0), fwhm_nm=np.ones(24))
-    side = dataclasses.replace(run.pair[1], axis=numbered, provenance={"quantity": "counts"})
+    numbered = dataclasses.replace(run.pair[1].axis, centre_nm=np.arange(1.0, 25.0), fwhm_nm=np.ones(24))
+    told, side = (dataclasses.replace(one, axis=numbered, provenance={"quantity": "counts"}) for one in run.pair)
+    assert figures.spectra_figure((told, side), "reflectance").views[0].words.startswith("median absolute difference 0")
     figure = figures.spectra_figure((None, side), "reflectance")
     assert [figure.views[0].x.label, figure.views[0].parts[0].y.label] == ["number of the band", "counts"]
     assert "absorption" not in figure.caption + figures.statement(figure)

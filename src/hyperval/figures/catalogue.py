@@ -177,8 +177,8 @@ def _view(
         columns = {"x": axis.centre_nm, "y": gap, "half": Z95 * u}
         parts.append(part(below, [Mark("line", columns, "", DIFFERENCE, linked=True)], 3.0, (("y", 0.0),)))
         if np.isfinite(gap[keep]).any():
-            median = np.nanmedian(np.abs(gap[keep]))
-            words = f"median absolute difference in the windows {median:{'.2%' if ratio else '.4f'}}"
+            where, median = " in the windows" * (not axis.numbered), np.nanmedian(np.abs(gap[keep]))
+            words = f"median absolute difference{where} {median:{'.2%' if ratio else '.4f'}}"
     return Panels(wavelengths(axis), tuple(parts), subject, words=words)
 
 
