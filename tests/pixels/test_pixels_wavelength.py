@@ -60,7 +60,7 @@ def test_a_shift_is_warned_of_in_the_notes():
     (w, *_), means = zip(*map(site, SITES), strict=True)
     (told,) = wavelength_notes(means, SpectralAxis(w, np.full(w.size, 5.5)), reflectance=False)
     assert "oxygen A band +0." in told
-    assert "3 spectra" in told
+    assert "shown by 3 of the spectra" in told
     for planted in (2.0, 5.0, 10.0):
         notes = wavelength_notes(means, SpectralAxis(w + planted, np.full(w.size, 5.5)), reflectance=False)
         warned = [n for n in notes if n.startswith("warning: the oxygen A band lies ")]

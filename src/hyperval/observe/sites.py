@@ -240,7 +240,7 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
     parts, warnings = [], []
     for s, count in found:
         error = f"standard uncertainty {s.uncertainty_nm:.1f}"
-        parts.append(f"{s.feature} {s.nm:+.1f} nm ({error}, {count} spectra)")
+        parts.append(f"{s.feature} {s.nm:+.1f} nm ({error}, shown by {count} of the spectra)")
         if s.certain:
             about = {"feature": s.feature, "nm": abs(s.nm), "error": error, "side": "above" if s.nm > 0 else "below"}
             warnings.append(said("wavelengths.shifted", **about))
