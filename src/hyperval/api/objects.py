@@ -267,7 +267,11 @@ class _Side(_Tables):
         return getattr(self.products, name)
 
     def __repr__(self) -> str:
-        """Bands, and what there is of each product."""
+        """Bands, and what there is of each product.
+
+        >>> repr(Observation(ObservedProducts(spectra.SpectralAxis([1, 2], 1)))).splitlines()[0]
+        '<Observation of 2 bands by number>'
+        """
         facts: dict[str, Iterable[object]] = {
             name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self.products, name)})
             for name in (*SPECTRA, "scores", "roc", "abundance", "classification")

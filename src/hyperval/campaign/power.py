@@ -72,6 +72,8 @@ class Injected(Model):
 
         >>> Injected(gates=("radiance | lawn | sixs | p_value_shape",)).which
         'shape of the radiance, lawn'
+        >>> Injected(gates=("radiance | a | b | sixs | p_value_shape",)).which  # of the subject 'a | b'
+        'shape of the radiance, a | b'
         """
         more = len(self.gates) - _MOST_NAMED
         words = list(self.gates[:_MOST_NAMED])
