@@ -517,6 +517,19 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> [one.labels[0] for one in causes(1).of_files()]
     ['green plank: that looked for', 'asphalt: that of grass']
 
+    What takes runs of the engine moves many scenarios one by one; what few have is asked where little else explains:
+
+    >>> lit = load_scenario("green-planks-grass")
+    >>> def asked(scenarios, truths, budgeted):
+    ...     for moved in truths:
+    ...         yield replace(seen, reflectance={"lawn": replace(lawn, mean=lawn.mean + 0.01 * sum(map(bool, moved)))})
+    >>> for n in (3, 4):
+    ...     made = causes_of(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, seen, seen, None))
+    ...     air = {c.name: g[0].round(9).tolist() for c, g in made.residuals.columns.items() if c.kind == ATMOSPHERE}
+    ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")], len(made.rarer[1]())
+    ([[0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03]], 0)
+    ([[0.01, 0.01, 0.01, 0.01], [0.04, 0.04, 0.04, 0.04], None], 1)
+
     What is measured again with another setting is a number by its steps or one of several, as it is stated; what
     cannot be measured, such as an empty region, is none of them.  An offset of one arm moves that arm.
 
@@ -867,6 +880,38 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     Raises
     ------
     UsageError : an experiment that fits no scenario, or compares other things than the campaign does.
+
+    Examples
+    --------
+    What is measured again has another uncertainty, and false alarms follow.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.products import ExceedanceCurve, SpectralEstimate
+    >>> from hyperval.spectra import SpectralAxis
+    >>> axis, p = SpectralAxis([500.0, 600.0], 5.0), np.geomspace(0.5, 1e-5, 200)
+    >>> def side(level, variance=0.0):
+    ...     light = SpectralEstimate(np.full(2, level), variance * np.eye(2))
+    ...     curve = ExceedanceCurve(-level * np.log(p), p, p / 2.0, p, 5000)
+    ...     return Products(axis, radiance={"lawn": light}, exceedance={("roof", "cem"): curve})
+    >>> def told(scenarios, truths, budgeted):
+    ...     return iter([side(scenarios[0].scene.classes[0].gain)])
+    >>> seen, stack = side(1.1, 0.01), stack_of(side(1.0), side(1.1, 0.01))
+    >>> known = Residuals(np.zeros(2), stack.covariance + 0.01 * np.eye(2), {}, np.eye(2))
+    >>> causes = Causes(stack, np.ones(2), quantities(side(1.0), seen), dict, dict, [], known, {}, len, None, dict)
+    >>> model = ScenarioModel([load_scenario("panels")], [], told, seen, seen, lambda settings, _: side(1.05, 0.04))
+    >>> tried = [WhatIf(name="dark", question="darker?", scenario={"scene.classes.grass.gain": 0.9}),
+    ...          WhatIf(name="again", question="better?", observe={"collection.cube.scale": 2.0})]
+    >>> for r in _what_ifs(model, causes, tried):
+    ...     print(r.method, r.metric, round(r.value, 3), r.n, r.reason)
+    again reduced_chi_square 0.05 2 0.5 before; better?
+    again likelihood_gain 0.9 2 p = 0.95 after
+    again median_radiance_difference_ratio 0.048 2 0.09091 before
+    dark reduced_chi_square 2.0 2 0.5 before; darker?
+    dark likelihood_gain -3.0 2 p = 0.14 after
+    dark median_radiance_difference_ratio 0.182 2 0.09091 before
+    cem pfa_ratio@1e-2 0.631 None within a factor of two
+    again / cem pfa_ratio@1e-2 0.794 None 0.631 before (0.32 to 1.3)
+    dark / cem pfa_ratio@1e-2 0.359 None 0.631 before (0.32 to 1.3)
     """
     stack = causes.stack
 
@@ -909,6 +954,14 @@ def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scena
     Raises
     ------
     UsageError : the settings fit none of them.
+
+    Examples
+    --------
+    >>> from hyperval.api import load_scenario
+    >>> both = [load_scenario("panels"), load_scenario("green-planks-grass")]
+    >>> larger = WhatIf(name="larger", question="?", scenario={"scene.targets.green plank.gain": 2.0})
+    >>> [[target.gain for target in s.scene.targets] for s in changed_scenarios(both, larger)]
+    [[], [2.0]]
     """
     out, errors = [], []
     for scenario in scenarios:
