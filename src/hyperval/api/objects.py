@@ -669,9 +669,9 @@ def validate(
     InputError, UsageError, EngineError : of the campaign.  Data that are not at hand make its rows SKIPPED.
     """
     with bars(show_progress):
-        report = campaigns.run_campaign(_job(campaign))
+        report = campaigns.run_campaign(job := _job(campaign))
     if output is not None:
-        with whole_folder(Path(output)) as folder:
+        with whole_folder(Path(output), beside=(one.path for one in job.files)) as folder:
             hyperval.report.write_outputs(report, folder)
     return Validation(report.campaign, report, tuple(report.notes))
 
