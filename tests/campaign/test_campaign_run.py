@@ -132,17 +132,17 @@ def test_of_several_campaigns_a_broken_and_a_skipped_one_do_not_hide_another(mak
 
 def test_pools_and_areas_are_predicted_and_compared(small):
     small.data["detection"]["pools"] = [{"name": "both", "subjects": ["small-planks", "large-planks"]}]
-    small.data["comparisons"].append(
-        {"product": "roc", "subjects": ["both"], "method": "cem/object", "metric": "pd_inside_interval@1e-2",
-         "at_least": 1, "reason": "closure"}
-    )  # fmt: skip
+    one = {"product": "roc", "subjects": ["both"], "method": "cem/object", "metric": "pd_inside_interval@1e-2"}
+    small.data["comparisons"].append(one | {"at_least": 1, "reason": "closure"})
+    small.data["fitted_on"] = ["small-planks"]
     run = api.validate(small.write())
     predicted = run.prediction.products.roc
     parts = [predicted[s, "cem", "object"].pd for s in ("small-planks", "large-planks")]
     assert predicted["both", "cem", "object"].pd == pytest.approx((parts[0] + parts[1]) / 2, abs=1e-12)
     assert run.observation.products.roc["both", "cem", "object"].n_target == 96
     (row,) = run.results.where(subject="both", method="cem/object", metric="pd_inside_interval@1e-2")
-    assert (row.value, row.outcome, row.cause) == (1.0, Outcome.UNDECIDED, Cause.COVERAGE)
+    found = row.value, row.outcome, row.cause, row.subjects_seen  # one of both was fitted on
+    assert found == (1.0, Outcome.UNDECIDED, Cause.COVERAGE, "fitted")
     for subject in ("small-planks", "large-planks"):
         with (small.collection / "targets.csv").open() as stream:
             stated = [float(r["area_m2"]) for r in csv.DictReader(stream) if r["group"] == subject]
