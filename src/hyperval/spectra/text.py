@@ -45,7 +45,7 @@ _SPREAD = re.compile(_WORDS["deviation_in_titles"])
 _SUM = re.compile(rf"(\w\s*\+|\b(mean|av\w*)\s*[-−–])\s*[0-9]?\s*{_SPREAD.pattern}", re.IGNORECASE)  # of a mean and it
 _NOTHING = re.compile(r"\b((n|of) \d+|mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent)\b")
 # How many standard uncertainties a stated one is, as in U (k=2).
-_EXPANDED = re.compile(r"expanded|\b9[059] ?(%|percent) ?conf|uncertaint\w+\W+(at )?9[059] ?(%|percent)", re.IGNORECASE)
+_EXPANDED = re.compile(r"(?i)expanded|\b9[059] ?(%|percent) ?(conf|uncert)|uncertaint\w+\W+(at )?9[059] ?(%|percent)")
 _COVERAGE = re.compile(r"\b(?:u\W{1,2})?k ?= ?([1-9][0-9.]*)|\b([1-9])[- ]?(?=sigma\b)", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
@@ -137,6 +137,10 @@ def title_words(title: str) -> tuple[str, bool]:
     [('mean + stdev', False), ('mean-sd', False), ('grass', True), ('grass', False), ('soil', False)]
     >>> [title_words(t) for t in ("Uncertainty (k=2)", "U(k=2)", "2-sigma", "Uncertainty (95 % confidence)")]
     [('', True), ('', True), ('', True), ('', True)]
+    >>> [title_words(t) for t in ("soil, 95% uncertainty", "95 % confidence uncertainty", "Tile 95% STDEV")]
+    [('soil', True), ('', True), ('tile 95', True)]
+    >>> [_EXPANDED.search(t) is not None for t in ("95 % uncertainty", "95% confidence", "Tile 95%, uncertainty (k=1)")]
+    [True, True, False]
     """
     if _SUM.search(title):
         return title.lower(), False
