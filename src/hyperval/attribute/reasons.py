@@ -514,8 +514,27 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> (only,) = (c for c in causes_of(model).residuals.columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]
+
+    What was measured is off by 0.01 in each band, what is predicted too, by 0.002 of these in all bands at once:
+
+    >>> def moves(scenarios, truths, budgeted):
+    ...     for (moved,) in truths:
+    ...         off = sum(float(value.sum()) for path, value in moved.items() if path.startswith("fraction"))
+    ...         yield replace(seen, reflectance={"lawn": replace(lawn, mean=lawn.mean + off)})
+    >>> told = causes_of(replace(model, predict=moves)).residuals.covariance
+    >>> (1e6 * told[0, :2]).round(2), round(2e2 + 4.0 - 1e2 / len(told), 2), round(4.0 - 1e2 / len(told), 2)
+    (array([203.39,   3.39]), 203.39, 3.39)
     >>> [one.labels[0] for one in causes(1).of_files()]
     ['green plank: that looked for', 'asphalt: that of grass']
+
+    A field spectrum is off by four smooth shapes, and in each band by itself:
+
+    >>> grass = PredictedProducts(world.stated.axis, reflectance={"grass": lawn})
+    >>> both = lambda scenarios, truths, budgeted: iter([grass] * len(truths))
+    >>> (made,) = (g for c, g in causes_of(ScenarioModel([stated], [world], both, grass, grass, None))
+    ...            .residuals.columns.items() if c.name == "field spectrum of grass")
+    >>> made.shape[1] - len(made)
+    4
 
     What takes runs of the engine moves many scenarios one by one; what few have is asked where little else explains:
 
@@ -526,9 +545,12 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> for n in (3, 4):
     ...     made = causes_of(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, seen, seen, None))
     ...     air = {c.name: g[0].round(9).tolist() for c, g in made.residuals.columns.items() if c.kind == ATMOSPHERE}
-    ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")], len(made.rarer[1]())
-    ([[0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03]], 0)
-    ([[0.01, 0.01, 0.01, 0.01], [0.04, 0.04, 0.04, 0.04], None], 1)
+    ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")]
+    ...     sum(c.name == "aerosol optical depth" for c in made.residuals.columns), [len(m()) for m in made.rarer[:2]]
+    [[0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03]]
+    (1, [2, 0])
+    [[0.01, 0.01, 0.01, 0.01], [0.04, 0.04, 0.04, 0.04], None]
+    (1, [0, 1])
 
     What is measured again with another setting is a number by its steps or one of several, as it is stated; what
     cannot be measured, such as an empty region, is none of them.  An offset of one arm moves that arm.
@@ -805,6 +827,8 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     >>> both = Posterior(ALL, 81.0, 2, 0.0, (a, b), (Hypothesis((b,), 0.0, (0.1,)),), likely)
     >>> [(x.method, x.reason[:6]) for x in _posterior_rows(both) if x.metric == "probability" and x.reason]
     [('b', 'rank 1'), ('a', 'rank 2')]
+    >>> [x.value for x in _posterior_rows(both) if x.metric == "likelihood_gain"] == 2 * [2.0 * a.evidence]
+    True
     """
     # The test of all products together concludes too, and informs.
     words = r.remark + UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
