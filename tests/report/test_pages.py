@@ -277,10 +277,8 @@ def test_campaigns_without_their_collection_are_folded_by_what_gets_it():
 def test_an_index_joins_campaigns_and_sets_computed_and_simulated_references_apart(run, tmp_path):
     failed = [row(f"{name} background", product="scores") for name in ("felt", "plank")]
     failed += [row(product="snr", outcome=Outcome.SKIPPED)]  # which has no evidence that a link could lead to
-    second, network = (
-        Run(ResultTable(of_campaign(failed, n)), campaign=n, title=n, computed=n == "network")
-        for n in ("second <b>", "network")
-    )
+    made = (Run(ResultTable(of_campaign(failed, n)), campaign=n, title=n) for n in ("second <b>", "network"))
+    second, network = (dataclasses.replace(run, computed=run.campaign == "network") for run in made)
     runs = {"second_b_": second, "network": network, "invented": dataclasses.replace(run, computed=True)}
     for name, one in runs.items():
         written(one, tmp_path / name)

@@ -546,11 +546,11 @@ def causes_of(model: ScenarioModel) -> Causes:
     ...     made = causes_of(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, seen, seen, None))
     ...     air = {c.name: g[0].round(9).tolist() for c, g in made.residuals.columns.items() if c.kind == ATMOSPHERE}
     ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")]
-    ...     sum(c.name == "aerosol optical depth" for c in made.residuals.columns), [len(m()) for m in made.rarer[:2]]
+    ...     [c.sizes for c in made.residuals.columns if "depth" in c.name], [len(more()) for more in made.rarer[:2]]
     [[0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03]]
-    (1, [2, 0])
+    ([(1.0, -1.0, -5.0, 10.0)], [2, 0])
     [[0.01, 0.01, 0.01, 0.01], [0.04, 0.04, 0.04, 0.04], None]
-    (1, [0, 1])
+    ([()], [0, 1])
 
     What is measured again with another setting is a number by its steps or one of several, as it is stated; what
     cannot be measured, such as an empty region, is none of them.  An offset of one arm moves that arm.
@@ -854,7 +854,16 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
 
 
 def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
-    """Of each quantity the reduced chi-square before and after the cause that is named first."""
+    """Of each quantity the reduced chi-square before and after the cause that is named first.
+
+    >>> from hyperval.attribute import ResidualBlock
+    >>> one, gain = np.eye(20), Candidate("gain", "scene", "1 km", False)
+    >>> stack = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), one, len),))
+    >>> told = Residuals(30.0 * one[0] + 2.0 * one[1], one, {gain: one[:, :1]}, 0.1 * one[:, 4:])
+    >>> causes = Causes(stack, np.zeros(20), {}, dict, dict, [], told, {}, len, None, dict)
+    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in _left_rows(causes, told.posterior(ALL, True))]
+    [('scores of paint cem', 'gain', 0.2, '45.2 before')]
+    """
     if not r.best.causes or r.first == NONE:
         return
     (residual, covariance, *_), first = causes.residuals, r.best.causes[0]
