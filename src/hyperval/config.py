@@ -207,9 +207,11 @@ def file_of(name_or_path: str | Path, library: Mapping[str, Path], kind: str) ->
     Traceback (most recent call last):
     hyperval.errors.UsageError: unknown sensor 'place/casi-150'; did you mean 'casi-1500'?
       expected: a YAML file or one of casi-1500
+    >>> file_of("MINE.YAML", {}, "sensor").name  # which is not there says its reader
+    'MINE.YAML'
     """
     path = library.get(str(name_or_path), Path(name_or_path))
-    if path.suffix not in (".yaml", ".yml") and not path.exists():
+    if path.suffix.lower() not in (".yaml", ".yml") and not path.exists():
         what = f"unknown {kind} {str(path)!r}{did_you_mean(path.name, library)}"
         raise UsageError(what, expected="a YAML file or one of " + ", ".join(library))
     return path

@@ -137,7 +137,11 @@ def one_of(names: Iterable[str], otherwise: str = "a name") -> str:
 
 
 def nearest(name: str, names: Iterable[str], most: int = 1) -> list[str]:
-    """Of names those that are most alike to one, whatever their case."""
+    """Of names those that are most alike to one, whatever their case; of names that differ in case alone the first.
+
+    >>> nearest("PD_Difference", ["z", "pd_difference"]), nearest("casi-1500", ["CASI-1500", "casi-1500", "hymap"], 3)
+    (['pd_difference'], ['CASI-1500'])
+    """
     by_lower = {one.lower(): one for one in reversed([*names])}
     return [by_lower[k] for k in difflib.get_close_matches(name.lower(), by_lower, most)]
 

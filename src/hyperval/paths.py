@@ -25,7 +25,7 @@ Resolve = Callable[[str], Path]  # the path that a reference of a file leads to
 MAX_MATCHES = 1000
 MAX_TEXT_BYTES = 32 << 20
 _HEAD_BYTES = 1 << 16
-_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
+DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 
 
 def is_pattern(name: str) -> bool:
@@ -170,7 +170,7 @@ def read_table(path: Path, keys: Collection[str] = ()) -> tuple[list[str], list[
         if any(cell.strip() for cell in cells):
             padded = [cell.strip() for cell in cells] + [""] * (len(fields) - len(cells))
             if divider == ";":
-                padded = [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in padded]
+                padded = [c.replace(",", ".") if DECIMAL_COMMA.match(c) else c for c in padded]
             rows.append((number, dict(zip(fields, padded, strict=True))))
     return fields, rows
 

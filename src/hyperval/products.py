@@ -409,7 +409,11 @@ class Products:
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        """Bands, and how much there is of each product: the arrays would fill a book."""
+        """Bands, and how much there is of each product: the arrays would fill a book.
+
+        >>> Products(SpectralAxis([1.0, 2.0], 1.0), snr={"lawn": SpectralEstimate(np.ones(2), np.eye(2))})
+        <Products of 2 bands by number: 1 snr>
+        """
         held = [(f.name, getattr(self, f.name)) for f in fields(self)]
         counts = [f"{len(v)} {k}" for k, v in held if k not in ("axis", "notes", "provenance") and v]
         return f"<{type(self).__name__} of {self.axis.words}: {', '.join(counts)}>"

@@ -235,11 +235,11 @@ class Unplaced(HypervalError):
 
 
 @contextmanager
-def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path] = ()) -> Iterator[Path]:
+def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path | None] = ()) -> Iterator[Path]:
     """Give an empty folder whose content takes the place of that of ``path`` when the block ends well.
 
     Whatever happens before, ``path`` keeps what it holds.  A link is followed and stays.  ``beside`` are files
-    and folders that are read: what they hold is not replaced by what is made of it.
+    and folders that are read, None where one is not there: what they hold is not replaced by what is made of it.
 
     Raises
     ------
@@ -254,7 +254,7 @@ def whole_folder(path: Path, kind: str = RESULTS, *, beside: Iterable[Path] = ()
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         refuse(foreign, "folder.foreign", place, names=", ".join(foreign[:3]) + more)
         refuse(held not in ("", kind), "folder.kind", place, held=held, kind=kind)
-        refuse(any(Path(one).resolve().is_relative_to(place) for one in beside), "folder.read", place)
+        refuse(any(one and one.resolve().is_relative_to(place) for one in beside), "folder.read", place)
         with _making(place):
             new = Path(tempfile.mkdtemp(prefix=_NEW, dir=place))
         try:

@@ -278,11 +278,12 @@ def test_a_run_with_an_error_is_no_baseline(small, place, capsys):
     assert "cannot become a baseline" in capsys.readouterr().err
     read = ["check", *given], ["figures", "run"], ["compare", "run", "run"]  # whose results they would replace
     assert [cli.run(["-q", *words, "-o", "run"]) for words in read] == [2, 2, 2]
-    assert cli.run(["-q", "check", *given]) == 1
+    assert (cli.run(["-q", "check", *given]), [*place.rglob("*.yaml")]) == (1, [])
     assert "this run cannot become one" in capsys.readouterr().err
-    assert [*place.rglob("*.yaml")] == []
     small.data["collection"]["calibration"] = {"file": str(place / "run" / "results.csv")}
-    assert [cli.run(["-q", command, str(small.write()), "-o", "run"]) for command in ("validate", "observe")] == [2, 2]
+    for command in ("validate", "observe", "check", "benchmark"):
+        assert cli.run(["-q", command, str(small.write()), "-o", "run"]) == 2
+        assert "holds what this command reads" in capsys.readouterr().err
 
 
 def test_a_finished_run_of_other_files_or_another_source_is_refused(small, finished, place, capsys):

@@ -31,8 +31,7 @@ def places(tmp_path, no_data, monkeypatch) -> Path:
 
 
 def written(tmp_path: Path, campaign: dict, scenario: dict) -> Path:
-    path = tmp_path / "campaign.yaml"
-    path.write_text(yaml.safe_dump(campaign, sort_keys=False))
+    (path := tmp_path / "campaign.yaml").write_text(yaml.safe_dump(campaign, sort_keys=False))
     (tmp_path / "scenario.yaml").write_text(yaml.safe_dump(scenario, sort_keys=False))
     return path
 

@@ -113,35 +113,36 @@ def test_a_fault_of_ours_is_named_with_its_place_in_the_rows_of_its_campaign(mak
 
 def test_of_several_campaigns_a_broken_and_a_skipped_one_do_not_hide_another(make_small, tmp_path, no_data):
     good, lacking, broken = make_small("good"), make_small("lacking").of_a_data_set(), make_small("broken")
-    lacking.data["name"], broken.data["name"] = "other", "b" * 120  # of more letters than its folder has
+    lacking.data["name"], good.data["name"] = "other", "b" * 120  # of more letters than its folder has
     os.truncate(broken.collection / "small_rad.img", 100)
     out = tmp_path / "out"
     both = [str(good.write()), str(lacking.write())]
     assert cli.run(["-q", "validate", str(broken.write()), *both, "-o", str(out)]) == 3
     rows = rows_of(out)
-    lost = [r for r in rows if r["campaign"] == "b" * 120]
-    assert len(lost) == sum(len(g["subjects"]) for g in broken.data["comparisons"])
-    assert {r["outcome"] for r in lost} == {"error"}
+    lost = [r for r in rows if r["campaign"] == "small"]
+    assert [r["outcome"] for r in lost] == ["error"] * sum(len(g["subjects"]) for g in broken.data["comparisons"])
     assert all("small_rad.img" in r["reason"] and "bytes" in r["reason"] for r in lost)
     assert {r["outcome"] for r in rows if r["campaign"] == "other"} == {"skipped"}
-    assert sum(r["outcome"] == "agrees" and r["role"] == "gate" for r in rows if r["campaign"] == "small") == 8
+    assert sum(r["outcome"] == "agrees" and r["role"] == "gate" for r in rows if r["campaign"] == "b" * 120) == 8
     assert PAGES | {"b" * 100 + "/report.html"} <= set(files_of(out))
     assert cli.run(["-q", "validate", *both, "-o", str(tmp_path / "two")]) == 0  # skipped beside passing
+    good.data["title"] = "edited since"
+    assert cli.run(["-q", "check", str(good.write()), f"--from={out}"]) == 2  # its run is of another file
 
 
 def test_pools_and_areas_are_predicted_and_compared(small):
     small.data["detection"]["pools"] = [{"name": "both", "subjects": ["small-planks", "large-planks"]}]
-    small.data["comparisons"].append(
-        {"product": "roc", "subjects": ["both"], "method": "cem/object", "metric": "pd_inside_interval@1e-2",
-         "at_least": 1, "reason": "closure"}
-    )  # fmt: skip
+    one = {"product": "roc", "subjects": ["both"], "method": "cem/object", "metric": "pd_inside_interval@1e-2"}
+    small.data["comparisons"].append(one | {"at_least": 1, "reason": "closure"})
+    small.data["fitted_on"] = ["small-planks"]
     run = api.validate(small.write())
     predicted = run.prediction.products.roc
     parts = [predicted[s, "cem", "object"].pd for s in ("small-planks", "large-planks")]
     assert predicted["both", "cem", "object"].pd == pytest.approx((parts[0] + parts[1]) / 2, abs=1e-12)
     assert run.observation.products.roc["both", "cem", "object"].n_target == 96
     (row,) = run.results.where(subject="both", method="cem/object", metric="pd_inside_interval@1e-2")
-    assert (row.value, row.outcome, row.cause) == (1.0, Outcome.UNDECIDED, Cause.COVERAGE)
+    found = row.value, row.outcome, row.cause, row.subjects_seen  # one of both was fitted on
+    assert found == (1.0, Outcome.UNDECIDED, Cause.COVERAGE, "fitted")
     for subject in ("small-planks", "large-planks"):
         with (small.collection / "targets.csv").open() as stream:
             stated = [float(r["area_m2"]) for r in csv.DictReader(stream) if r["group"] == subject]

@@ -98,8 +98,7 @@ def test_regions_that_are_refused(tmp_path, case):
         path = write_vector(tmp_path / "c.shp", [polygon_wkb(on_map(SQUARE))], crs=case["system"], fields=fields)
         options = PLACED | options
     elif "text" in case:
-        path = tmp_path / case["name"]
-        path.write_text(case["text"])
+        (path := tmp_path / case["name"]).write_text(case["text"])
     elif "polygon" in case:
         path, options = tmp_path / "r.geojson", PLACED | options
         path.write_text(geojson(polygon(case["polygon"]), names=("r0",)))
@@ -296,6 +295,6 @@ def test_parts_and_holes_are_kept_and_lines_have_no_area(tmp_path, end):
 
 def test_an_entity_in_a_kml_is_refused(tmp_path):
     path, options = written(tmp_path, "kml")
-    path.write_text(path.read_text().replace("<kml", '<!DOCTYPE x [<!ENTITY a "b">]>\n<kml'))
+    path.write_text(path.read_text().replace("<kml", '<!DOCTYPE x [<!ENTITY a "b">]>\n<kml'), "utf-16")
     with pytest.raises(InputError, match="DOCTYPE or ENTITY"):
         read_regions(path, SHAPE, **options)

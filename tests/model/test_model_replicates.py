@@ -109,11 +109,9 @@ def test_what_is_refused(tmp_path):
     with pytest.raises(InputError, match="no such spectrum file"):
         found(tmp_path, "sand*.csv")
     write(tmp_path, lawn(2))
-    far = SpectralAxis(np.array([1500.0, 1600.0]), 10.0)
+    far, source = SpectralAxis(np.array([1500.0, 1600.0]), 10.0), {"files": "grass*.csv", "wavelength_unit": "nm"}
     with pytest.raises(UsageError, match="share none of the bands"):
-        replicate_statistics(
-            Replicates.model_validate({"files": "grass*.csv", "wavelength_unit": "nm"}), far, lambda r: tmp_path / r
-        )
+        replicate_statistics(Replicates.model_validate(source), far, lambda r: tmp_path / r)
 
 
 def test_a_surface_takes_spectrum_and_covariance_from_replicates(tmp_path):
@@ -121,16 +119,11 @@ def test_a_surface_takes_spectrum_and_covariance_from_replicates(tmp_path):
     sources = Sources(AXIS, {}, lambda reference: tmp_path / reference)
     replicates = {"files": "grass*.csv", "wavelength_unit": "nm"}
     direct = sources.surface(Surface.model_validate({"name": "lawn", "spectrum": {"replicates": replicates}}))
-    mixed = sources.surface(
-        Surface.model_validate(
-            {"name": "lawn", "spectrum": {"constant": 0.2}, "covariance": {"replicates": replicates}}
-        )
-    )
+    both = {"name": "lawn", "spectrum": {"constant": 0.2}, "covariance": {"replicates": replicates}}
+    mixed = sources.surface(Surface.model_validate(both))
     assert np.array_equal(direct.covariance, mixed.covariance)
-    assert direct.n == 20
+    assert (direct.n, direct.source, mixed.mean_error) == (20, "20 replicate spectra", None)
     assert direct.mean_error is not None
-    assert mixed.mean_error is None
-    assert direct.source == "20 replicate spectra"
     with pytest.raises(UsageError, match="replicates of 'lawn'"):
         sources.spectrum(SpectrumSource.model_validate({"replicates": {**replicates, "files": "grass00.csv"}}), "lawn")
 
@@ -158,6 +151,9 @@ def test_the_standard_error_is_the_uncertainty_unless_the_scenario_states_one(tm
     product = predict(scenario(tmp_path, []), Origins(axis=AXIS)).reflectance
     assert np.allclose(product["lawn"].standard_uncertainty, expected, rtol=1e-6)
     assert np.all(product["road"].standard_uncertainty == 0.0)
+    longer = SpectralAxis(np.arange(690.0, 901.0, 10.0), np.full(22, 10.0))  # than the spectra, by half a band
+    made = predict(scenario(tmp_path, []), Origins(axis=longer)).reflectance["lawn"]
+    assert (np.isnan(made.mean).sum(), np.isnan(made.pixel_covariance).any()) == (1, False)
     stated = predict(scenario(tmp_path, [{"subject": "lawn", "absolute": 0.01}]), Origins(axis=AXIS)).reflectance
     assert np.allclose(stated["lawn"].standard_uncertainty, 0.01)
     spread = predict(scenario(tmp_path, [{"subject": "lawn", "from_file": True}]), Origins(axis=AXIS)).reflectance

@@ -135,6 +135,9 @@ def test_bands_by_number_give_the_scores_that_wavelengths_give(world, request):
     assert found.observation.axis.centre_nm.tolist() == [1, 2, 3, 4, 5, 6, 7, 8]
     assert any("labelled nm are band numbers" in note for note in found.observation.notes)
     assert set(found.observation.distribution) == {"corner"}  # tails need no wavelengths
+    world.detection["least_snr"] = 1e6
+    with pytest.raises(UsageError, match=r"8 with an SNR below 1e\+06 in the background \(1-8\)"):
+        world.observe()
 
 
 def test_products_of_each_group(world):

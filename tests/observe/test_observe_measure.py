@@ -190,17 +190,18 @@ def mixed(*mixtures: int | str, region: str = "all") -> Scenario:
 
 
 def test_what_a_scenario_asks_for_is_fitted_once_or_refused_by_name(clusters):
-    clusters.collection["regions"] += [{"name": name, "rectangle": [0, 0, 3, 3]} for name in ("corner", "wall")]
-    clusters.collection["leave_out"] = ["wall"]  # the corner has no pixel that counts, and is taken as drawn
+    sides = {"corner": 3, "shade": 20, "wall": 20}
+    clusters.collection["regions"] += [{"name": n, "rectangle": [0, 0, side, side]} for n, side in sides.items()]
+    clusters.collection["leave_out"] = ["wall"]  # corner and shade have no pixel that counts, and are taken as drawn
     laws = RegionLaws(clusters.observe())
     first = laws.statistics(mixed(2))["all"].components
-    assert len(first) == 2
+    assert (len(first), laws.statistics(mixed(1))["all"].components) == (2, None)
     assert laws.statistics(mixed(2))["all"].components is first
-    assert laws.statistics(mixed(1))["all"].components is None
     with pytest.raises(UsageError, match="different components of region 'all'"):
         laws.statistics(mixed(2, 3))
     with pytest.raises(UsageError, match=r"region 'corner'(?s:.*)8 components of 9 pixels"):
         laws.statistics(mixed(8, region="corner"))
+    assert [len(without) for _, without in laws.left_out(mixed(1, region="shade"))] == [16]
 
 
 def test_statistics_without_each_part_of_a_region(clusters):

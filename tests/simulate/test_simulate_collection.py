@@ -112,8 +112,7 @@ def test_averaged_readings_are_refused():
 
 def test_a_scene_file_becomes_a_folder_and_an_older_simulation_is_replaced(found, tmp_path, monkeypatch):
     monkeypatch.setattr("hyperval.simulate.collection.load_inputs", lambda scene, beside: INPUTS)
-    path = tmp_path / "scene.yaml"
-    path.write_text(yaml.safe_dump(scene_data()), encoding="utf-8")
+    (path := tmp_path / "scene.yaml").write_text(yaml.safe_dump(scene_data()), encoding="utf-8")
     for _ in range(2):
         assert simulate.simulate_to_folder(path, tmp_path / "out") == 0
         assert sha256_of(tmp_path / "out" / "small_rad.img") == sha256_of(found["cube"])

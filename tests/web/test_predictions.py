@@ -122,9 +122,10 @@ def test_scene_of_a_collection_needs_its_files(client, server, monkeypatch):
 def test_sensor_file_is_brought_and_used(client, server):
     url = f"{server.address}/api/v1/uploads"
     text = (resources.files("hyperval.sensor") / "library" / "enmap.yaml").read_text()
-    assert client.post(url, files=[("sensors", ("ü 2.yaml", text))]).json() == {"run": None, "kept": ["ü 2.yaml"]}
-    assert all("<option>ü 2.yaml</option>" in client.get(server.address + at).text for at in ("/predict", "/trade"))
-    orders = [{"name": "panels", "settings": {"sensor": name}} for name in ("ü 2.yaml", "enmap")]
+    assert client.post(url, files=[("sensors", ("草 2.yaml", text))]).json() == {"run": None, "kept": ["草 2.yaml"]}
+    assert all("<option>草 2.yaml</option>" in client.get(server.address + at).text for at in ("/predict", "/trade"))
+    assert client.get(f"{server.address}/trade/草 2.yaml", params={"sensor": "草 2.yaml"}).text == text
+    orders = [{"name": "panels", "settings": {"sensor": name}} for name in ("草 2.yaml", "enmap")]
     mine, library = (client.post(f"{server.address}/api/v1/predictions", json=order).json() for order in orders)
     assert mine["summary"]["snr"] == library["summary"]["snr"]
     assert server.session().post(f"{server.address}/api/v1/predictions", json=orders[0]).status_code == 422

@@ -267,7 +267,11 @@ class _Side(_Tables):
         return getattr(self.products, name)
 
     def __repr__(self) -> str:
-        """Bands, and what there is of each product."""
+        """Bands, and what there is of each product.
+
+        >>> repr(Observation(ObservedProducts(spectra.SpectralAxis([1, 2], 1)))).splitlines()[0]
+        '<Observation of 2 bands by number>'
+        """
         facts: dict[str, Iterable[object]] = {
             name: sorted({key if isinstance(key, str) else "/".join(key) for key in getattr(self.products, name)})
             for name in (*SPECTRA, "scores", "roc", "abundance", "classification")
@@ -665,9 +669,9 @@ def validate(
     InputError, UsageError, EngineError : of the campaign.  Data that are not at hand make its rows SKIPPED.
     """
     with bars(show_progress):
-        report = campaigns.run_campaign(_job(campaign))
+        report = campaigns.run_campaign(job := _job(campaign))
     if output is not None:
-        with whole_folder(Path(output)) as folder:
+        with whole_folder(Path(output), beside=(one.path for one in job.files)) as folder:
             hyperval.report.write_outputs(report, folder)
     return Validation(report.campaign, report, tuple(report.notes))
 

@@ -514,8 +514,43 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> (only,) = (c for c in causes_of(model).residuals.columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]
+
+    What was measured is off by 0.01 in each band, what is predicted too, by 0.002 of these in all bands at once:
+
+    >>> def moves(scenarios, truths, budgeted):
+    ...     for (moved,) in truths:
+    ...         off = sum(float(value.sum()) for path, value in moved.items() if path.startswith("fraction"))
+    ...         yield replace(seen, reflectance={"lawn": replace(lawn, mean=lawn.mean + off)})
+    >>> told = causes_of(replace(model, predict=moves)).residuals.covariance
+    >>> (1e6 * told[0, :2]).round(2), round(2e2 + 4.0 - 1e2 / len(told), 2), round(4.0 - 1e2 / len(told), 2)
+    (array([203.39,   3.39]), 203.39, 3.39)
     >>> [one.labels[0] for one in causes(1).of_files()]
     ['green plank: that looked for', 'asphalt: that of grass']
+
+    A field spectrum is off by four smooth shapes, and in each band by itself:
+
+    >>> grass = PredictedProducts(world.stated.axis, reflectance={"grass": lawn})
+    >>> both = lambda scenarios, truths, budgeted: iter([grass] * len(truths))
+    >>> (made,) = (g for c, g in causes_of(ScenarioModel([stated], [world], both, grass, grass, None))
+    ...            .residuals.columns.items() if c.name == "field spectrum of grass")
+    >>> made.shape[1] - len(made)
+    4
+
+    What takes runs of the engine moves many scenarios one by one; what few have is asked where little else explains:
+
+    >>> lit = load_scenario("green-planks-grass")
+    >>> def asked(scenarios, truths, budgeted):
+    ...     for moved in truths:
+    ...         yield replace(seen, reflectance={"lawn": replace(lawn, mean=lawn.mean + 0.01 * sum(map(bool, moved)))})
+    >>> for n in (3, 4):
+    ...     made = causes_of(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, seen, seen, None))
+    ...     air = {c.name: g[0].round(9).tolist() for c, g in made.residuals.columns.items() if c.kind == ATMOSPHERE}
+    ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")]
+    ...     [c.sizes for c in made.residuals.columns if "depth" in c.name], [len(more()) for more in made.rarer[:2]]
+    [[0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03], [0.03, 0.03, 0.03, 0.03]]
+    ([(1.0, -1.0, -5.0, 10.0)], [2, 0])
+    [[0.01, 0.01, 0.01, 0.01], [0.04, 0.04, 0.04, 0.04], None]
+    ([()], [0, 1])
 
     What is measured again with another setting is a number by its steps or one of several, as it is stated; what
     cannot be measured, such as an empty region, is none of them.  An offset of one arm moves that arm.
@@ -792,6 +827,8 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     >>> both = Posterior(ALL, 81.0, 2, 0.0, (a, b), (Hypothesis((b,), 0.0, (0.1,)),), likely)
     >>> [(x.method, x.reason[:6]) for x in _posterior_rows(both) if x.metric == "probability" and x.reason]
     [('b', 'rank 1'), ('a', 'rank 2')]
+    >>> [x.value for x in _posterior_rows(both) if x.metric == "likelihood_gain"] == 2 * [2.0 * a.evidence]
+    True
     """
     # The test of all products together concludes too, and informs.
     words = r.remark + UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
@@ -817,7 +854,16 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
 
 
 def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
-    """Of each quantity the reduced chi-square before and after the cause that is named first."""
+    """Of each quantity the reduced chi-square before and after the cause that is named first.
+
+    >>> from hyperval.attribute import ResidualBlock
+    >>> one, gain = np.eye(20), Candidate("gain", "scene", "1 km", False)
+    >>> stack = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), one, len),))
+    >>> told = Residuals(30.0 * one[0] + 2.0 * one[1], one, {gain: one[:, :1]}, 0.1 * one[:, 4:])
+    >>> causes = Causes(stack, np.zeros(20), {}, dict, dict, [], told, {}, len, None, dict)
+    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in _left_rows(causes, told.posterior(ALL, True))]
+    [('scores of paint cem', 'gain', 0.2, '45.2 before')]
+    """
     if not r.best.causes or r.first == NONE:
         return
     (residual, covariance, *_), first = causes.residuals, r.best.causes[0]
@@ -867,6 +913,38 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     Raises
     ------
     UsageError : an experiment that fits no scenario, or compares other things than the campaign does.
+
+    Examples
+    --------
+    What is measured again has another uncertainty, and false alarms follow.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.products import ExceedanceCurve, SpectralEstimate
+    >>> from hyperval.spectra import SpectralAxis
+    >>> axis, p = SpectralAxis([500.0, 600.0], 5.0), np.geomspace(0.5, 1e-5, 200)
+    >>> def side(level, variance=0.0):
+    ...     light = SpectralEstimate(np.full(2, level), variance * np.eye(2))
+    ...     curve = ExceedanceCurve(-level * np.log(p), p, p / 2.0, p, 5000)
+    ...     return Products(axis, radiance={"lawn": light}, exceedance={("roof", "cem"): curve})
+    >>> def told(scenarios, truths, budgeted):
+    ...     return iter([side(scenarios[0].scene.classes[0].gain)])
+    >>> seen, stack = side(1.1, 0.01), stack_of(side(1.0), side(1.1, 0.01))
+    >>> known = Residuals(np.zeros(2), stack.covariance + 0.01 * np.eye(2), {}, np.eye(2))
+    >>> causes = Causes(stack, np.ones(2), quantities(side(1.0), seen), dict, dict, [], known, {}, len, None, dict)
+    >>> model = ScenarioModel([load_scenario("panels")], [], told, seen, seen, lambda settings, _: side(1.05, 0.04))
+    >>> tried = [WhatIf(name="dark", question="darker?", scenario={"scene.classes.grass.gain": 0.9}),
+    ...          WhatIf(name="again", question="better?", observe={"collection.cube.scale": 2.0})]
+    >>> for r in _what_ifs(model, causes, tried):
+    ...     print(r.method, r.metric, round(r.value, 3), r.n, r.reason)
+    again reduced_chi_square 0.05 2 0.5 before; better?
+    again likelihood_gain 0.9 2 p = 0.95 after
+    again median_radiance_difference_ratio 0.048 2 0.09091 before
+    dark reduced_chi_square 2.0 2 0.5 before; darker?
+    dark likelihood_gain -3.0 2 p = 0.14 after
+    dark median_radiance_difference_ratio 0.182 2 0.09091 before
+    cem pfa_ratio@1e-2 0.631 None within a factor of two
+    again / cem pfa_ratio@1e-2 0.794 None 0.631 before (0.32 to 1.3)
+    dark / cem pfa_ratio@1e-2 0.359 None 0.631 before (0.32 to 1.3)
     """
     stack = causes.stack
 
@@ -909,6 +987,14 @@ def changed_scenarios(scenarios: Sequence[Scenario], item: WhatIf) -> list[Scena
     Raises
     ------
     UsageError : the settings fit none of them.
+
+    Examples
+    --------
+    >>> from hyperval.api import load_scenario
+    >>> both = [load_scenario("panels"), load_scenario("green-planks-grass")]
+    >>> larger = WhatIf(name="larger", question="?", scenario={"scene.targets.green plank.gain": 2.0})
+    >>> [[target.gain for target in s.scene.targets] for s in changed_scenarios(both, larger)]
+    [[], [2.0]]
     """
     out, errors = [], []
     for scenario in scenarios:

@@ -290,6 +290,12 @@ def stack_of(predicted: Products, observed: Products) -> Stack:
     >>> sides = [SpectralEstimate(np.ones(2), 0.0 * error), SpectralEstimate(noisy, error, calibration=error)]
     >>> stack_of(*(PredictedProducts(axis, radiance={"lawn": side}) for side in sides)).covariance.round(7).tolist()
     [[0.0001, 0.0001], [0.0001, 0.0001]]
+
+    Of bands by number all count.
+
+    >>> told, seen = (PredictedProducts(SpectralAxis([1.0, 2.0], 1.0), reflectance={"lawn": side}) for side in sides)
+    >>> [block.observed.size for block in stack_of(told, seen).blocks], len(quantities(told, seen))
+    ([2], 1)
     """
     return Stack(tuple(_blocks(predicted, observed)))
 

@@ -442,7 +442,8 @@ def check(
     ------
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
-    with whole_folder(output, beside=filter(None, [source])) if output is not None else nullcontext() as folder:
+    read = (one.path for job in (jobs_of(*campaigns) if campaigns else []) for one in job.files)
+    with whole_folder(output, beside=[source, *read]) if output is not None else nullcontext() as folder:
         runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS)
         runs = [_against(run, baselines) for run in runs]
         if folder is not None:

@@ -72,6 +72,8 @@ class Injected(Model):
 
         >>> Injected(gates=("radiance | lawn | sixs | p_value_shape",)).which
         'shape of the radiance, lawn'
+        >>> Injected(gates=("radiance | a | b | sixs | p_value_shape",)).which  # of the subject 'a | b'
+        'shape of the radiance, a | b'
         """
         more = len(self.gates) - _MOST_NAMED
         words = list(self.gates[:_MOST_NAMED])
@@ -168,7 +170,12 @@ def gate_values(rows: Iterable[Result]) -> dict[str, float]:
 
 
 def own_files(inputs: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation."""
+    """Reference -> SHA-256 of those inputs that stand beside the campaign, not in a data set or a simulation.
+
+    >>> names = "campaign.yaml", "MINE.YML", "data:hysu/a.yaml", "line.img"
+    >>> [*own_files({"reference": name, "sha256": "0"} for name in names)]
+    ['campaign.yaml', 'MINE.YML']
+    """
     digests = {str(item["reference"]): str(item["sha256"]) for item in inputs}
     return {n: digest for n, digest in digests.items() if ":" not in n and n.lower().endswith((".yaml", ".yml"))}
 

@@ -297,7 +297,7 @@ def validate(
     the same command goes on from there.
     """
     jobs = jobs_of(*paths)
-    with whole_folder(output, beside=(one.path for job in jobs for one in job.files if one.path)) as folder:
+    with whole_folder(output, beside=(one.path for job in jobs for one in job.files)) as folder:
         earlier = None if again else output.resolve()
         if len(jobs) == 1:
             done = _run_all([CampaignRun(jobs[0], folder, earlier, True)], scheduler, tell)
@@ -328,7 +328,7 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
     UsageError : a reflectance cube is asked for and the collection has no empirical line.
     """
     job, notes = job_of(Path(path), predicts=False), list[str]()
-    with whole_folder(output, beside=(one.path for one in job.files if one.path)) as folder:
+    with whole_folder(output, beside=(one.path for one in job.files)) as folder:
         refuse(write_reflectance and job.campaign.collection.empirical_line is None, "campaign.line", path)
 
         def cube(observed: Observed) -> None:

@@ -607,7 +607,17 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
 
 
 def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[RecordedSpectrum]:
-    """The mean of spectra under one name, where they are as bright to a third; else the spectra as they are."""
+    """The mean of spectra under one name, where they are as bright to a third; else the spectra as they are.
+
+    Those that are stated otherwise, by the record of a file or in another unit, are no replicates.
+
+    >>> one = FieldSpectrum("lawn", np.array([500.0, 600.0]), np.array([0.2, 0.4]))
+    >>> sources = {"file": "1.csv"}, {"file": "2.csv"}, {"file": "all.csv", "record": "lawn3"}
+    >>> each = [RecordedSpectrum(f"lawn{i}", {**source, "reflectance_unit": "percent"}, one)
+    ...         for i, source in enumerate(sources, 1)]
+    >>> [spectrum.source for spectrum in _replicates("lawn#", each[:2])], len(_replicates("lawn#", each))
+    ([{'replicates': {'files': ['1.csv', '2.csv'], 'reflectance_unit': 'percent'}}], 3)
+    """
     source, nm = members[0].source, members[0].record.wavelength_nm
     values = [np.interp(nm, one.record.wavelength_nm, one.record.values) for one in members]
     mean = np.mean(values, axis=0)

@@ -375,7 +375,7 @@ def init(
 ) -> int:
     """Write the first draft of a campaign from an image and what lies beside it; guesses are marked."""
     refuse(len(cube) > 1, "starter.cubes", ", ".join(map(str, cube)))
-    path = output if output.suffix in (".yaml", ".yml") else output / "campaign.yaml"
+    path = output if output.suffix.lower() in (".yaml", ".yml") else output / "campaign.yaml"
     refuse(path.exists(), "file.exists", path)  # before what lies beside it is written anew
     called = path.stem if path == output else output.resolve().name
     title = re.sub(r"[^a-z0-9]+", "-", (name or called).lower()).strip("-") or "campaign"

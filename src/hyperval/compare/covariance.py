@@ -30,7 +30,13 @@ _MOST_DRAWN = 64  # bands that are kept, of some 0.1 to 0.5 MB each
 
 
 def compared_bands(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Mask:
-    """(B,) usable bands in the atmospheric windows in which both covariances say something."""
+    """(B,) usable bands in the atmospheric windows in which both covariances say something.
+
+    >>> by_number = SpectralAxis(np.arange(1.0, 4.0), 1.0, np.array([True, True, False]))
+    >>> side = SpectralEstimate(np.ones(3), np.eye(3), np.diag([1.0, 0.0, 1.0]))
+    >>> compared_bands(side, side, by_number)
+    array([ True, False, False])
+    """
     keep = axis.clear
     for side in (predicted, observed):
         variance = np.diag(np.asarray(side.pixel_covariance))

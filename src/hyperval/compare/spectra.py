@@ -51,7 +51,13 @@ def comparable_bands(predicted: SpectralEstimate, collected: SpectralEstimate, a
 
 
 def regions(axis: SpectralAxis) -> Mapping[str, Mask]:
-    """Bands of each summary: all windows, their part in VNIR, SWIR1 and SWIR2, and the absorption bands."""
+    """Bands of each summary: all windows, their part in VNIR, SWIR1 and SWIR2, and the absorption bands.
+
+    Of bands by number none: 500 is no green light, nor is 1400 of water.
+
+    >>> {len(of[of]) for of in regions(SpectralAxis(np.arange(1.0, 1500.0), 1.0)).values()}
+    {0}
+    """
     wavelength, window = axis.centre_nm, axis.in_windows
     ends = SPECTRAL_REGIONS_NM.items()
     parts = {name.lower(): window & (wavelength >= low) & (wavelength < high) for name, (low, high) in ends}
@@ -954,6 +960,9 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     >>> spread = replace(alarms, subject="all objects", metric="pit_spread_ratio", n=5)
     >>> would_decide(spread, nothing, nothing)
     '8 objects in place of 5; or an interval 1.2 times narrower'
+    >>> halos = replace(spread, metric="pfa_ratio@1e-2", method="cem/object-by-pixel")
+    >>> [would_decide(replace(halos, product=of), nothing, nothing)[:9] for of in ("roc", "covariance")]
+    ['8 objects', '8 objects']
     >>> would_decide(replace(alarms, product="radiance", metric="unstated_difference_ratio"), nothing, nothing)
     'an interval 1.2 times narrower'
     >>> limits = {"limit_low": 0.75, "limit_high": 1.25}

@@ -344,7 +344,18 @@ Key = tuple[str, str, str]
 
 
 def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
-    """P_D against P_FA on a logarithmic axis, a view for each subject, a tab for each detector and unit."""
+    """P_D against P_FA on a logarithmic axis, a view for each subject, a tab for each detector and unit.
+
+    Examples
+    --------
+    Of objects that are scored within a halo the background is counted by places.
+
+    >>> pfa = np.array([0.1, 1.0])
+    >>> curve = RocCurve(pfa, pfa, pfa, pfa, -pfa, n_target=3, n_background=10, unit="object")
+    >>> made = roc_figure((None, Products(SpectralAxis([500.0], 10.0), roc={("lawn", "cem", "object"): curve})))
+    >>> made.title, made.views[0].x.label, made.views[0].note
+    ('ROC: measured (dotted: 1 / background samples)', 'P_FA per background sample', '3 objects, 10 background samples')
+    """
     both, drawn, _ = drawn_of(sides, "roc")
     measured: Mapping[Key, RocCurve] = both[1]
     kinds = grouped(drawn, lambda key: key[1:])  # detector and unit

@@ -229,6 +229,8 @@ def explained(names: Iterable[str]) -> list[tuple[str, str]]:
     --------
     >>> explained(["sensor_gain@550", "sensor_gain@800"])[0][1][:33]
     'measured over predicted radiance,'
+    >>> [name for name, words in explained(table()) if "{" in words]
+    []
     """
     return [(base, metric_of(base).words) for base in sorted({base_name(name) for name in names})]
 

@@ -450,7 +450,7 @@ def predicted_classification(
     >>> from types import SimpleNamespace
     >>> from hyperval.products import SpectralEstimate
     >>> from hyperval.spectra import SpectralAxis
-    >>> axis, one = SpectralAxis(np.linspace(500.0, 800.0, 4), 10.0), np.eye(4)
+    >>> axis, one = SpectralAxis(np.arange(1.0, 5.0), 1.0), np.eye(4)  # bands by number, all of which count
     >>> laws = {name: SpectralEstimate(np.full(4, mean), one, one) for name, mean in (("a", 0.0), ("b", 0.8))}
     >>> every = SimpleNamespace(name="all", bands_nm=[], pca=None)
     >>> asked = PredictedProducts(axis, reflectance=laws), [("a", "b")], [every], "counts"

@@ -384,6 +384,15 @@ def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: Mask) -> Ind
     """Indices of the bands that the detectors use (Psi of unit rows, 3.21).
 
     ``usable`` (B,) is False where a spectrum or the light is lacking.  Raises UsageError when none is left.
+
+    >>> from hyperval.scenario import load_scenario
+    >>> clear = load_scenario("panels").with_values({"processing.bands.windows_only": True})
+    >>> detection_bands(clear, SpectralAxis([500.0, 1400.0, 1650.0], 10.0), np.ones(3, bool))
+    array([0, 2])
+    >>> detection_bands(clear, SpectralAxis(np.arange(1.0, 601.0), 1.0), np.ones(600, bool))  # numbers are no nm
+    Traceback (most recent call last):
+    ...
+    hyperval.errors.UsageError: ...
     """
     choice = scenario.processing.bands
     keep = usable.copy()

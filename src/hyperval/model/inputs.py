@@ -83,6 +83,19 @@ def spectrum_error_rows(item: SpectrumUncertainty, surface: SurfaceStatistics, s
     Raises
     ------
     UsageError : the file carries no standard deviation, or no n for a standard error.
+
+    Examples
+    --------
+    The mean of three readings is known as badly as their spread, whether the error is that of all bands or of some.
+
+    >>> from hyperval.spectra import SpectralAxis
+    >>> axis, sampled = SpectralAxis([500.0, 510.0], 5.0), (np.arange(490.0, 521.0), np.full(31, 0.01))
+    >>> about = {"standard_deviation": np.full(2, 0.01), "sampled_deviation": sampled}
+    >>> lawn = SurfaceStatistics("lawn", axis, np.ones(2), np.zeros((2, 2)), 3, **about)
+    >>> own = SpectrumUncertainty(subject="lawn", from_file=True, divisor="standard_error")
+    >>> rows = [spectrum_error_rows(own.model_copy(update={"correlation_nm": nm}), lawn) for nm in (None, 1e5)]
+    >>> [np.sqrt(np.sum(r**2, axis=0)).round(6).tolist() for r in rows], round(2.195 * 0.01 / 3**0.5, 6)
+    ([[0.012674, 0.012674], [0.012674, 0.012674]], 0.012673)
     """
     if not item.from_file:
         sd = (item.absolute or 0.0) + (item.relative or 0.0) * np.nan_to_num(surface.mean)

@@ -224,6 +224,16 @@ class Sources(Keeps):
 
     ``nominal`` are the bands as they are labelled, where they are not those of ``axis`` (a shifted spectrometer);
     what was measured stands on them.  ``kept`` holds the spectra of files that were read before.
+
+    What a library says at the labels is so where the bands are, its standard deviation too:
+
+    >>> from tempfile import NamedTemporaryFile
+    >>> labels = SpectralAxis(np.array([500.0, 510.0, 520.0]), 5.0)
+    >>> sources = Sources(SpectralAxis(labels.centre_nm + 0.2, 5.0), {}, Path, labels)
+    >>> with NamedTemporaryFile("w", suffix=".csv") as file:
+    ...     print("wavelength_nm,lawn,lawn sd\\n500,0.3,0.01\\n510,0.3,0.01\\n520,0.3,0.01", file=file, flush=True)
+    ...     sources.spectrum(SpectrumSource(file=file.name), "lawn").sampled_deviation
+    (array([500.2, 510.2, 520.2]), array([0.01, 0.01, 0.01]))
     """
 
     axis: SpectralAxis

@@ -224,13 +224,13 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
             snr = px.snr_from_moments(sample.mean[index], sample.covariance[np.ix_(index, index)])
             clear[index] = snr >= detection.least_snr
         rules[f"with an SNR below {detection.least_snr:g} in the background"] = clear
-    used, parts = np.ones(len(axis), bool), list[str]()
+    used, parts, unit = np.ones(len(axis), bool), list[str](), " nm" * (not axis.numbered)
     for reason, keep in rules.items():
         lost, used = np.flatnonzero(used & ~np.asarray(keep)), used & keep
         if lost.size:
             runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
             ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
-            parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)} nm)")
+            parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)}{unit})")
     refuse(not used.any(), "detection.bands", rules="; ".join(parts))
     notes = [f"detectors use {int(used.sum())} of {len(axis)} bands"]
     return used, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes

@@ -722,7 +722,8 @@ def benchmark(
 
     load_extensions(extensions)
     jobs, programs = jobs_of(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
-    with whole_folder(output) as folder, workers(worker_count(len(jobs)), scheduler) as where:
+    inputs = [*(one.path for job in jobs for one in job.files), *map(Path, scores.values())]
+    with whole_folder(output, beside=inputs) as folder, workers(worker_count(len(jobs)), scheduler) as where:
         here = where.executor is None  # one after the other, each with its own bars
         run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores))
         results = in_order(where, run, jobs, ahead=max(1, len(jobs)))

@@ -586,7 +586,13 @@ def load_sensor(name_or_path: str | Path) -> Sensor:
 
 
 def sensor_named(name: str, find: Callable[[str], Path]) -> Sensor:
-    """The sensor that an entry of a file names: of the library, or in a file that ``find`` leads to."""
+    """The sensor that an entry of a file names: of the library, or in a file that ``find`` leads to.
+
+    >>> asked = []
+    >>> names = "enmap", "MINE.YAML", "data:mine"
+    >>> [sensor_named(name, lambda name: asked.append(name) or "hymap").name for name in names], asked
+    (['enmap', 'hymap', 'hymap'], ['MINE.YAML', 'data:mine'])
+    """
     path = find(name) if PurePath(name).suffix or ":" in name else name
     return library_sensor(name) if name in library_names() else load_sensor(path)
 

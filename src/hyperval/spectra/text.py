@@ -19,7 +19,7 @@ import numpy as np
 
 from hyperval.data import Array
 from hyperval.errors import package_table, refusal, refuse
-from hyperval.paths import checked_file, csv_rows
+from hyperval.paths import DECIMAL_COMMA, checked_file, csv_rows
 from hyperval.spectra.record import MAX_BYTES, MAX_JOINS, MAX_ROWS, FieldSpectrum, SpectraFile
 from hyperval.storage import decoded
 from hyperval.units import only_wavelength_unit, power_unit, wavelength_unit_named
@@ -35,7 +35,6 @@ _ENDS = 0.02  # of a wavelength: detectors begin and end beside the round number
 _NUMBER = re.compile(r"^[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eEdD][-+]?[0-9]+)?$|^[-+]?(nan|inf)$", re.IGNORECASE)
 is_number = _NUMBER.match  # a text, and nothing else
 _MISSING = ("", "na", "n/a", "#n/a", "#div/0!", "null")
-_DECIMAL_COMMA = re.compile(r"^[-+]?[0-9]+,[0-9]+([eE][-+]?[0-9]+)?$")
 _WHOLE = re.compile(r"^[-+]?[0-9]+$")
 _OF_UNIT = re.compile(r"^(\s*[0-9]+(?:\.[0-9]+)?) ?[nuµ]m(?=[\t,;])")  # a wavelength with its unit, as of LI-COR
 _END = re.compile(r"^>+\s*End\b|^\[END\]")  # of the numbers, in files of Ocean Optics and TriOS
@@ -46,7 +45,7 @@ _SPREAD = re.compile(_WORDS["deviation_in_titles"])
 _SUM = re.compile(rf"(\w\s*\+|\b(mean|av\w*)\s*[-−–])\s*[0-9]?\s*{_SPREAD.pattern}", re.IGNORECASE)  # of a mean and it
 _NOTHING = re.compile(r"\b((n|of) \d+|mean|average|avg|refl|rfl|(reflect|radi|irradi)ance|values?|of|in|the|percent)\b")
 # How many standard uncertainties a stated one is, as in U (k=2).
-_EXPANDED = re.compile(r"expanded|\b9[059] ?(%|percent) ?conf|uncertaint\w+\W+(at )?9[059] ?(%|percent)", re.IGNORECASE)
+_EXPANDED = re.compile(r"(?i)expanded|\b9[059] ?(%|percent) ?(conf|uncert)|uncertaint\w+\W+(at )?9[059] ?(%|percent)")
 _COVERAGE = re.compile(r"\b(?:u\W{1,2})?k ?= ?([1-9][0-9.]*)|\b([1-9])[- ]?(?=sigma\b)", re.IGNORECASE)
 _WAVE = re.compile(r"wave|wvl|(?<![a-z])wl(?![a-z])|lambda", re.IGNORECASE)
 _WAVENUMBER = re.compile(r"wave\s*number|raman|^wn$|cm[\s^({]*[-−⁻][1¹]|(?<!\w)1\s*/\s*cm(?!\w)|kayser", re.IGNORECASE)
@@ -138,6 +137,10 @@ def title_words(title: str) -> tuple[str, bool]:
     [('mean + stdev', False), ('mean-sd', False), ('grass', True), ('grass', False), ('soil', False)]
     >>> [title_words(t) for t in ("Uncertainty (k=2)", "U(k=2)", "2-sigma", "Uncertainty (95 % confidence)")]
     [('', True), ('', True), ('', True), ('', True)]
+    >>> [title_words(t) for t in ("soil, 95% uncertainty", "95 % confidence uncertainty", "Tile 95% STDEV")]
+    [('soil', True), ('', True), ('tile 95', True)]
+    >>> [_EXPANDED.search(t) is not None for t in ("95 % uncertainty", "95% confidence", "Tile 95%, uncertainty (k=1)")]
+    [True, True, False]
     """
     if _SUM.search(title):
         return title.lower(), False
@@ -301,9 +304,9 @@ def _cells(line: str) -> list[str]:
         text = text.replace('"', "")  # as some spreadsheets export numbers
     if ";" in text:  # as spreadsheets export where the comma is the decimal sign
         cells = [c.strip() for c in text.split(";")]
-        return [c.replace(",", ".") if _DECIMAL_COMMA.match(c) else c for c in cells]
+        return [c.replace(",", ".") if DECIMAL_COMMA.match(c) else c for c in cells]
     blanks, parts = text.split(), [c.strip() for c in text.split(",")]
-    commas = [c for c in blanks if _DECIMAL_COMMA.match(c)]
+    commas = [c for c in blanks if DECIMAL_COMMA.match(c)]
     if len(blanks) > 1 and commas and all(c in commas or _WHOLE.match(c) for c in blanks):
         return [c.replace(",", ".") for c in blanks]
     if len(parts) > 1 and not any(c.split()[1:] for c in parts):

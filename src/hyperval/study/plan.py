@@ -288,7 +288,14 @@ def try_changes(world: World, changes: dict[str, Any]) -> None:
 
 
 def as_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values at paths as entries of a scenario's file: with what gives way to them, as time and place do to the sun."""
+    """Values at paths as entries of a scenario's file: with what gives way to them, as time and place do to the sun.
+
+    >>> stated, values = load_scenario("panels"), {"atmosphere.solar_zenith_deg": -5.0, "scene.classes.grass.gain": 2.0}
+    >>> as_entries(stated, values)
+    {'scene.classes.grass.gain': 2.0, 'atmosphere.solar_zenith_deg': 5.0, 'atmosphere.solar_azimuth_deg': 0.0}
+    >>> as_entries(stated.model_copy(update={"atmosphere": None}), values)
+    {'scene.classes.grass.gain': 2.0}
+    """
     state, sky = scenario.atmosphere, {p.partition(".")[2]: v for p, v in values.items() if p.startswith("atmosphere.")}
     entries = state_entries(state, sky) if state is not None else {}
     out = {path: v for path, v in values.items() if not path.startswith("atmosphere.")}

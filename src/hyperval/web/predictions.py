@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from typing import Annotated, Any
+from urllib.parse import quote
 
 from fastapi import Request
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -324,7 +325,7 @@ def take_away(request: Request, name: str) -> Response:
         texts["scenario.yaml"] = yaml_text("scenario", plain(load_scenario(source)))
     texts["trade.ipynb"] = notebook(texts)
     deny(name not in texts, 404, "there is no such file")
-    headers = {"content-disposition": f'attachment; filename="{name}"'}
+    headers = {"content-disposition": f"attachment; filename*=utf-8''{quote(name)}"}  # as the framework names files
     return Response(texts[name], media_type="application/octet-stream", headers=headers)
 
 

@@ -276,8 +276,6 @@ class Runs:
         run = run.model_copy(update=changes)
         try:
             self._write(run)
-        except FileNotFoundError:
-            pass  # removed meanwhile
         except OSError as full:
             lost = {"state": "failed", "reason": f"its results could not be stored: {full.strerror}", "summary": {}}
             self._unwritten[run.id] = run.model_copy(update=lost)
