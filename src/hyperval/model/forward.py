@@ -532,12 +532,9 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 each = out.setdefault(key, {})
                 # Signal and noise go by the same directions: those of one step have one name.
                 name = source if key[0] in SPECTRA else f"{number:05} {start:05}"
-                before, changes = each[name].rows if name in each else rows[:0], np.nan_to_num(rows)
-                if item.subject and item.kind == "sensor" and len(before) > start:  # of the image, which all share
-                    before[start : start + len(changes)] += changes
-                    changes = changes[:0]
-                each[name] = Errors(np.concatenate([before, changes]), np.inf, *scale)
-    return out
+                before = each[name].rows if name in each else rows[:0]
+                each[name] = Errors(np.concatenate([before, np.nan_to_num(rows)]), np.inf, *scale)
+    return {key: {name: e for name, e in each.items() if e.rows.any()} for key, each in out.items()}
 
 
 def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) -> PredictedProducts:
@@ -722,9 +719,8 @@ def predict(
     world = settled(with_truths(read_world(scenario, source), [truth or {}]))[0][1]
     world = replace(world, stated=replace(world.stated, before=None))
     inputs = inputs_of(world)
-    linear = [i for i in inputs if scenario.atmosphere is not None or not i.of_light]
-    of_spectra = spectral_errors(world, [*linear, *inputs_of_spectra(world)])
-    products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
+    of_spectra = spectral_errors(world, [*inputs, *inputs_of_spectra(world)])
+    products, changes = _prediction(world, of_spectra, inputs, objects, object_curves, source, truth or {})
     return with_uncertainty(products, world, inputs if truth is None else [], changes)
 
 
@@ -775,9 +771,11 @@ def _prediction(
     input; of the targets' field spectra for the one that their filter looks along.
     """
     stated, errors = world.stated, spectrum_errors(inputs)
-    light = [i for i in inputs if i.of_light and i.kind != "engine"]
+    # Without light what is recorded is reflectance: the error of its compensation is among the draws of objects.
+    is_lit = stated.scenario.atmosphere is not None
+    light = [i for i in inputs if is_lit and i.of_light and i.kind != "engine"]
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
-    others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]
+    others = [i for i in inputs if not (is_lit and i.of_light) and (i.subject in stated.classes or i.kind != "surface")]
     others.sort(key=lambda i: not i.subject)
     of_light, of_others = ([(i, k) for i in some for k in range(i.size)] for some in (light, others))
     along = [None] if any(t.name in errors for t in stated.targets) else []
