@@ -53,13 +53,24 @@ def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]
     Parameters
     ----------
     changes : key -> changes (D, K) of probit P_D by one standard uncertainty up, and down, along each direction
+
+    What leaves a curve alone, such as an error of another target, leaves its limits alone:
+
+    >>> pfa, key = np.array([1e-3, 1e-2, 1e-1]), ("plank", "cem", "pixel")
+    >>> curve, up = RocCurve(pfa, *(pfa**0.3,) * 3, pfa), np.array([[0.3, 0.2, 0.1], [0.1, 0.2, 0.2]])
+    >>> beside = np.insert(up, 1, 1e-13, axis=0)
+    >>> each = [with_bands({key: curve}, {key: (moved, -0.5 * moved)})[key].pd_lower for moved in (up, beside)]
+    >>> np.array_equal(*each)
+    True
     """
     out = dict(roc)
     for key, (up, down) in changes.items():
         if not (np.any(up) or np.any(down)):
             continue
-        curve, c = roc[key], _normal_draws(len(up))
-        z, even = probit(curve.pd), 0.5 * (up - down)
+        curve, z = roc[key], probit(roc[key].pd)
+        size = (up**2 + down**2) @ np.exp(-(z**2))  # of the change of P_D
+        up, down = (of[size >= _SEEN**2 * size.max()] for of in (up, down))
+        c, even = _normal_draws(len(up)), 0.5 * (up - down)
         drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
         # The even part has its limits in closed form: the draws say by how much the whole differs from it.
         half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
