@@ -150,8 +150,8 @@ class EngineUncertainty(FineStructure):
 class CollectedReflectance(Model):
     """Error of the reflectance that the collection holds, common to all its pixels: that of its compensation.
 
-    Statistics taken from the image have it, field spectra have not: it enters what is compared with these, and the
-    scores of objects.
+    Statistics taken from the image have it, field spectra have not: it enters what is compared with these, scores and
+    P_D.
     """
 
     relative: float = Field(0.0, ge=0, lt=1, description="as a part of the reflectance")

@@ -53,13 +53,24 @@ def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]
     Parameters
     ----------
     changes : key -> changes (D, K) of probit P_D by one standard uncertainty up, and down, along each direction
+
+    What leaves a curve alone, such as an error of another target, leaves its limits alone:
+
+    >>> pfa, key = np.array([1e-3, 1e-2, 1e-1]), ("plank", "cem", "pixel")
+    >>> curve, up = RocCurve(pfa, *(pfa**0.3,) * 3, pfa), np.array([[0.3, 0.2, 0.1], [0.1, 0.2, 0.2]])
+    >>> beside = np.insert(up, 1, 1e-13, axis=0)
+    >>> each = [with_bands({key: curve}, {key: (moved, -0.5 * moved)})[key].pd_lower for moved in (up, beside)]
+    >>> np.array_equal(*each)
+    True
     """
     out = dict(roc)
     for key, (up, down) in changes.items():
         if not (np.any(up) or np.any(down)):
             continue
-        curve, c = roc[key], _normal_draws(len(up))
-        z, even = probit(curve.pd), 0.5 * (up - down)
+        curve, z = roc[key], probit(roc[key].pd)
+        size = (up**2 + down**2) @ np.exp(-(z**2))  # of the change of P_D
+        up, down = (of[size >= _SEEN**2 * size.max()] for of in (up, down))
+        c, even = _normal_draws(len(up)), 0.5 * (up - down)
         drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
         # The even part has its limits in closed form: the draws say by how much the whole differs from it.
         half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
@@ -532,12 +543,9 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
                 each = out.setdefault(key, {})
                 # Signal and noise go by the same directions: those of one step have one name.
                 name = source if key[0] in SPECTRA else f"{number:05} {start:05}"
-                before, changes = each[name].rows if name in each else rows[:0], np.nan_to_num(rows)
-                if item.subject and item.kind == "sensor" and len(before) > start:  # of the image, which all share
-                    before[start : start + len(changes)] += changes
-                    changes = changes[:0]
-                each[name] = Errors(np.concatenate([before, changes]), np.inf, *scale)
-    return out
+                before = each[name].rows if name in each else rows[:0]
+                each[name] = Errors(np.concatenate([before, np.nan_to_num(rows)]), np.inf, *scale)
+    return {key: {name: e for name, e in each.items() if e.rows.any()} for key, each in out.items()}
 
 
 def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) -> PredictedProducts:
@@ -722,9 +730,8 @@ def predict(
     world = settled(with_truths(read_world(scenario, source), [truth or {}]))[0][1]
     world = replace(world, stated=replace(world.stated, before=None))
     inputs = inputs_of(world)
-    linear = [i for i in inputs if scenario.atmosphere is not None or not i.of_light]
-    of_spectra = spectral_errors(world, [*linear, *inputs_of_spectra(world)])
-    products, changes = _prediction(world, of_spectra, linear, objects, object_curves, source, truth or {})
+    of_spectra = spectral_errors(world, [*inputs, *inputs_of_spectra(world)])
+    products, changes = _prediction(world, of_spectra, inputs, objects, object_curves, source, truth or {})
     return with_uncertainty(products, world, inputs if truth is None else [], changes)
 
 
@@ -775,9 +782,11 @@ def _prediction(
     input; of the targets' field spectra for the one that their filter looks along.
     """
     stated, errors = world.stated, spectrum_errors(inputs)
-    light = [i for i in inputs if i.of_light and i.kind != "engine"]
+    # Without light what is recorded is reflectance: the error of its compensation is among the draws of objects.
+    is_lit = stated.scenario.atmosphere is not None
+    light = [i for i in inputs if is_lit and i.of_light and i.kind != "engine"]
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
-    others = [i for i in inputs if not i.of_light and (i.subject in stated.classes or i.kind != "surface")]
+    others = [i for i in inputs if not (is_lit and i.of_light) and (i.subject in stated.classes or i.kind != "surface")]
     others.sort(key=lambda i: not i.subject)
     of_light, of_others = ([(i, k) for i in some for k in range(i.size)] for some in (light, others))
     along = [None] if any(t.name in errors for t in stated.targets) else []

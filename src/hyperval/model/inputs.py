@@ -318,62 +318,54 @@ def _of_scene(world: World) -> Iterator[UncertainInput]:
 
 
 def _of_image(world: World) -> Iterator[UncertainInput]:
-    """Blur, and what the reflectance of an image is off by that was compensated before."""
+    """Blur, and what the reflectance of an image is off by that was compensated before.
+
+    That is an error of each field spectrum that is compared with it, and common to them; what is measured on the image
+    has the same error.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import Origins, predict, read_world
+    >>> stated = {"uncertainty.collected_reflectance": {"relative": 0.04, "absolute": 0.003}}
+    >>> scenario = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None}).with_values(stated)
+    >>> made = predict(scenario)
+    >>> [bool(np.allclose(made.reflectance[name].budget["compensation (gain)"], 0.04 * made.reflectance[name].mean))
+    ...  for name in ("grass", "green plank 0.4")]
+    [True, True]
+    >>> grass = made.reflectance["grass"]
+    >>> [set(of.ravel().round(9).tolist()) for of in (grass.budget["compensation (offset)"], grass.spread_errors[0])]
+    [{0.003}, {0.04}]
+
+    Targets on ground that was measured stand out by another amount: P_D has the error by both ways of propagation.
+
+    >>> ground = {name: read_world(scenario).stated.surfaces[name] for name in ("asphalt", "grass", "soil")}
+    >>> seen = {f"scene.classes.{n}.spectrum": {"measured": n} for n in ground} | {"uncertainty.samples": 40}
+    >>> ways = [predict(scenario.with_values({**seen, "uncertainty.method": method}), Origins(measured=ground))
+    ...         for method in ("linear", "monte-carlo")]
+    >>> curves = [way.roc["green plank 0.2", "cem", "pixel"] for way in ways]
+    >>> [[round(float(limit[140]), 1) for limit in (curve.pd_lower, curve.pd_upper)] for curve in curves]
+    [[0.5, 0.7], [0.5, 0.7]]
+    >>> ways[0].reflectance["grass"].budget
+    {}
+    """
     scenario = world.stated.scenario
     u, fills = scenario.uncertainty, [p.fill for t in scenario.scene.targets for p in t.populations]
     if u.psf_fwhm_pixels is not None and any(fill.geometry is not None for fill in fills):
         yield number_input(world, "blur (PSF width)", "sensor", "blur", u.psf_fwhm_pixels)
-    for part, sd, form in _of_compensation(world):
-        yield spectral_input(world, f"compensation ({part})", "sensor", f"sensor.{part}", sd, form)
-
-
-def _of_compensation(world: World) -> Iterator[tuple[str, float, SpectralForm]]:
-    stated = world.stated.scenario.uncertainty.collected_reflectance
-    if stated is not None and world.stated.scenario.atmosphere is None:
+    stated = u.collected_reflectance
+    if stated is not None and scenario.atmosphere is None:
         form = SpectralForm(correlation_nm=stated.correlation_nm)
-        yield from ((part, sd, form) for part, sd in (("gain", stated.relative), ("offset", stated.absolute)) if sd > 0)
+        for part, sd in (("gain", stated.relative), ("offset", stated.absolute)):
+            if sd > 0:
+                yield spectral_input(world, f"compensation ({part})", "sensor", f"sensor.{part}", sd, form)
 
 
 def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
     """What enters the budgets of mean spectra alone.
 
     Interpolation of the path radiance between the nodes of a table is off by
-    :func:`hyperval.atmosphere.between.path_error`, smooth over wavelength.  What the reflectance of an image is off by
-    is an error of each field spectrum that is compared with it; what is measured on the image has the same error.
-
-    >>> from hyperval.api import load_scenario
-    >>> from hyperval.model import predict
-    >>> stated = {"collected_reflectance": {"relative": 0.04, "absolute": 0.003}}
-    >>> scenario = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
-    >>> grass = predict(scenario.with_values({"uncertainty": stated})).reflectance["grass"]
-    >>> bool(np.allclose(grass.budget["compensation (gain)"], 0.04 * grass.mean))
-    True
-    >>> [set(of.ravel().round(9).tolist()) for of in (grass.budget["compensation (offset)"], grass.spread_errors[0])]
-    [{0.003}, {0.04}]
-
-    Where a target and the surface around it both have field spectra, the error is common to them:
-
-    >>> plank = predict(scenario.with_values({"uncertainty": stated})).reflectance["green plank 0.4"]
-    >>> bool(np.allclose(plank.budget["compensation (gain)"], 0.04 * plank.mean))
-    True
-    >>> from hyperval.model import read_world
-    >>> world = read_world(scenario.with_values({"uncertainty": stated}))
-    >>> asphalt, *others = world.stated.scenario.scene.classes
-    >>> of_image = asphalt.model_copy(update={"spectrum": asphalt.spectrum.model_copy(update={"measured": "court"})})
-    >>> scene = world.stated.scenario.scene.model_copy(update={"classes": [of_image, *others]})
-    >>> seen = replace(world.stated, scenario=world.stated.scenario.model_copy(update={"scene": scene}))
-    >>> "asphalt" in {one.subject for one in inputs_of_spectra(replace(world, stated=seen))}
-    False
+    :func:`hyperval.atmosphere.between.path_error`, smooth over wavelength.
     """
     sigma = world.stated.atmosphere({}, 1).path_uncertainty
     if sigma is not None and np.any(sigma):
         form = SpectralForm(correlation_nm=INTERPOLATION_NM)
         yield spectral_input(world, TABLE, "engine", "light.path_error", sigma[0, 0], form)
-    scene = world.stated.scenario.scene
-    for surface in (*scene.classes, *scene.panels, *scene.sites, *scene.targets):
-        if surface.spectrum.measured is None:
-            path, mean = f"surfaces.[{surface.name}].mean", np.nan_to_num(world.stated.surfaces[surface.name].mean)
-            for part, sd, form in _of_compensation(world):  # the same directions for every surface: it is one error
-                rows = error_rows(np.full(mean.size, sd), form, world.stated.axis) * (mean if part == "gain" else 1.0)
-                name, words = f"compensation ({part})", form_in_words(form)
-                yield number_input(world, name, "sensor", path, 0.0, words=words, rows=rows)
