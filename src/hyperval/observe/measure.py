@@ -128,7 +128,8 @@ def observe(
     for name in track([n for n in place.regions if n not in kept_names], "tails"):
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
-    snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance) for n in collection.snr_regions}
+    names, good = collection.snr_regions, cube.axis.good
+    snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance, good) for n in names}
     remark = said("classifiers", used=cube.axis.clear.sum(), bands=cube.bands)
     observation = ObservedProducts(
         axis=cube.axis,
@@ -409,7 +410,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     """
     n, covariance = statistics.n, statistics.covariance
     variance = np.diag(covariance)
-    valid = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    valid = np.flatnonzero(np.isfinite(variance) & (variance > 0) & place.cube.axis.good)
     if valid.size == 0:
         return EstimatedPart(covariance / n, float(n - 1))
     sample = covariance[np.ix_(valid, valid)]
