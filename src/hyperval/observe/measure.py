@@ -168,10 +168,10 @@ def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str
 def _sampling_error(place: Place, region: Mask, sample: SampleStatistics) -> EstimatedPart:
     """The error of a mean, with that of values which are stored as whole steps."""
     sampling, cube = mean_error(place, region, sample), place.cube
-    if cube.dtype.kind not in "iu" or sample.n < 2:
+    if cube.step is None or sample.n < 2:
         return sampling
     spread = np.sqrt(np.clip(np.diag(sample.covariance), 0.0, None))
-    rounding = np.diag(sites.rounding_variance(np.abs(cube.gain), spread))
+    rounding = np.diag(sites.rounding_variance(cube.step, spread))
     return sampling.of_each(lambda c: c + rounding)
 
 
@@ -272,7 +272,7 @@ def _estimate(
     return sites.spectral_estimate(
         mean, parts, pixel_covariance=sample.covariance / gains if spread else None, n=sample.n,
         estimated=estimated, circular=circular, spread_errors=None if scale is None else np.stack([scale, 0.0 * scale]),
-        rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else None,
+        rounding=None if cube.step is None else cube.step**2 / 12.0 / gain**2,
     )  # fmt: skip
 
 
