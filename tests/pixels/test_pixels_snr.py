@@ -65,4 +65,4 @@ def test_texture_of_another_colour_than_the_mean_costs_little():
 
 def test_a_band_that_does_not_vary_has_no_snr():
     covariance = np.diag([1.0, 0.0, 1.0, 4.0])
-    assert snr_from_moments([10.0, 10.0, 10.0, 10.0], covariance) == pytest.approx([10, np.nan, 10, 5], nan_ok=True)
+    assert snr_from_moments([10.0] * 4, covariance, np.ones(4)) == pytest.approx([10, np.nan, 10, 5], nan_ok=True)

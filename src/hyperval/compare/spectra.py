@@ -569,10 +569,10 @@ def snr_beside_texture(predicted: Products, subject: str) -> Array:
     >>> snr_beside_texture(replace(products, radiance={"field": dark}), "field").round(2).tolist()
     [0.2, 0.2, 0.2, 0.2]
     """
-    radiance, noise = predicted.radiance.get(subject), predicted.snr.get(subject)
-    if radiance is None or noise is None or radiance.pixel_covariance is None or radiance.mean.size < 3:
+    radiance, noise, good = predicted.radiance.get(subject), predicted.snr.get(subject), predicted.axis.good
+    if radiance is None or noise is None or radiance.pixel_covariance is None or good.sum() < 3:
         return np.ones(len(predicted.axis))
-    part = np.minimum(pixels.snr_from_moments(radiance.mean, radiance.pixel_covariance) / noise.mean, 1.0)
+    part = np.minimum(pixels.snr_from_moments(radiance.mean, radiance.pixel_covariance, good) / noise.mean, 1.0)
     # Bands that tell nothing are as those that do.
     return np.where(np.isfinite(part), part, np.nanmedian(part) if np.isfinite(part).any() else 1.0)
 

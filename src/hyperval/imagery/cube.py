@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal
@@ -38,7 +39,6 @@ Quantity = Literal["radiance", "reflectance", "counts", "other"]
 Where = Mask | tuple[npt.ArrayLike, npt.ArrayLike]
 
 BLOCK_BYTES = 8 << 20
-_WHOLE = ("ii", "uu", "iu", "ui")
 # Above these the 95th percentile of a cube says that its scale was not stated: a white surface under the zenith sun
 # gives a radiance of about 65.
 PLAUSIBLE = {"reflectance": 1.5, "radiance": 200.0}
@@ -138,6 +138,26 @@ class Cube:
         """Ground area of a pixel [m2], None when the map unit is unknown."""
         return pixel_area_m2(self.transform, self.crs, self.raster.description.entries)
 
+    @cached_property
+    def step(self) -> Array | None:
+        """(B,) step of values that are whole numbers in the file, whatever type holds them; None of others.
+
+        Programs keep counts as floats, and packed numbers are handed out unpacked.
+
+        >>> import xarray as xr
+        >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
+        >>> counts = np.arange(100, 118).reshape(3, 3, 2)
+        >>> packed = xr.DataArray(counts, nm, ("y", "x", "b"), attrs={"scale_factor": 1e-3, "add_offset": 0.1})
+        >>> whole, spread = packed.drop_attrs(deep=False).astype("f4"), packed.drop_attrs(deep=False) / 7.0
+        >>> [open_cube(of, quantity="counts").step for of in (packed, whole, spread)]
+        [array([0.001, 0.001]), array([1., 1.]), None]
+        """
+        stored, (gain, offset) = self.raster.some_pixels()[:, self.stored_band], self.raster.description.packing
+        seen = stored[self._usable(stored.T, self.axis.good)].astype(float)
+        slack = 4.0 * np.finfo(np.result_type(self.dtype, np.float32)).eps * (np.abs(seen) + abs(offset))
+        uneven = np.abs(gain * np.rint((seen - offset) / gain) + offset - seen) > slack
+        return None if uneven.any() or (self.dtype.kind == "f" and not seen.size) else np.abs(self.gain * gain)
+
     def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
         """The lines ``first_line`` to ``first_line + count - 1``."""
         stored, valid = self.read_stored(first_line, count, self.axis.good)
@@ -159,9 +179,7 @@ class Cube:
         [[[0.1, 0.0], [nan, nan]]]
         """
         stored, valid = self.read_stored(first_line, count, np.zeros(self.bands, bool))
-        values = self._scaled(stored.transpose(1, 2, 0), np.dtype(dtype))
-        values[~valid] = np.nan
-        return values
+        return np.where(valid[..., None], self._scaled(stored.transpose(1, 2, 0), np.dtype(dtype)), np.nan)
 
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
         """All lines in order, ``lines_per_block`` at a time (default: about 8 MiB of values)."""
@@ -183,7 +201,7 @@ class Cube:
         raster, bands, gain = self.raster, spectral.BandInfo(), self.gain
         bands.centers, bands.bandwidths = self.axis.centre_nm.tolist(), self.axis.fwhm_nm.tolist()
         bands.band_unit, bands.band_quantity = "nm", "Wavelength"
-        if isinstance(raster, EnviRaster) and not (self._reordered or np.ptp(gain) or np.any(self.offset)):
+        if isinstance(raster, EnviRaster) and self._order == slice(None) and not (np.ptp(gain) or np.any(self.offset)):
             image = envi.open(str(raster.header.path), str(raster.path))
             image.scale_factor, image.bands = 1.0 / float(gain[0]), bands
             return image
@@ -215,9 +233,7 @@ class Cube:
         Also which pixels (count, samples) hold data in the ``needed`` bands (all by default); gain and
         offset are not applied.  ``buffer``: as for :meth:`EnviRaster.read_bands`.
         """
-        stored = self.raster.read_bands(first_line, count, buffer)
-        if self._reordered:
-            stored = stored[self.stored_band]
+        stored = self.raster.read_bands(first_line, count, buffer)[self._order]
         return stored, self._usable(stored, needed)
 
     def pixels(self, where: Where) -> Array:
@@ -233,7 +249,7 @@ class Cube:
         """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
-            if rows.shape != cols.shape or rows.ndim != 1 or rows.dtype.kind + cols.dtype.kind not in _WHOLE:
+            if rows.shape != cols.shape or rows.ndim != 1 or not {rows.dtype.kind, cols.dtype.kind} <= {"i", "u"}:
                 raise refusal("cube.index")
             if not np.all((rows >= 0) & (rows < self.lines) & (cols >= 0) & (cols < self.samples)):
                 box = {"top": rows.min(), "bottom": rows.max(), "left": cols.min(), "right": cols.max()}
@@ -244,14 +260,13 @@ class Cube:
                 raise refusal("cube.mask", dtype=mask.dtype, shape=mask.shape, cube=self.shape)
             rows, cols = np.nonzero(mask)
         stored = self.raster.read_pixels(rows.astype(np.intp, copy=False), cols.astype(np.intp, copy=False))
-        stored = stored[:, self.stored_band] if self._reordered else stored
+        stored = stored[:, self._order]
         return self._scaled(stored, np.dtype(np.float64)), self._usable(stored.T, self.axis.good)
 
     @property
-    def _reordered(self) -> bool:
-        """Whether the bands of the axis are not all of the stored bands in their order."""
-        order = self.stored_band
-        return order.size != self.raster.bands or bool(np.any(order != np.arange(order.size)))
+    def _order(self) -> Index | slice:
+        """The stored bands behind those of the axis, as an index: a slice where they are all of them in their order."""
+        return slice(None) if np.array_equal(self.stored_band, np.arange(self.raster.bands)) else self.stored_band
 
     def _scaled(
         self, stored: npt.NDArray[Any], dtype: np.dtype, bands: list[int] | slice = slice(None)
@@ -435,8 +450,7 @@ def kind_of(path: Path) -> str | None:
 
 def needs_header(path: Path) -> bool:
     """Whether a file is a cube only with an ENVI header beside it: no GeoTIFF, and no file of arrays."""
-    without = (TIFF, _NETCDF3, *MATRICES)
-    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in without
+    return path.suffix.lower() not in (".xml", ".zarr") and kind_of(path) not in (TIFF, _NETCDF3, *MATRICES)
 
 
 @reader
@@ -576,9 +590,8 @@ def raster_of(image: Any, variable: str | None = None) -> Raster | Path:
 def _placed(array: xr.DataArray, transform: Affine | None, crs: CRS | None) -> xr.DataArray:
     attrs = {} if crs is None else dict.fromkeys(("crs_wkt", "spatial_ref"), crs.to_wkt())
     attrs |= {} if transform is None else {"GeoTransform": " ".join(repr(float(v)) for v in transform.to_gdal())}
-    if attrs:
-        array = array.assign_coords(spatial_ref=((), 0, attrs)).assign_attrs(grid_mapping="spatial_ref")
-    return array
+    placed = array.assign_coords(spatial_ref=((), 0, attrs)).assign_attrs(grid_mapping="spatial_ref")
+    return placed if attrs else array
 
 
 def _image_array(values: npt.NDArray[Any], bands: spectral.BandInfo, filename: str) -> spectral.image.ImageArray:

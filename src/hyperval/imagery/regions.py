@@ -799,9 +799,8 @@ def half_region(name: str, region: Region, *, first: bool) -> Region:
     """
     lines, samples = np.nonzero(region.mask)
     along = lines if np.ptp(lines) >= np.ptp(samples) else samples
-    before = along < np.sort(along)[along.size // 2]
     mask = region.mask.copy()
-    mask[lines, samples] = before == first
+    mask[lines, samples] = (along < np.sort(along)[along.size // 2]) == first
     refuse(not mask.any(), "region.half", f"region {name!r}", of=region.name)
     return Region(name, mask, f"half of {region.name}")
 

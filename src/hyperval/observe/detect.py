@@ -220,9 +220,8 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
     }
     if detection.least_snr is not None:  # by the bands that are left
         clear = np.logical_and.reduce([np.broadcast_to(keep, len(axis)) for keep in rules.values()])
-        if (index := np.flatnonzero(clear)).size >= 3:
-            snr = px.snr_from_moments(sample.mean[index], sample.covariance[np.ix_(index, index)])
-            clear[index] = snr >= detection.least_snr
+        if clear.sum() >= 3:
+            clear &= px.snr_from_moments(sample.mean, sample.covariance, clear) >= detection.least_snr
         rules[f"with an SNR below {detection.least_snr:g} in the background"] = clear
     used, parts, unit = np.ones(len(axis), bool), list[str](), " nm" * (not axis.numbered)
     for reason, keep in rules.items():

@@ -128,7 +128,8 @@ def observe(
     for name in track([n for n in place.regions if n not in kept_names], "tails"):
         found = pixel_tails(place, masks[name], measured[name])
         distribution |= {} if found is None else {name: found}
-    snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance) for n in collection.snr_regions}
+    names, good = collection.snr_regions, cube.axis.good
+    snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance, good) for n in names}
     remark = said("classifiers", used=cube.axis.clear.sum(), bands=cube.bands)
     observation = ObservedProducts(
         axis=cube.axis,
@@ -167,10 +168,10 @@ def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str
 def _sampling_error(place: Place, region: Mask, sample: SampleStatistics) -> EstimatedPart:
     """The error of a mean, with that of values which are stored as whole steps."""
     sampling, cube = mean_error(place, region, sample), place.cube
-    if cube.dtype.kind not in "iu" or sample.n < 2:
+    if cube.step is None or sample.n < 2:
         return sampling
     spread = np.sqrt(np.clip(np.diag(sample.covariance), 0.0, None))
-    rounding = np.diag(sites.rounding_variance(np.abs(cube.gain), spread))
+    rounding = np.diag(sites.rounding_variance(cube.step, spread))
     return sampling.of_each(lambda c: c + rounding)
 
 
@@ -271,7 +272,7 @@ def _estimate(
     return sites.spectral_estimate(
         mean, parts, pixel_covariance=sample.covariance / gains if spread else None, n=sample.n,
         estimated=estimated, circular=circular, spread_errors=None if scale is None else np.stack([scale, 0.0 * scale]),
-        rounding=cube.gain**2 / 12.0 / gain**2 if cube.dtype.kind in "iu" else None,
+        rounding=None if cube.step is None else cube.step**2 / 12.0 / gain**2,
     )  # fmt: skip
 
 
@@ -409,7 +410,7 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     """
     n, covariance = statistics.n, statistics.covariance
     variance = np.diag(covariance)
-    valid = np.flatnonzero(np.isfinite(variance) & (variance > 0))
+    valid = np.flatnonzero(np.isfinite(variance) & (variance > 0) & place.cube.axis.good)
     if valid.size == 0:
         return EstimatedPart(covariance / n, float(n - 1))
     sample = covariance[np.ix_(valid, valid)]

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hyperval.data import Array
+from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
 from hyperval.products import SpectralEstimate
 
 _TOGETHER = 2048  # pixels whose distances from their mean are in memory at once
 
 
-def snr_decorrelated(pixels: npt.ArrayLike, mean_error: npt.ArrayLike | None = None) -> SpectralEstimate:
+def snr_decorrelated(pixels: Array, mean_error: Array | None = None, good: Mask | None = None) -> SpectralEstimate:
     """Mean over the noise that neighbouring bands do not explain.
 
-    Texture is common to neighbouring bands and noise is not.  Each band is regressed on the bands below and
+    Texture is common to neighbouring bands and noise is not.  Each good band is regressed on the good bands below and
     above (at the ends, on the two next), x_b = c_0 + c^T x_n + e.  This is the spectral part of Roger & Arnold,
     Int. J. Remote Sens. 17, 1951-1962, 1996.  The residual is not yet the noise of the band, s_b^2:
 
@@ -34,24 +34,29 @@ def snr_decorrelated(pixels: npt.ArrayLike, mean_error: npt.ArrayLike | None = N
 
     Parameters
     ----------
-    pixels : (n, B) of one region, n >= 5, B >= 3, finite
+    pixels : (n, B) of one region, n >= 5, finite in the good bands, which are three or more
     mean_error : (B, B) error covariance of their mean, of which texture on the ground is the greater part where it is
         correlated; None: that of n pixels of noise alone
+    good : (B,) the others, whatever they hold, have no SNR and are no band's neighbours; None: all
 
     Examples
     --------
     >>> pixels = 100.0 + np.random.default_rng(1).standard_normal((400, 3))
     >>> [round(float(snr_decorrelated(pixels, error).budget["mean"][1]), 2) for error in (None, np.full((3, 3), 0.09))]
     [0.05, 0.31]
+    >>> good, spoilt = np.arange(4) != 1, np.insert(pixels, 1, np.nan, axis=1)
+    >>> bool(np.array_equal(snr_decorrelated(spoilt, good=good).mean[good], snr_decorrelated(pixels).mean))
+    True
     """
     x = np.asarray(pixels, dtype=float)
     refuse(x.ndim != 2 or len(x) < 5, "snr.few", shape=x.shape)
-    refuse(not np.all(np.isfinite(x)), "snr.finite")
     n, bands = x.shape
-    refuse(bands < 3, "snr.bands", bands=bands)
+    used = np.flatnonzero(np.ones(bands) if good is None else good)
+    refuse(not np.all(np.isfinite(x[:, used])), "snr.finite")
+    refuse(used.size < 3, "snr.bands", bands=used.size)
     mean = x.mean(axis=0)
     parts = (x[start : start + _TOGETHER] - mean for start in range(0, n, _TOGETHER))  # a copy of all takes 16 MB
-    variance, relative_variance, correlation = _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3)
+    variance, relative_variance, correlation = _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3, used)
     sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * (n - 3))) ** 1.5
     with np.errstate(divide="ignore", invalid="ignore"):
         snr = np.where(sd > 0, mean / sd, np.nan)
@@ -65,28 +70,27 @@ def snr_decorrelated(pixels: npt.ArrayLike, mean_error: npt.ArrayLike | None = N
     return SpectralEstimate(snr, covariance + of_mean, None, n, budget)
 
 
-def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
-    """SNR (B,) of :func:`snr_decorrelated` from the mean (B,) and covariance (B, B) of many pixels, B >= 3.
+def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike, good: npt.ArrayLike) -> Array:
+    """SNR (B,) of :func:`snr_decorrelated` from the mean (B,) and covariance (B, B) of many pixels.
 
     A band that is much noisier than its neighbours is given up to root 1.5 times its SNR; one that does not vary
     has none (NaN).
     """
     average = np.asarray(mean, dtype=float)
-    variance = _noise(np.asarray(covariance, dtype=float), average, np.inf)[0]
+    variance = _noise(np.asarray(covariance, dtype=float), average, np.inf, np.flatnonzero(good))[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(variance > 0, average / np.sqrt(variance), np.nan)
 
 
-def _noise(covariance: Array, mean: Array, dof: float) -> tuple[Array, Array, Array]:
-    """(B,) variance of the noise of each band and its relative variance, and the (B, B) correlation of their errors.
+def _noise(covariance: Array, mean: Array, dof: float, used: Index) -> tuple[Array, Array, Array]:
+    """(B,) variance of the noise of the ``used`` bands, its relative variance, (B, B) correlation of their errors.
 
     As in :func:`snr_decorrelated`.
     """
-    bands = len(covariance)
-    noise, error, residuals, unexplained = np.zeros(bands), np.zeros(bands), np.eye(bands), np.zeros(bands)
-    neighbours = np.array([[1, 2], *((b - 1, b + 1) for b in range(1, bands - 1)), [bands - 3, bands - 2]])
+    (noise, error, unexplained), residuals = np.zeros((3, mean.size)), np.eye(mean.size)
+    neighbours = used[[[1, 2], *([i - 1, i + 1] for i in range(1, used.size - 1)), [used.size - 3, used.size - 2]]]
     pairs = covariance[neighbours[:, :, None], neighbours[:, None, :]]
-    for b, (near, inverse) in enumerate(zip(neighbours, np.linalg.pinv(pairs, hermitian=True), strict=True)):
+    for b, near, inverse in zip(used.tolist(), neighbours, np.linalg.pinv(pairs, hermitian=True), strict=True):
         c = inverse @ covariance[near, b]
         residual = max(covariance[b, b] - c @ covariance[near, b], 0.0)
         if residual == 0.0:
@@ -94,9 +98,9 @@ def _noise(covariance: Array, mean: Array, dof: float) -> tuple[Array, Array, Ar
         slopes = residual * inverse / dof  # covariance of the errors of c
         by_chance = np.trace(slopes)
         squares = 1.0 + max(c @ c - by_chance, -0.5)
-        brightness = mean / mean[b] if mean[b] else np.ones(bands)
+        brightness = mean / mean[b] if mean[b] else np.ones_like(mean)
         h = brightness[near]
-        texture, texture_error = _texture(covariance, brightness, b, dof)
+        texture, texture_error = _texture(covariance, brightness, b, dof, used)
         rest_part = 1.0 - c @ h
         rest = (rest_part**2 - h @ slopes @ h) * texture
         if texture > 0:
@@ -123,9 +127,9 @@ def _noise(covariance: Array, mean: Array, dof: float) -> tuple[Array, Array, Ar
     return noise, error, correlation
 
 
-def _texture(covariance: Array, brightness: Array, b: int, dof: float) -> tuple[float, float]:
-    """Variance of the texture of band b from pairs of the bands up to two away, without b itself; its variance."""
-    window = np.array([j for j in range(max(b - 2, 0), min(b + 3, len(covariance))) if j != b])
+def _texture(covariance: Array, brightness: Array, b: int, dof: float, used: Index) -> tuple[float, float]:
+    """Variance of the texture of band b from pairs of the used bands up to two away, without b; its variance."""
+    window = used[(np.abs(np.arange(used.size) - np.searchsorted(used, b)) <= 2) & (used != b)]
     if np.any(brightness[window] == 0.0):
         return 0.0, 0.0
     relative = covariance[np.ix_(window, window)] / np.outer(brightness[window], brightness[window])
