@@ -32,6 +32,7 @@ from hyperval.progress import track
 from hyperval.scenario import Scenario, Uncertainty
 from hyperval.sensor import signal_to_noise
 from hyperval.spectra.axis import SpectralAxis
+from hyperval.units import RADIANCE_UNIT
 
 Key = tuple[str, ...]
 Changes = tuple[Array, Array]  # (D, K) by one standard uncertainty up, and down, along each direction
@@ -520,15 +521,14 @@ def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralE
     each direction of each input, the rest held.
     """
     out: dict[tuple[str, str], dict[str, Errors]] = {}
-    state = world.stated.scenario.atmosphere
-    day = str(state.time_utc or "")[:10] if state is not None else ""
+    day = str(state.time_utc or "")[:10] if (state := world.stated.scenario.atmosphere) else ""
     for number, item in enumerate(inputs):
         if find(world.stated, item.path).field in _SEEN_BY_NO_SPECTRUM:
             continue
         least = _ROUNDING * float(np.abs(item.rows).max(initial=0.0))
-        of_spectrum = item.subject and item.kind == "surface"
-        source = "field spectrum" if of_spectrum else item.name
-        scale = *item.scale, day if item.path.startswith("atmosphere.") else ""
+        source = "field spectrum" if item.subject and item.kind == "surface" else item.name
+        size, unit = item.scale  # without light what is recorded is reflectance
+        scale = size, unit if state else unit.replace(RADIANCE_UNIT, ""), day * item.path.startswith("atmosphere.")
         for start in range(0, len(item.rows), _DIRECTIONS):
             some = range(start, min(start + _DIRECTIONS, len(item.rows)))
             moved = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])

@@ -152,10 +152,16 @@ class UncertainInput:
 
     @property
     def scale(self) -> tuple[float, str]:
-        """Standard uncertainty and its unit: per cent of what stands there where that is a spectrum or a factor."""
+        """Standard uncertainty and its unit: per cent of what stands there where that is a spectrum or a factor.
+
+        >>> UncertainInput("offset", "sensor", "sensor.offset", np.zeros(2), np.full((1, 2), 0.02)).scale
+        (0.02, 'uW cm-2 sr-1 nm-1')
+        >>> UncertainInput("share", "scene", "fraction.[soil]", np.zeros(1), np.full((1, 1), 0.02)).scale
+        (0.02, '')
+        """
         sd = np.sqrt((self.rows**2).sum(axis=0))
-        if self.path.startswith("atmosphere."):
-            return float(sd[0]), PATHS[self.path].unit.removeprefix("1")
+        if self.path.startswith("atmosphere.") or not np.any(self.nominal):
+            return float(np.median(sd)), PATHS.get(self.path, PATHS["**"]).unit.removeprefix("1")
         with np.errstate(divide="ignore", invalid="ignore"):
             return float(np.nanmedian(100.0 * sd / np.abs(self.nominal))), "%"
 
@@ -332,6 +338,8 @@ def _of_image(world: World) -> Iterator[UncertainInput]:
     ...  for name in ("grass", "green plank 0.4")]
     [True, True]
     >>> grass = made.reflectance["grass"]
+    >>> [(round(of.size, 9), of.unit) for of in grass.errors.values()]
+    [(4.0, '%'), (0.003, '')]
     >>> [set(of.ravel().round(9).tolist()) for of in (grass.budget["compensation (offset)"], grass.spread_errors[0])]
     [{0.003}, {0.04}]
 
