@@ -52,7 +52,7 @@ def snr_decorrelated(pixels: Array, mean_error: Array | None = None, good: Mask 
     refuse(x.ndim != 2 or len(x) < 5, "snr.few", shape=x.shape)
     n, bands = x.shape
     used = np.flatnonzero(np.ones(bands) if good is None else good)
-    refuse(not np.all(np.isfinite(x[:, used])), "snr.finite")
+    refuse(not np.isfinite(x).all(axis=0)[used].all(), "snr.finite")
     refuse(used.size < 3, "snr.bands", bands=used.size)
     mean = x.mean(axis=0)
     parts = (x[start : start + _TOGETHER] - mean for start in range(0, n, _TOGETHER))  # a copy of all takes 16 MB
