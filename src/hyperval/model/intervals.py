@@ -18,7 +18,7 @@ _TAIL = 0.025  # beyond either limit of it
 _MISSED = 1000.0
 
 
-def _beta_quantile(a: Array, b: Array, probability: float) -> Array:
+def _beta_quantile(a: Array, b: Array, probability: float | Array) -> Array:
     """Where the beta law of ``a`` and ``b`` (greater than 0, broadcast) has the cumulative ``probability``.
 
     SciPy's inverse misses where an argument is 1000 and the other is large, by a factor of two at worst: the next
@@ -114,22 +114,17 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
     >>> print(f"{low:.3f} {high:.3f}")
     0.530 0.902
     """
-    from scipy.optimize.elementwise import find_root  # a tenth of a second, which spectra alone do not need
-
-    counts, totals = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    _check(counts, totals)
-    # A curve has few different counts.
-    (k, n), index = np.unique([counts.ravel(), totals.ravel()], axis=1, return_inverse=True)
-
-    def beyond(p: Array, k: Array, n: Array, wanted: Array) -> Array:
-        """By P(X >= k) and P(X > k), incomplete beta functions, 1 and 0 at the end counts."""
+    k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
+    _check(k, n)
+    tails = np.reshape([_TAIL, 1.0 - _TAIL], (2,) + (1,) * k.ndim)
+    p = _beta_quantile(k + 0.5, n - k + 0.5, tails)
+    for _ in range(6):  # by Newton: Jeffreys' limits lie so near that the last step is below 1e-15
+        # P(X >= k) and P(X > k), incomplete beta functions, 1 and 0 at the end counts.
         at_least = np.where(k > 0, special.betainc(np.maximum(k, 1.0), n - k + 1.0, p), 1.0)
         more = np.where(k < n, special.betainc(k + 1.0, np.maximum(n - k, 1.0), p), 0.0)
-        return np.asarray(0.5 * (at_least + more) - wanted)
-
-    lower, upper = find_root(beyond, (0.0, 1.0), args=(k, n, np.array([[_TAIL], [1.0 - _TAIL]]))).x
-    lower, upper = np.where(k > 0, lower, 0.0), np.where(k < n, upper, 1.0)
-    return lower[index].reshape(counts.shape), upper[index].reshape(counts.shape)
+        slope = 0.5 * (at_least - more) * (k / p + (n - k) / (1.0 - p))
+        p = np.clip(p - (0.5 * (at_least + more) - tails) / slope, 0.5 * p, 0.5 * (1.0 + p))
+    return np.where(k > 0, p[0], 0.0), np.where(k < n, p[1], 1.0)
 
 
 def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[float, float]:

@@ -451,7 +451,7 @@ def ascending(scores: npt.ArrayLike, side: str) -> Array:
     """(n,) scores of any shape in order; UsageError where there are none or some are NaN."""
     values = np.ravel(np.asarray(scores, dtype=float))
     values = values if np.all(values[:-1] <= values[1:]) else np.sort(values)  # NaN last
-    missing = int(np.count_nonzero(np.isnan(values)))
+    missing = values.size - int(np.searchsorted(values, np.nan))
     refuse(missing, "roc.missing", missing=missing, size=values.size, side=side)
     refuse(values.size == 0, "roc.empty", side=side)
     return values
