@@ -369,13 +369,12 @@ def evaluations(
     shifts = np.broadcast_to(shift, (world.size,))
     for index, part in settled(world):
         whole = Evaluation(part, errors, shifts[index])
-        patterns, group = np.unique(whole.usable, axis=0, return_inverse=True)
-        if len(patterns) == 1:
+        first, group = distinct([whole.usable], len(whole.usable))
+        if first.size == 1:
             out.append((index, whole))
             continue
-        group = group.reshape(-1)[whole.which]
-        for i in range(len(patterns)):
-            rows = np.flatnonzero(group == i)
+        for i in range(first.size):
+            rows = np.flatnonzero(group[whole.which] == i)
             out.append((index[rows], Evaluation(part.rows(rows), errors, shifts[index[rows]])))
     return sorted(out, key=lambda numbered: int(numbered[0][0]))
 

@@ -327,9 +327,9 @@ class Host:
         """
         from scipy.interpolate import PchipInterpolator, PPoly  # a quarter of a second, which single fills do not need
 
-        shares, alike = np.unique(self.share, axis=0, return_inverse=True)
-        alike, curves = np.broadcast_to(alike.reshape(-1), len(means)), []
-        for number, share in enumerate(shares):
+        first, alike = distinct([self.share], len(self.share))
+        alike, curves = np.broadcast_to(alike, len(means)), []
+        for number, share in enumerate(self.share[first]):
             rows = np.flatnonzero(alike == number)
             order = np.argsort(share)
             order = order[~np.isneginf(means[rows][:, order]).any(axis=0)]
