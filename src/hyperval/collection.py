@@ -211,7 +211,7 @@ class FinerTruth(OneOf):
         min_length=1, description="material: value of the first band, or {band, above, below} of a picture"
     )
     psf_fwhm_pixels: Fwhm | tuple[Fwhm, Fwhm] = Field(
-        description="FWHM of the sensor's blur besides the aperture [pixels], one number or (along, across)"
+        description="FWHM of the sensor's PSF besides the aperture [pixels], one number or (along, across)"
     )
     registration_m: float | None = Field(
         None, ge=0, le=1000, description="standard error of its place on the cube, in each direction [m]"

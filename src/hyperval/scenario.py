@@ -196,7 +196,7 @@ class Uncertainty(OneOf):
     samples: int = Field(400, ge=40, le=100_000, description="draws of the budget")
     seed: int = Field(0, ge=0, description="of the draws")
     psf_fwhm_pixels: Spread | None = Field(
-        None, description="of the blur of targets with geometry, common to all [pixels]"
+        None, description="of the PSF width of targets with geometry, common to all [pixels]"
     )
     position_m: float | None = Field(
         None, gt=0, lt=100, description="of the places of neighbours in line and sample; for object scores"
@@ -267,7 +267,7 @@ class BackgroundClass(Surface):
     )
     mixture: Annotated[int, Field(ge=1, le=MOST_COMPONENTS)] | Literal["auto"] | None = Field(
         None,
-        description="scores of a class of clusters: this many components, fitted to the measured region or stored "
+        description="components of the law of its scores, fitted to the measured region or stored "
         "in the statistics library; auto: as many as predict other parts of the image best, or all that are "
         "stored; None or 1: one law. The components are normal laws, or t laws where tail_dof is given",
     )
