@@ -235,7 +235,7 @@ def _read(members: list[Schema], path: str, texts: Given) -> Any:
     values = [v.strip() for v in texts.get(path, []) if v.strip()]
     if kinds == ["several"]:
         return values or ([] if is_list else None)
-    return _value(values[0], kinds, members) if values else None
+    return _value(values[0], kinds) if values else None
 
 
 def _is_open(path: str) -> bool:
@@ -276,9 +276,7 @@ def _text(value: Any) -> str:
 def _limits(schema: Schema) -> str:
     """The limits of a number, in words."""
     if schema.get("type") == "array" and not schema.get("enum"):
-        inner = schema.get("items", {})
-        pairs = "such as 450-700, 800-1200" if inner.get("maxItems") == 2 else "such as [0.2, 0.5], [0.9]"
-        return pairs if inner.get("type") == "array" else f"{schema.get('maxItems', '')} values, commas between".strip()
+        return "such as [[450, 700]]" if schema.get("items", {}).get("type") == "array" else "such as [0.2, 0.5]"
     if schema.get("type") == "object" and "properties" not in schema:
         return "or such as {VNIR: 0.3}"
     low, high = schema.get("minimum"), schema.get("maximum")
@@ -298,40 +296,15 @@ def _chosen(members: list[Schema], kinds: list[str], value: Any) -> int:
     return 0
 
 
-def _value(text: str, kinds: list[str], members: list[Schema]) -> Any:
+def _value(text: str, kinds: list[str]) -> Any:
     if "yaml" in kinds:
-        lists = [member for member in members if member.get("type") == "array"]
         with suppress(UsageError):  # what cannot be read is text, and refused at its field by the model
-            read = _listed(text, lists[0]) if lists else parse_yaml(text)[0]
-            return read[0] if lists and len(members) > 1 and len(read) == 1 else read  # a number, or several
+            return parse_yaml(text)[0]
     if "number" in kinds and _NUMBER.fullmatch(text):
         return int(text) if text.lstrip("+-").isdigit() and len(text) < 18 else float(text)
     if "flag" in kinds and text in ("true", "false"):
         return text == "true"
     return text
-
-
-def _listed(text: str, schema: Schema) -> Any:
-    """A list as people type it: in brackets, with commas or, of numbers, blanks between; ranges by a hyphen or "to".
-
-    >>> numbers, ranges = {"items": {"type": "number"}}, {"items": {"type": "array"}}
-    >>> _listed("0.1 0.6", numbers), _listed("[0.1, 0.6]", numbers), _listed("dry grass, soil", {"items": {}})
-    ([0.1, 0.6], [0.1, 0.6], ['dry grass', 'soil'])
-    >>> _listed("450-700, 800 to 1200.5", ranges), _listed("[450, 700],[800, 900]", ranges)
-    ([[450, 700], [800, 1200.5]], [[450, 700], [800, 900]])
-    >>> _listed("450-700; 800-900", ranges), _listed("0,5 0,6", numbers)  # the last is no list of numbers
-    ([[450, 700], [800, 900]], [0, '5 0', 6])
-    """
-    is_nested, number = schema.get("items", {}).get("type") == "array", _NUMBER.pattern
-    if is_nested:
-        text = re.sub(rf"({number})\s*(?:-|–|to)\s*({number})", r"[\1, \2]", text).replace(";", ",")
-    elif not re.search(r"\d,\d+\s+\d", text) and all(map(_NUMBER.fullmatch, parts := re.split(r"[\s,;]+", text))):
-        text = ", ".join(parts)
-    read: Any = None
-    with suppress(UsageError):
-        read = parse_yaml(text)[0]
-    read = read if isinstance(read, list) else parse_yaml(f"[{text}]")[0]
-    return [read] if is_nested and not any(isinstance(item, list) for item in read) else read
 
 
 def _count(texts: Given, name: str, most: int) -> int:
