@@ -63,7 +63,7 @@ def test_own_reader_equals_spy_and_rasterio(tmp_path, axis, interleave, order, c
         with rasterio.open(path, driver="ENVI") as dataset:
             assert np.array_equal(dataset.read().transpose(1, 2, 0), stored)
     rows, cols = np.array([0, 5, 2]), np.array([4, 0, 3])
-    assert np.array_equal(cube.pixels((rows, cols)), stored[rows, cols].astype(float))
+    assert np.array_equal(cube.marked_pixels((rows, cols))[0], stored[rows, cols].astype(float))
     assert cube.raster.dtype == dtype.newbyteorder("<>"[order])
 
 
@@ -85,7 +85,7 @@ def test_round_trip(tmp_path_factory, data, interleave, order, offset, step):
         for first in range(0, lines, step):
             writer.write(data[first : first + step])
     cube = open_cube(path, quantity="other")
-    assert np.array_equal(cube.pixels(np.ones((lines, samples), bool)).reshape(data.shape), data)
+    assert np.array_equal(cube.marked_pixels(np.ones((lines, samples), bool))[0].reshape(data.shape), data)
     assert np.array_equal(np.concatenate([b.values for b in cube.blocks(step)]), data)
     assert np.array_equal(cube.axis.centre_nm, axis.centre_nm)
     assert np.array_equal(cube.axis.fwhm_nm, axis.fwhm_nm)
@@ -110,7 +110,7 @@ def test_percent_is_named_with_the_scale_that_mends_it(tmp_path, axis, values):
     with pytest.raises(InputError) as caught:
         open_cube(path, quantity="reflectance")
     assert "0.01 where they are percent" in str(caught.value.mend)
-    read = open_cube(path, quantity="reflectance", scale=0.01).pixels(np.ones((6, 5), bool))
+    read = open_cube(path, quantity="reflectance", scale=0.01).marked_pixels(np.ones((6, 5), bool))[0]
     assert read == pytest.approx(values.reshape(-1, 4), rel=1e-6)
 
 
@@ -125,7 +125,7 @@ def test_sparse_120_gb_file_is_read_by_blocks(edit):
     grown_mb = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     assert block.values.nbytes <= 8 << 20
     assert grown_mb < 100
-    assert cube.pixels((np.array([0, lines - 1]), np.array([0, 4]))).shape == (2, 4)
+    assert cube.marked_pixels((np.array([0, lines - 1]), np.array([0, 4])))[0].shape == (2, 4)
 
 
 def test_two_headers_must_be_chosen_from(cube_file):
@@ -144,7 +144,7 @@ def test_what_is_no_cube_and_pixels_outside_are_refused(tmp_path, cube_file):
             open_cube(thing, quantity="other")
     for where in ((np.array([6]), np.array([0])), (np.array([0]), np.array([-1])), np.ones((5, 6), bool)):
         with pytest.raises(UsageError):
-            open_cube(cube_file, quantity="reflectance").pixels(where)
+            open_cube(cube_file, quantity="reflectance").marked_pixels(where)[0]
 
 
 @pytest.mark.parametrize("packing", ["gzip", "zip", "bzip2", "xz"])
@@ -162,7 +162,7 @@ def test_a_compressed_data_file_is_called_that(cube_file, packing):
 def test_a_data_file_that_is_cut_while_it_is_read_or_is_gone(cube_file):
     cube = open_cube(cube_file, quantity="reflectance")
     os.truncate(cube_file, cube_file.stat().st_size // 2)
-    for read in (cube.read, lambda line, sample: cube.pixels((np.array([line]), np.array([sample])))):
+    for read in (cube.read, lambda line, sample: cube.marked_pixels((np.array([line]), np.array([sample])))[0]):
         with pytest.raises(InputError, match="became shorter while it was read"):
             read(0, 4)
     cube_file.unlink()
@@ -190,7 +190,7 @@ def test_sidecars_of_an_envi_cube_are_not_read(cube_file, values):
 def test_a_scale_is_applied_once_and_a_stated_one_replaces_that_of_the_header(cube_file, values):
     cube = open_cube(cube_file, quantity="reflectance")
     assert np.allclose(cube.read(0, 6).values, values, atol=1e-15)
-    assert np.allclose(cube.pixels(np.ones((6, 5), bool)), values.reshape(-1, 4), atol=1e-15)
+    assert np.allclose(cube.marked_pixels(np.ones((6, 5), bool))[0], values.reshape(-1, 4), atol=1e-15)
     loaded = spectral.open_image(str(cube_file.with_suffix(".hdr"))).load()  # SPy applies the factor when it loads
     assert np.allclose(np.asarray(loaded), values, atol=1e-7)
     cube = open_cube(cube_file, quantity="reflectance", scale=2e-5)
@@ -279,7 +279,7 @@ def test_detectors_are_sorted_on_request_with_the_spacing_of_each(edit, values, 
     assert "bad-band list: 1 of 4 bands are bad" in cube.notes
     assert cube.axis.good.tolist() == [band != 1 for band in stored_band]
     assert np.allclose(cube.read(0, 6).values, values[:, :, stored_band], atol=1e-15)
-    assert np.allclose(cube.pixels((np.array([3]), np.array([2]))), values[3, 2, stored_band], atol=1e-15)
+    assert np.allclose(cube.marked_pixels((np.array([3]), np.array([2])))[0], values[3, 2, stored_band], atol=1e-15)
     listed = edit(fwhm="{1, 2, 3, 4}")
     assert open_cube(listed, quantity="other", sort_bands=True).axis.fwhm_nm.tolist() == [b + 1 for b in stored_band]
     with pytest.raises(InputError, match="two bands share a wavelength") as caught:

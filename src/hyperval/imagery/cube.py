@@ -236,17 +236,16 @@ class Cube:
         stored = self.raster.read_bands(first_line, count, buffer)[self._order]
         return stored, self._usable(stored, needed)
 
-    def pixels(self, where: Where) -> Array:
-        """(n, B) values of the pixels of a mask (in line order) or of (rows, cols); NaN for ignored values."""
-        return self.marked_pixels(where)[0]
-
     def spectra(self, where: Where) -> Array:
         """(m, B) values of the valid pixels among ``where``."""
         values, valid = self.marked_pixels(where)
         return values if valid.all() else values[valid]
 
     def marked_pixels(self, where: Where) -> tuple[Array, Mask]:
-        """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""
+        """(n, B) values of the pixels of a mask (in line order) or of (rows, cols), and (n,) which of them are valid.
+
+        Ignored values are NaN.
+        """
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
             if rows.shape != cols.shape or rows.ndim != 1 or not {rows.dtype.kind, cols.dtype.kind} <= {"i", "u"}:
@@ -286,15 +285,18 @@ class Cube:
         Those do not of which a ``needed`` band (B,), by default any, holds the ignore value or is not finite, or of
         which every band holds one number that is fill of any quantity but "other".
         """
-        usable, ignore = np.ones(stored.shape[1:], bool), self.ignore_value
+        usable = np.ones(stored.shape[1:], bool)
         some = slice(None) if needed is None or needed.all() else needed
-        if ignore is not None:
-            usable &= ~equals(stored[some], ignore).any(axis=0)
-        if stored.dtype.kind == "f":
-            usable &= np.isfinite(stored[some]).all(axis=0)
+        if self.ignore_value is not None or stored.dtype.kind == "f":
+            usable &= ~self.lacking(stored[some]).any(axis=0)
         if self.quantity != "other":
-            usable &= ~filled(stored, ignore)
+            usable &= ~filled(stored, self.ignore_value)
         return usable
+
+    def lacking(self, stored: npt.NDArray[Any]) -> Mask:
+        """Where stored numbers are no data: the ignore value, or not finite."""
+        lost: Mask = ~np.isfinite(stored)
+        return lost if self.ignore_value is None else lost | equals(stored, self.ignore_value)
 
 
 def _checked(cube: Cube, scale: float | None, by: str) -> Cube:
