@@ -28,6 +28,8 @@ def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
     [[True], [True], [True]]
     >>> [equals(np.array([2**63 - 1, 7]), of).tolist() for of in (2.0**63, 2.0**64, 7.5)]
     [[True, False], [False, False], [False, False]]
+    >>> [equals(np.array([3e38], "f4"), of).tolist() for of in (1e39, -1.79769313486e308)]
+    [[False], [False]]
     """
     if np.isnan(ignore):
         return np.asarray(np.isnan(stored))

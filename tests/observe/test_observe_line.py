@@ -385,8 +385,7 @@ def test_what_a_bad_band_holds_decides_nothing(make_radiance, monkeypatch, lost)
     made, good = make_radiance(relative_noise=0.01), np.arange(BANDS) != 3
     world = made.more_panels(0.03, grey=0.33, light=0.40)
     world.collection["empirical_line"]["darkest_pixel"] = {"radiance_noise": 0.3}
-    spoilt = world.values.copy()
-    spoilt[..., 3] *= np.random.default_rng(1).uniform(0.8, 1.2, spoilt.shape[:2])
+    spoilt = world.values * np.where(good, 1.0, np.random.default_rng(1).uniform(0.8, 1.2, (LINES, 40, 1)))
     spoilt[49, 0, 3], spoilt[1, lost, 3] = -50.0, np.nan
     sides, axis = [], SpectralAxis(AXIS.centre_nm, AXIS.fwhm_nm, good)
     for values in (world.values, spoilt):

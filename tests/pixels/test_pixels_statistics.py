@@ -81,9 +81,8 @@ def test_empty_regions_are_refused(tmp_path):
     cube = stored(tmp_path, numbers())
     with pytest.raises(UsageError, match="'scene' has no valid pixel"):
         whole(cube, np.zeros((LINES, SAMPLES), bool))
-    found = whole(cube)
     with pytest.raises(UsageError, match="fourth moment"):
-        _ = found.shrinkage
+        _ = whole(cube).shrinkage
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (600, 25)])

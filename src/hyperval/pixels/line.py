@@ -92,9 +92,8 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     covariance[:, 1, 1] = (1.0 / np.sum(w, axis=0) if intercept else 0.0) + centre**2 * variance
     covariance[none] = 0.0
     level = mean(y, w) - slope * mean(x, w)
-    residuals = y - level - slope * x
     free = len(x) - 1 - intercept
-    reduced = np.where(none | (free == 0), np.nan, np.sum(w * residuals**2, axis=0) / max(free, 1))
+    reduced = np.where(none | (free == 0), np.nan, np.sum(w * (y - level - slope * x) ** 2, axis=0) / max(free, 1))
     return LineFit(slope, level, covariance, reduced)
 
 
