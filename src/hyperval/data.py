@@ -28,6 +28,8 @@ def equals(stored: npt.NDArray[Any], ignore: float) -> Mask:
     [[True], [True], [True]]
     >>> [equals(np.array([2**63 - 1, 7]), of).tolist() for of in (2.0**63, 2.0**64, 7.5)]
     [[True, False], [False, False], [False, False]]
+    >>> [equals(np.array([3e38], "f4"), of).tolist() for of in (1e39, -1.79769313486e308)]
+    [[False], [False]]
     """
     if np.isnan(ignore):
         return np.asarray(np.isnan(stored))
@@ -179,10 +181,13 @@ class SampleStatistics:
         b2 = max(0.0, (self.fourth - self.n * float(np.sum(s**2))) / self.n**2)
         return min(1.0, b2 / d2) if d2 > 0.0 else 1.0
 
-    def shrunk(self, intensity: float | None = None) -> SampleStatistics:
-        """With the well-conditioned covariance (1 - a) S + a (tr S/B) I; a is :attr:`shrinkage` unless given."""
+    def shrunk(self, intensity: float | None = None, bands: Mask | slice = slice(None)) -> SampleStatistics:
+        """With the well-conditioned covariance (1 - a) S + a (tr S/B) I; a is :attr:`shrinkage` unless given.
+
+        ``bands`` : that the trace is of
+        """
         a, s = self.shrinkage if intensity is None else intensity, self.covariance
-        level = float(np.trace(s)) / s.shape[0]
+        level = float(np.trace(part := s[bands][:, bands])) / len(part)
         return replace(self, covariance=(1.0 - a) * s + a * level * np.eye(s.shape[0]))
 
 

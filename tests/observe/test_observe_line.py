@@ -376,3 +376,24 @@ def test_the_command_writes_it_and_refuses_a_campaign_without_a_line(small, tmp_
     assert code == 2
     assert "there is no empirical line" in capsys.readouterr().err
     assert not other.exists()
+
+
+@pytest.mark.parametrize("lost", [[], [7, 31, 37]])
+def test_what_a_bad_band_holds_decides_nothing(make_radiance, monkeypatch, lost):
+    """Neither numbers of another kind nor pixels without data, where opening does not sample the image."""
+    monkeypatch.setattr("hyperval.imagery.description._SEEN_SAMPLES", 8)
+    made, good = make_radiance(relative_noise=0.01), np.arange(BANDS) != 3
+    world = made.more_panels(0.03, grey=0.33, light=0.40)
+    world.collection["empirical_line"]["darkest_pixel"] = {"radiance_noise": 0.3}
+    spoilt = world.values * np.where(good, 1.0, np.random.default_rng(1).uniform(0.8, 1.2, (LINES, 40, 1)))
+    spoilt[49, 0, 3], spoilt[1, lost, 3] = -50.0, np.nan
+    sides, axis = [], SpectralAxis(AXIS.centre_nm, AXIS.fwhm_nm, good)
+    for values in (world.values, spoilt):
+        world.write(values, axis=axis)
+        seen = world.observe()
+        spectra, line = seen.observation.radiance | seen.observation.reflectance, seen.place.line
+        sides.append([line.contradiction, seen.place.mistaken({"offset": 0.1}).cube.offset[0]])
+        sides[-1] += [x for s in spectra.values() for x in (s.n, s.mean[good], s.error_covariance[good][:, good])]
+        sides[-1] += [x for s in seen.observation.scores.values() for x in (s.n, s.mean, s.sd)]
+    for clean, found in zip(*sides, strict=True):
+        assert found == pytest.approx(clean, rel=1e-9)

@@ -49,7 +49,7 @@ def line(white=None, *, sd=0.01, rho=0.05, change=None, **options):
         (lambda: line(panel(sd=0.0, variance=0.0)), "some panels have an error"),
         (lambda: pixels.fit_elm((panel(),)), "1 panel for an empirical line"),
         (lambda: pixels.fit_elm((panel("black", 0.0, 0.1),), intercept=False), "below 5 times"),
-        (lambda: pixels.darkest_pixel_panel([-0.31, 2.0], [0.01, 0.01]), "negative or unknown in 1 bands"),
+        (lambda: pixels.darkest_pixel_panel(OFFSET - 0.41, GAIN / 1e3, GAIN > 0, 0.0, 0.01), "unknown in 1 bands"),
         (lambda: pixels.empirical_roc([1, np.nan, 2], [0, 1]), "1 of 3 target scores are NaN"),
         (lambda: pixels.empirical_roc([], [0.0]), "no target scores"),
         (lambda: pixels.empirical_roc([1.0], []), "no background scores"),

@@ -9,6 +9,11 @@ from hyperval.errors import UsageError
 from hyperval.pixels import Labels, darkest_values, drawn_pixels, nth_pixels, region_statistics
 
 
+def whole(cube, mask=True, needed=True):
+    labels = Labels.of(cube.shape, {"scene": np.broadcast_to(mask, cube.shape)})
+    return region_statistics(cube, labels, np.broadcast_to(needed, cube.bands))["scene"]
+
+
 def relative(found, expected):
     sd = np.sqrt(np.diag(expected))
     return np.max(np.abs(found - expected) / np.outer(sd, sd))
@@ -27,7 +32,7 @@ def masks():
 def test_statistics_are_the_same_to_the_bit_however_the_cube_is_stored_cut_or_shared_out(tmp_path, monkeypatch):
     x, regions = numbers(), masks()
     labels = Labels.of((LINES, SAMPLES), regions)
-    reference = region_statistics(stored(tmp_path, x), labels)
+    reference = region_statistics(stored(tmp_path, x), labels, np.ones(BANDS, bool))
     for name, mask in regions.items():
         assert reference[name].mean == pytest.approx(x[mask].mean(axis=0), rel=1e-13)
         assert relative(reference[name].covariance, np.cov(x[mask].T)) < 1e-13
@@ -37,7 +42,7 @@ def test_statistics_are_the_same_to_the_bit_however_the_cube_is_stored_cut_or_sh
             for step, threads in ((10**3, 1), (1, 2), (5, 1), (LINES, 3)):
                 monkeypatch.setattr("hyperval.pixels.statistics.BLOCK_PIXELS", step * SAMPLES)
                 monkeypatch.setattr("hyperval.pixels.statistics.available_cores", lambda n=threads: n)
-                found = region_statistics(cube, labels)
+                found = region_statistics(cube, labels, np.ones(BANDS, bool))
                 for name, value in reference.items():
                     if dtype[1] == "f":  # means of batches are not whole numbers
                         assert relative(found[name].covariance, value.covariance) < 1e-12
@@ -56,7 +61,7 @@ def test_ignored_and_empty_pixels_never_reach_the_mean(tmp_path):
     cube = stored(
         tmp_path, x, extra="data ignore value = -9999\n", quantity="radiance", unit="uW cm-2 sr-1 nm-1", scale=0.01
     )
-    found = region_statistics(cube)["scene"]
+    found = whole(cube)
     ok = ~((x == -9999).any(axis=-1) | (x == 0).all(axis=-1))
     assert found.n == int(ok.sum())
     assert found.mean == pytest.approx(0.01 * x[ok].mean(axis=0), rel=1e-12)
@@ -74,11 +79,10 @@ def test_the_darkest_values_are_the_least_of_the_values_and_not_of_the_numbers(t
 
 def test_empty_regions_are_refused(tmp_path):
     cube = stored(tmp_path, numbers())
-    with pytest.raises(UsageError, match="'a' has no valid pixel"):
-        region_statistics(cube, Labels.of((LINES, SAMPLES), {"a": np.zeros((LINES, SAMPLES), bool)}))
-    found = region_statistics(cube)["scene"]
+    with pytest.raises(UsageError, match="'scene' has no valid pixel"):
+        whole(cube, np.zeros((LINES, SAMPLES), bool))
     with pytest.raises(UsageError, match="fourth moment"):
-        _ = found.shrinkage
+        _ = whole(cube).shrinkage
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 8), (7, 13), (600, 25)])
@@ -153,7 +157,7 @@ KINDS = {
 def test_moments_are_those_of_exact_sums_whatever_is_stored(kind, dtype, tmp_path):
     values = KINDS[kind](np.random.default_rng(3).normal(1000.0, 30.0, (7, 6, 4)))
     kept = (values if "f" in dtype else values.round()).astype(dtype)
-    found = region_statistics(stored(tmp_path, kept, "bip", dtype))["scene"]
+    found = whole(stored(tmp_path, kept, "bip", dtype))
     pixels = kept.reshape(-1, 4).astype(np.longdouble)
     centred = pixels - pixels.mean(axis=0)
     covariance = (centred.T @ centred / (len(pixels) - 1)).astype(float)
@@ -168,10 +172,12 @@ def test_moments_are_those_of_exact_sums_whatever_is_stored(kind, dtype, tmp_pat
 def test_pixels_that_are_not_finite_are_left_out_and_counted(bad, tmp_path):
     x = numbers().astype("<f4")
     x[2, 3, 1] = x[5, 0, 3] = bad
-    found = region_statistics(stored(tmp_path, x, dtype="<f4"))["scene"]
-    assert found.n == LINES * SAMPLES - 2
+    cube = stored(tmp_path, x, dtype="<f4", extra="data ignore value = 7\n")
+    found, by_good = whole(cube), whole(cube, needed=np.arange(BANDS) != 1)
+    assert np.flatnonzero(np.isnan(by_good.mean)).tolist() == [1]  # the band is not needed: it alone has no mean
+    assert (found.n, by_good.n) == (LINES * SAMPLES - 2, LINES * SAMPLES - 1)
     good = x[np.isfinite(x).all(axis=2)]
     np.testing.assert_allclose(found.mean, good.mean(axis=0, dtype=float), rtol=1e-12)
     x[:] = bad
     with pytest.raises(UsageError, match="'scene' has no valid pixel"):
-        region_statistics(stored(tmp_path, x, dtype="<f4"))
+        whole(stored(tmp_path, x, dtype="<f4"))

@@ -140,23 +140,28 @@ class Cube:
 
     @cached_property
     def step(self) -> Array | None:
-        """(B,) step of values that are whole numbers in the file, whatever type holds them; None of others.
+        """(B,) step of values that are whole numbers in the file, or of so many decimals; None of others.
 
-        Programs keep counts as floats, and packed numbers are handed out unpacked.
+        Programs keep counts as floats, at times times 0.001, and packed numbers are handed out unpacked.
 
         >>> import xarray as xr
         >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
         >>> counts = np.arange(100, 118).reshape(3, 3, 2)
         >>> packed = xr.DataArray(counts, nm, ("y", "x", "b"), attrs={"scale_factor": 1e-3, "add_offset": 0.1})
-        >>> whole, spread = packed.drop_attrs(deep=False).astype("f4"), packed.drop_attrs(deep=False) / 7.0
-        >>> [open_cube(of, quantity="counts").step for of in (packed, whole, spread)]
+        >>> plain = packed.drop_attrs(deep=False)
+        >>> [open_cube(of, quantity="counts").step for of in (packed, plain.astype("f4"), plain / 7.0)]
         [array([0.001, 0.001]), array([1., 1.]), None]
+        >>> [open_cube((plain * 1e-3).astype(kind), quantity="counts").step for kind in ("f4", "f8")]
+        [array([0.001, 0.001]), array([0.001, 0.001])]
         """
         stored, (gain, offset) = self.raster.some_pixels()[:, self.stored_band], self.raster.description.packing
-        seen = stored[self._usable(stored.T, self.axis.good)].astype(float)
-        slack = 4.0 * np.finfo(np.result_type(self.dtype, np.float32)).eps * (np.abs(seen) + abs(offset))
-        uneven = np.abs(gain * np.rint((seen - offset) / gain) + offset - seen) > slack
-        return None if uneven.any() or (self.dtype.kind == "f" and not seen.size) else np.abs(self.gain * gain)
+        seen = stored[self._usable(stored.T, self.axis.good)][:, self.axis.good] - float(offset)
+        slack = 4.0 * np.finfo(np.result_type(self.dtype, np.float32)).eps * (np.abs(seen) + 2.0 * abs(offset))
+        for step in (gain * 10.0 ** -np.arange(7.0 if seen.size else 0.0)).tolist():  # of up to six decimals
+            # Of a step as small as the precision of a number every number is a multiple.
+            if np.all(np.abs(step * np.rint(seen / step) - seen) <= np.minimum(slack, step / 32.0)):
+                return np.asarray(np.abs(self.gain * step))
+        return None
 
     def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
         """The lines ``first_line`` to ``first_line + count - 1``."""
@@ -184,8 +189,7 @@ class Cube:
     def blocks(self, lines_per_block: int | None = None, *, dtype: npt.DTypeLike = np.float64) -> Iterator[Block]:
         """All lines in order, ``lines_per_block`` at a time (default: about 8 MiB of values)."""
         size = self.samples * self.bands * np.dtype(dtype).itemsize
-        step = max(1, BLOCK_BYTES // size) if lines_per_block is None else int(lines_per_block)
-        refuse(step < 1, "cube.blocks", lines=lines_per_block)
+        step = max(1, lines_per_block or BLOCK_BYTES // size)
         for first in range(0, self.lines, step):
             yield self.read(first, min(step, self.lines - first), dtype)
 
@@ -236,17 +240,16 @@ class Cube:
         stored = self.raster.read_bands(first_line, count, buffer)[self._order]
         return stored, self._usable(stored, needed)
 
-    def pixels(self, where: Where) -> Array:
-        """(n, B) values of the pixels of a mask (in line order) or of (rows, cols); NaN for ignored values."""
-        return self.marked_pixels(where)[0]
-
     def spectra(self, where: Where) -> Array:
         """(m, B) values of the valid pixels among ``where``."""
         values, valid = self.marked_pixels(where)
         return values if valid.all() else values[valid]
 
     def marked_pixels(self, where: Where) -> tuple[Array, Mask]:
-        """(n, B) values of :meth:`pixels` and (n,) which of them are valid, read once."""
+        """(n, B) values of the pixels of a mask (in line order) or of (rows, cols), and (n,) which of them are valid.
+
+        Ignored values are NaN.
+        """
         if isinstance(where, tuple):
             rows, cols = (np.atleast_1d(np.asarray(w)) for w in where)
             if rows.shape != cols.shape or rows.ndim != 1 or not {rows.dtype.kind, cols.dtype.kind} <= {"i", "u"}:
@@ -286,15 +289,18 @@ class Cube:
         Those do not of which a ``needed`` band (B,), by default any, holds the ignore value or is not finite, or of
         which every band holds one number that is fill of any quantity but "other".
         """
-        usable, ignore = np.ones(stored.shape[1:], bool), self.ignore_value
+        usable = np.ones(stored.shape[1:], bool)
         some = slice(None) if needed is None or needed.all() else needed
-        if ignore is not None:
-            usable &= ~equals(stored[some], ignore).any(axis=0)
-        if stored.dtype.kind == "f":
-            usable &= np.isfinite(stored[some]).all(axis=0)
+        if self.ignore_value is not None or stored.dtype.kind == "f":
+            usable &= ~self.lacking(stored[some]).any(axis=0)
         if self.quantity != "other":
-            usable &= ~filled(stored, ignore)
+            usable &= ~filled(stored, self.ignore_value)
         return usable
+
+    def lacking(self, stored: npt.NDArray[Any]) -> Mask:
+        """Where stored numbers are no data: the ignore value, or not finite."""
+        lost: Mask = ~np.isfinite(stored)
+        return lost if self.ignore_value is None else lost | equals(stored, self.ignore_value)
 
 
 def _checked(cube: Cube, scale: float | None, by: str) -> Cube:

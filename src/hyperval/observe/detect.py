@@ -178,9 +178,9 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
     bands, notes = _usable_bands(place, detection, list(spectra.values()))
     if background.n < FEW_PER_BAND * int(bands.sum()):
         # Few, so they fit in memory; the pass has not summed the fourth moment.
-        pixels = place.cube.pixels(place.pixels_of(*detection.background))
-        few = statistics_of(pixels[np.isfinite(pixels).all(axis=1)])
-        background, shrinkage = replace(background, covariance=few.shrunk().covariance), few.shrinkage
+        pixels = place.cube.spectra(place.pixels_of(*detection.background))[:, bands]
+        shrinkage = statistics_of(pixels[np.isfinite(pixels).all(axis=1)]).shrinkage
+        background = background.shrunk(shrinkage, bands)
         notes.append(f"{background.n} background pixels are few: covariance shrunk by {shrinkage:.3g}")
     mean, covariance = place.in_reflectance(background)
     for name in detection.undesired:

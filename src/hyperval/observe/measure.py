@@ -106,7 +106,8 @@ def observe(
     kept_names = {n for n in kept if before and n in masks and np.array_equal(before.masks[n], masks[n])}
     sites.refuse_saturated(collection.empirical_line, masks, place)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines)
-    measured = px.region_statistics(cube, masks, watch=watch)
+    needed = cube.axis.good | (detection is not None and detection.bands == "all")
+    measured = px.region_statistics(cube, masks, needed, watch=watch)
     sampling = {
         n: kept[n] if n in kept_names else _sampling_error(place, masks[n], measured[n])
         for n in track([*place.regions, *populations], "sampling")
@@ -135,7 +136,7 @@ def observe(
         axis=cube.axis,
         snr=snr,
         distribution=distribution,
-        classification=classification_errors(place, classification) if classification else {},
+        classification=class_errors(place, masks, classification) if classification else {},
         notes=_notes(place, detection, detected, masks) + ((remark,) if classification else ()),
         provenance={"quantity": cube.quantity, "description": cube.description},
         **products,
@@ -290,13 +291,13 @@ def _classes(
     """Statistics of each region in reflectance; none where the image holds radiance without a line."""
     if place.cube.quantity == "radiance" and place.line is None:
         return {}
-    # The filter of the model is to be made of the covariance that the filter of the image was made of.
-    shrinkage = 0.0 if detected is None else detected.bank.shrinkage
-    shrunk = detection.background if detection is not None and shrinkage > 0.0 else ()
     out = {}
     for name in place.regions:
         sample = place.statistics[name]
-        mean, covariance = place.in_reflectance(sample.shrunk(shrinkage) if name in shrunk else sample)
+        if detection is not None and detected is not None and name in detection.background:
+            # The filter of the model is to be made of the covariance that the filter of the image was made of.
+            sample = sample.shrunk(detected.bank.shrinkage, detected.bank.bands)
+        mean, covariance = place.in_reflectance(sample)
         # A band without a gain has no reflectance; the detectors do not use it either.
         finite = np.isfinite(mean)
         mean, covariance = np.where(finite, mean, 0.0), np.where(np.outer(finite, finite), covariance, 0.0)
@@ -463,9 +464,8 @@ class RegionLaws:
         most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
         lines, samples = px.drawn_pixels(self._masks[region], most, rng)
         pixels, valid = self._place.pixels_at(lines, samples)
-        finite = np.isfinite(pixels[valid]).any(axis=0)
+        finite = np.isfinite(pixels[valid]).all(axis=0)
         pixels = np.where(finite, pixels, 0.0)
-        valid &= np.isfinite(pixels).all(axis=1)
         lead = np.flatnonzero(self._place.cube.axis.clear & finite)
         return pixels[valid], lines[valid], samples[valid], lead
 
@@ -541,7 +541,7 @@ class RegionLaws:
         return None if made is None else (made, made.components(pixels))
 
 
-def classification_errors(place: Place, task: Classification) -> dict[tuple[str, str], ClassificationError]:
+def class_errors(place: Place, masks: Labels, task: Classification) -> dict[tuple[str, str], ClassificationError]:
     """Errors by (classes, features); classes joined by " / ".
 
     Blocks of whole lines are dealt out at random (the campaign's seed) to training and test.
@@ -550,7 +550,7 @@ def classification_errors(place: Place, task: Classification) -> dict[tuple[str,
     ------
     UsageError : a region that is none, or one with too few pixels in either half.
     """
-    halves = {name: _halves(place, name, task) for name in task.classes}
+    halves = {n: _halves(place, masks[n] if n in place.regions else place.pixels_of(n), n, task) for n in task.classes}
     out = {}
     for chosen in class_sets(task):
         for choice in task.features:
@@ -591,9 +591,9 @@ def training_pixels(task: Classification, laws: Mapping[str, PixelDistribution],
     return {name: min(0.5 * float(n), float(task.pixels)) for name, n in each.items()}
 
 
-def _halves(place: Place, name: str, task: Classification) -> list[tuple[Array, Index]]:
+def _halves(place: Place, region: Mask, name: str, task: Classification) -> list[tuple[Array, Index]]:
     """Pixels (n, B) of a class that train, and those that test, each with the block of lines that it lies in."""
-    lines, samples = np.nonzero(place.pixels_of(name))
+    lines, samples = np.nonzero(region)
     block = lines // task.block_lines
     blocks = np.unique(block)
     refuse(blocks.size < 2, "classes.block", name=name, block_lines=task.block_lines)

@@ -109,6 +109,7 @@ class Place:
         ``mistake`` : lines, samples that targets are away; regions (1), that regions are too, but those that lie
         still: beside such a one no target is; beyond, the part of all lines from which on both are; exchanged, two
         regions in each other's place; gain, a part that is added to each value; offset, a part of the mean of all
+        good bands
 
         Where lines were lost in the middle of an image, what lies above stays:
 
@@ -134,7 +135,7 @@ class Place:
             labels = labels.displaced(away, by, first)
         offset = factor * cube.offset
         if "offset" in of:
-            offset = offset + of["offset"] * float(np.nanmean(self.statistics[SCENE].mean))
+            offset = offset + of["offset"] * float(np.mean(self.statistics[SCENE].mean[cube.axis.good]))
         cube = replace(cube, gain=factor * cube.gain, offset=offset)
         return replace(self, cube=cube, labels=labels, targets=targets, statistics={}, line=None)
 

@@ -151,7 +151,7 @@ def empirical_line(
     """
     if source is None:
         return None
-    cube, panels = place.cube, []
+    cube, good, panels = place.cube, place.cube.axis.good, []
     for panel in source.panels:
         name = panel.region
         refuse(name not in place.statistics, "line.region", name=name, known=one_of(place.statistics))
@@ -161,8 +161,8 @@ def empirical_line(
         panels.append(MeasuredPanel(name, mean, covariance, sample.mean, part.covariance, sample.n, known_by))
     if (dark := source.darkest_pixel) is not None:
         noise = np.full(len(cube.axis), dark.radiance_noise**2)
-        panels.append(px.darkest_pixel_panel(px.darkest_values(cube), noise, dark.reflectance, dark.uncertainty))
-    return fit_elm(panels, intercept=source.intercept)
+        panels.append(px.darkest_pixel_panel(px.darkest_values(cube), noise, good, dark.reflectance, dark.uncertainty))
+    return fit_elm(panels, good, intercept=source.intercept)
 
 
 def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, place: Place) -> None:
@@ -197,7 +197,7 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
     if not elm.usable.all():
         lost = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
         notes[0] += f"; no gain at {lost} nm"
-    if (elm.usable & axis.good).any() and (left_out := _left_out(elm, axis)):
+    if (elm.usable & elm.good).any() and (left_out := _left_out(elm)):
         parts = []
         for name, errors in left_out.items():
             if errors.size:
@@ -206,29 +206,29 @@ def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
             else:
                 parts.append(f"{name} unknown, the others do not fix a line")
         notes.append(said("line.left_out", panels="; ".join(parts)))
-    chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2)]
+    chi2 = elm.reduced_chi2[np.isfinite(elm.reduced_chi2) & elm.good]
     if chi2.size:
         notes.append(f"empirical line: reduced chi-square of its panels {np.median(chi2):.3g} (median over bands)")
-    return [*notes, *line_warnings(elm, axis)]
+    return [*notes, *line_warnings(elm)]
 
 
-def line_warnings(elm: EmpiricalLine, axis: SpectralAxis) -> Iterator[str]:
+def line_warnings(elm: EmpiricalLine) -> Iterator[str]:
     """Why a line is not to be relied on: bands lost, panels that do not lie on one line."""
-    good, usable = int(axis.good.sum()), int((elm.usable & axis.good).sum())
+    good, usable = int(elm.good.sum()), int((elm.usable & elm.good).sum())
     if usable < FEWEST_USABLE * good:
         yield f"warning: the empirical line can be used in {usable} of {good} good bands only"
     if (factor := elm.contradiction) > 1.0:
         yield said("line.contradiction", times=np.sqrt(factor))
-    for name, errors in _left_out(elm, axis).items():
+    for name, errors in _left_out(elm).items():
         if errors.size and (off := np.median(np.abs(errors))) > MOST_LEFT_OUT:
             yield said("line.off", name=name, off=off)
 
 
-def _left_out(elm: EmpiricalLine, axis: SpectralAxis) -> dict[str, Array]:
+def _left_out(elm: EmpiricalLine) -> dict[str, Array]:
     """Error of each panel's reflectance by the line through the others, where the line can be used and has one."""
     if len(elm.panels) <= 1 + elm.intercept:  # the others are too few
         return {}
-    errors = elm.leave_one_out[:, elm.usable & axis.good]
+    errors = elm.leave_one_out[:, elm.usable & elm.good]
     return {name: error[np.isfinite(error)] for name, error in zip(elm.names, errors, strict=True)}
 
 
@@ -347,7 +347,7 @@ def _site_reflectance(
             parts[NOISE] = np.diag((site.budget[NOISE] / line.gain) ** 2)
         out[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.n)
         usable = f"usable in {int(line.usable.sum())} of {len(axis)} bands"
-        words = [f"reflectance by the {how} through {' and '.join(line.names)}, {usable}", *line_warnings(line, axis)]
+        words = [f"reflectance by the {how} through {' and '.join(line.names)}, {usable}", *line_warnings(line)]
         notes += [f"{name}: {text}" for text in words]
     return out, notes
 

@@ -92,9 +92,8 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     covariance[:, 1, 1] = (1.0 / np.sum(w, axis=0) if intercept else 0.0) + centre**2 * variance
     covariance[none] = 0.0
     level = mean(y, w) - slope * mean(x, w)
-    residuals = y - level - slope * x
     free = len(x) - 1 - intercept
-    reduced = np.where(none | (free == 0), np.nan, np.sum(w * residuals**2, axis=0) / max(free, 1))
+    reduced = np.where(none | (free == 0), np.nan, np.sum(w * (y - level - slope * x) ** 2, axis=0) / max(free, 1))
     return LineFit(slope, level, covariance, reduced)
 
 
@@ -122,11 +121,6 @@ class MeasuredPanel:
     sampled: EstimatedPart | None = None
 
 
-def variance_of(error: Array) -> Array:
-    """(B,) variances of errors given by those, or by their covariance (B, B)."""
-    return np.diag(error) if error.ndim == 2 else error
-
-
 @dataclass(frozen=True, eq=False)
 class EmpiricalLine:
     """The line L = offset + gain rho of each band, and how the reflectance by it depends on its panels.
@@ -137,6 +131,7 @@ class EmpiricalLine:
     covariance : (B, 2, 2) of (gain, offset) in that order
     reduced_chi2 : (B,) chi-square over P - 2 (P - 1 through the origin); NaN where any line fits
     usable : (B,) False where a panel has no reflectance, or they do not differ enough, or are too noisy, to fix a gain
+    good : (B,) bands by which the line is judged
     panels : that it goes through
     intercept : False: the line goes through the origin
     least_contrast : of the panels, in a band that is usable
@@ -147,6 +142,7 @@ class EmpiricalLine:
     covariance: Array
     reduced_chi2: Array
     usable: Mask
+    good: Mask
     panels: tuple[MeasuredPanel, ...]
     intercept: bool = True
     least_contrast: float = MINIMUM_CONTRAST
@@ -164,7 +160,7 @@ class EmpiricalLine:
         """The line through the other panels; None where they fix no line."""
         try:
             others = [p for p in self.panels if p.name != name]
-            return fit_elm(others, intercept=self.intercept, minimum_contrast=self.least_contrast)
+            return fit_elm(others, self.good, intercept=self.intercept, minimum_contrast=self.least_contrast)
         except UsageError:
             return None
 
@@ -184,7 +180,7 @@ class EmpiricalLine:
     def contradiction(self) -> float:
         """Factor on the variances of the panels' errors: 1 where they lie on one line within what is stated.
 
-        Else the reduced chi-square, median over bands, over what it is on average, where chance exceeds it in one
+        Else the reduced chi-square, median over good bands, over what it is on average, where chance exceeds it in one
         line of a hundred.  Bands whose errors have the correlation rho count as B^2 / sum rho^2, as their chi-squares
         have rho^2.  Source: Birge, Phys. Rev. 40, 207-227, 1932; York et al., Am. J. Phys. 72, 367-375, 2004.
 
@@ -196,7 +192,7 @@ class EmpiricalLine:
         >>> 3.5 < fit_elm(panels).contradiction < 7.0
         True
         """
-        valid, freedom = np.isfinite(self.reduced_chi2), len(self.panels) - 1 - self.intercept
+        valid, freedom = np.isfinite(self.reduced_chi2) & self.good, len(self.panels) - 1 - self.intercept
         if not valid.any() or freedom < 1:
             return 1.0
         squares, total = np.outer(self.gain, self.gain), np.zeros(2 * (self.gain.size,))
@@ -279,22 +275,27 @@ def _spread(values: Array, usable: Mask) -> Array:
 
 
 def _points(panels: Sequence[MeasuredPanel]) -> Array:
-    """(4, P, B) reflectance, radiance, and the variances of their errors."""
-    errors = [[variance_of(error) for error in (p.reflectance_error, p.radiance_error)] for p in panels]
+    """(4, P, B) reflectance, radiance, and the variances of their errors: the diagonal of a covariance."""
+    errors = [[np.diag(e) if e.ndim == 2 else e for e in (p.reflectance_error, p.radiance_error)] for p in panels]
     return np.stack([[p.reflectance, p.radiance, *each] for p, each in zip(panels, errors, strict=True)], axis=1)
 
 
 def fit_elm(
-    panels: Sequence[MeasuredPanel], *, intercept: bool = True, minimum_contrast: float = MINIMUM_CONTRAST
+    panels: Sequence[MeasuredPanel],
+    good: Mask | None = None,
+    *,
+    intercept: bool = True,
+    minimum_contrast: float = MINIMUM_CONTRAST,
 ) -> EmpiricalLine:
     """Line through all panels, band by band, with errors in reflectance and in radiance.
 
     Exact for two panels; more are weighted by York's method (:func:`fit_line`).  A band in which a panel has no
     reflectance (NaN), whose panels differ by less than ``minimum_contrast`` or whose gain is below five times its
-    uncertainty gets NaN; where the latter two are more than half of the known bands the panels are refused.
+    uncertainty gets NaN; where the latter two are more than half of the known good bands the panels are refused.
 
     Parameters
     ----------
+    good : (B,) the others, whatever they hold, have a line where they can and decide nothing; None: all
     intercept : False: L = gain rho, for radiance whose path part is removed or small, for which one panel is enough.
         The offset and its covariances are 0: that it is none is the assumption
 
@@ -304,44 +305,38 @@ def fit_elm(
         anything), or panels too noisy or too dark to fix a line.
     """
     panels = tuple(panels)
-    _refuse_bad_panels(panels, least=1 + intercept)
+    refuse(len(panels) < 1 + intercept, "line.few", count=len(panels), least=1 + intercept)
+    good = np.ones(panels[0].radiance.size, bool) if good is None else good
     points = _points(panels)
-    valid = np.asarray(np.isfinite(points[0]).all(axis=0))
-    refuse(not valid.any(), "line.no_band")
+    for p, (rho, *rest) in zip(panels, points[:, :, good].swapaxes(0, 1), strict=True):
+        known = np.isfinite(rho)  # a field spectrum may not reach all bands
+        refuse(not known.any(), "panel.unknown", name=p.name)
+        refuse(not np.isfinite(np.array(rest)[:, known]).all(), "panel.finite", name=p.name)
+        refuse((most := rho[known].max()) > PERCENT_LIMIT, "panel.percent", name=p.name, rho=most)
+        refuse((least := rho[known].min()) < -0.05, "panel.negative", name=p.name, rho=least)
+    valid = np.asarray(np.isfinite(points).all(axis=(0, 1)))
+    exact = np.all(points[2:] == 0.0, axis=0)
+    valid &= good | (exact.all(axis=0) == exact.any(axis=0))
+    refuse(not valid[good].any(), "line.no_band")
     contrast = np.ptp(points[0], axis=0) if intercept else np.full(valid.size, np.inf)
-    flat = contrast[valid] < minimum_contrast
-    if np.mean(flat) > 0.5:
-        names, differ = ", ".join(p.name for p in panels), np.median(contrast[valid])
+    usable = valid & (contrast >= minimum_contrast)
+    if np.mean(usable[valid & good]) < 0.5:
+        names, differ = ", ".join(p.name for p in panels), np.median(contrast[valid & good])
         raise refusal("line.contrast", names=names, differ=differ, least=minimum_contrast)
-    usable = valid.copy()
-    usable[valid] = ~flat
     fit = fit_line(*(part[:, usable] for part in points), intercept=intercept)
     noisy = ~(fit.slope > MINIMUM_GAIN_SNR * np.sqrt(fit.covariance[:, 0, 0]))
-    refuse(np.mean(noisy) > 0.5, "line.noisy", least=MINIMUM_GAIN_SNR, count=int(noisy.sum()), bands=noisy.size)
+    lost = noisy[good[usable]]
+    refuse(np.mean(lost) > 0.5, "line.noisy", least=MINIMUM_GAIN_SNR, count=int(lost.sum()), bands=lost.size)
     usable[usable] = ~noisy
     parts = (fit.slope, fit.intercept, fit.covariance.T, fit.reduced_chi2)
     gain, offset, covariance, chi2 = (_spread(part[..., ~noisy], usable) for part in parts)
-    return EmpiricalLine(gain, offset, covariance.T, chi2, usable, panels, intercept, minimum_contrast)
-
-
-def _refuse_bad_panels(panels: tuple[MeasuredPanel, ...], least: int) -> None:
-    """Raise UsageError for fewer panels than ``least`` and reflectances that are none."""
-    refuse(len(panels) < least, "line.few", count=len(panels), least=least)
-    for p in panels:
-        values = np.stack([p.radiance, variance_of(p.reflectance_error), variance_of(p.radiance_error)])
-        valid = np.isfinite(p.reflectance)  # a field spectrum may not reach all bands
-        rho = p.reflectance[valid]
-        least_rho, most_rho = rho.min(initial=0.0), rho.max(initial=0.0)
-        refuse(not valid.any(), "panel.unknown", name=p.name)
-        refuse(not np.isfinite(values[:, valid]).all(), "panel.finite", name=p.name)
-        refuse(most_rho > PERCENT_LIMIT, "panel.percent", name=p.name, rho=most_rho)
-        refuse(least_rho < -0.05, "panel.negative", name=p.name, rho=least_rho)
+    return EmpiricalLine(gain, offset, covariance.T, chi2, usable, good, panels, intercept, minimum_contrast)
 
 
 def darkest_pixel_panel(
-    darkest: npt.ArrayLike, noise_variance: npt.ArrayLike, reflectance: float = 0.0, reflectance_sd: float = 0.01
+    least: Array, noise: Array, good: Mask, reflectance: float, reflectance_sd: float
 ) -> MeasuredPanel:
-    """The darkest radiance of the scene in each band (B,) as a panel of low, assumed reflectance.
+    """The ``least`` radiance of the scene in each band (B,) as a panel of low, assumed reflectance.
 
     The least of many noisy pixels lies below the darkest surface by some standard deviations of the noise; the
     variance of the panel is therefore that of one pixel's noise, which is each band's own.  What the darkest surface
@@ -349,10 +344,10 @@ def darkest_pixel_panel(
 
     Raises
     ------
-    UsageError : a darkest radiance that is not finite or negative beyond three standard deviations of noise.
+    UsageError : a darkest radiance that, in a ``good`` band (B,), is not finite or negative beyond three standard
+        deviations of noise.
     """
-    least, noise = np.asarray(darkest, dtype=float), np.asarray(noise_variance, dtype=float)
-    lost = ~(least >= -3.0 * np.sqrt(noise)) | ~np.isfinite(least)
+    lost = good & (~(least >= -3.0 * np.sqrt(noise)) | ~np.isfinite(least))
     refuse(np.any(lost), "line.darkest", count=int(np.sum(lost)))
     each = np.ones(least.size)
     return MeasuredPanel("darkest pixel", reflectance * each, reflectance_sd**2 * np.outer(each, each), least, noise)

@@ -100,7 +100,7 @@ def stream(
     Parameters
     ----------
     bands : (B,) that are handed out, all by default
-    needed : (B,) that must hold data in a usable pixel, all by default
+    needed : (B,) that must hold data in a usable pixel, all by default; others are NaN where they hold none
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
     >>> from tempfile import TemporaryDirectory
@@ -119,6 +119,7 @@ def stream(
     # Ends of stretches of neighbours, among the chosen.
     ends = np.flatnonzero(np.diff(chosen, append=cube.bands + 1) > 1) + 1
     count, most = chosen.size, step * cube.samples
+    others = [] if needed is None else np.flatnonzero(~needed[chosen]).tolist()
 
     def blocks(firsts: range) -> Iterator[StoredBlock]:
         buffer, memory = np.empty(cube.raster.bands * most, cube.dtype), np.empty(count * most)
@@ -133,6 +134,8 @@ def stream(
             image = numbers.reshape(count, lines, cube.samples)
             for start, end in zip([0, *ends[:-1]], ends, strict=False):
                 image[start:end] = stored[chosen[start] : chosen[end - 1] + 1]
+            for band in others:
+                image[band][cube.lacking(stored[chosen[band]])] = np.nan
             del stored  # a view of lines that a raster may hold: they would stay while it reads the next
             yield slice(first, first + lines), numbers, usable
 
@@ -267,8 +270,8 @@ class Sums(NamedTuple):
         return self.reference + c + e, (covariance + covariance.T) / 2.0
 
 
-def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch = iter) -> dict[str, SampleStatistics]:
-    """Mean and covariance of every region, of the whole scene alone by default.
+def region_statistics(cube: Cube, labels: Labels, needed: Mask, *, watch: Watch = iter) -> dict[str, SampleStatistics]:
+    """Mean and covariance of every region.
 
     Pixels of one label, which lie in the same regions, are summed once and the sums added, so that regions which
     overlap cost little more than the scene alone.  All sums are float64: those of numbers stored as 16-bit integers
@@ -277,14 +280,13 @@ def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch 
 
     Parameters
     ----------
+    needed : (B,) bands that must hold data; another is NaN where one of the pixels holds none in it
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
     Raises
     ------
     UsageError : a region without a valid pixel.
     """
-    if labels is None:
-        labels = Labels.of(cube.shape, {SCENE: np.broadcast_to(np.True_, cube.shape)})
     members, number, sums = labels.members, labels.number, dict[int, Sums]()
     wanted = np.asarray(np.any(list(members.values()), axis=0))
 
@@ -302,7 +304,7 @@ def region_statistics(cube: Cube, labels: Labels | None = None, *, watch: Watch 
 
     # One BLAS thread to the end: a second one, woken for the small products there, would spin into the next pass.
     with single_blas_thread():
-        for found in stream(cube, segment, watch=watch):
+        for found in stream(cube, segment, needed=needed, watch=watch):
             while found:  # taken from there: 2 MB for each label
                 key, new = found.popitem()
                 sums[key] = sums[key].merged(new) if key in sums else new
@@ -321,7 +323,9 @@ def _statistics(cube: Cube, name: str, labels: Labels, sums: Mapping[int, Sums])
 
 
 def darkest_values(cube: Cube) -> Array:
-    """The least value (B,) of each band over the pixels that hold data in every band.
+    """The least value (B,) of each band over the pixels that hold data in every good band.
+
+    It is NaN in a bad band that lacks data in one of them.
 
     Raises
     ------
@@ -329,7 +333,7 @@ def darkest_values(cube: Cube) -> Array:
     """
     parts = (block.values[block.valid] for block in cube.blocks())
     lowest = np.min([part.min(axis=0, initial=np.inf) for part in parts], axis=0)
-    refuse(not np.all(np.isfinite(lowest)), "cube.no_pixel")
+    refuse(not np.all(np.isfinite(lowest[cube.axis.good])), "cube.no_pixel")
     return np.asarray(lowest)
 
 
