@@ -39,7 +39,8 @@ class CubeSource(Model):
     refused: ClassVar = {
         "by_number is for reflectance or counts without known wavelengths": lambda c: (
             c.by_number and (c.quantity == "radiance" or c.wavelength_unit or c.sort_bands)
-        )
+        ),
+        "unit is of radiance; of percent the scale is 0.01": lambda c: c.unit and c.quantity != "radiance",
     }
 
     @property

@@ -275,9 +275,9 @@ def check_line_for_detection(place: Place, collection: CollectionSection) -> Non
 
 def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | None = None) -> Cube:
     """Open the cube that a campaign names, with its bands from a table where the campaign names one."""
-    unit = source.unit if source.quantity == "radiance" else None
-    if unit is None and source.quantity == "radiance" and not source.may_state_unit:
-        unit = RADIANCE_UNIT  # as simulations write it; others that state none were refused with the campaign
+    # As simulations write it; others that state none were refused with the campaign.
+    simulated = RADIANCE_UNIT if source.quantity == "radiance" and not source.may_state_unit else None
+    unit = source.unit or simulated
     stated = source.model_dump(include={"quantity", "variable", "engine", "scale", "wavelength_unit", "sort_bands"})
     axis: SpectralAxis | Literal["numbers"] | None = "numbers" if source.by_number else None
     if bands is not None and axis is None:
