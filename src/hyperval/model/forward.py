@@ -25,7 +25,7 @@ from hyperval.model.inputs import UncertainInput, drawn_truths, inputs_of, input
 from hyperval.model.intervals import Z95, jackknife_directions
 from hyperval.model.objects import Shares, expected_scores, object_scores, shares_of
 from hyperval.model.roc import WHOLE, ClassScores, curve_area, detection_at, log_false_alarm, probit
-from hyperval.model.stated import Origins, Stated, Truth, distinct, state_value
+from hyperval.model.stated import Origins, Stated, Truth, state_value
 from hyperval.model.world import World, find, read_world, settled, with_truths
 from hyperval.products import SPECTRA, ExceedanceCurve, PixelDistribution, PredictedProducts, RocCurve, SpectralEstimate
 from hyperval.progress import track
@@ -468,9 +468,7 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     population, position = stated.populations[number][2], scenario.uncertainty.position_m
     if scenario.formulation == "thesis" or population.fill.geometry is None or population.position_m is None:
         return None
-    moved = (v for p, v in world.moved.items() if find(stated, p).populations)
-    first, which = distinct((np.broadcast_to(v, (world.size, *v.shape[1:])) for v in moved), world.size)
-    each = [tuple(world.populations_at(int(u))) for u in first]
+    each, which = world.populations
     return [shares_of(*every[number], every, position, scenario.processing.seed) for every in each], which
 
 
@@ -768,7 +766,8 @@ def _predictions(
             found = detect(e, object_curves=object_curves, densities=False, points=range(len(e)), spectra=of_spectra)
             for u, (number, prediction) in enumerate(zip(index.tolist(), found, strict=True)):
                 if objects and prediction.roc:
-                    scores = object_scores(e, np.array([u]), None if objects is True else objects)
+                    alone = e.world, [(np.arange(len(e)), e)], np.array([u])
+                    scores = object_scores(*alone, None if objects is True else objects)
                     prediction = replace(prediction, object_scores=scores)
                 out[number] = prediction
         yield from (out[number] for number in range(len(some)))
@@ -793,7 +792,7 @@ def _prediction(
     True
     """
     stated, errors = world.stated, spectrum_errors(inputs)
-    # Without light what is recorded is reflectance: the error of its compensation is among the draws of objects.
+    # Light goes first, then what the filters look along: draws take their columns in the order of the inputs.
     is_lit = stated.scenario.atmosphere is not None
     light = [i for i in inputs if is_lit and i.of_light and i.kind != "engine"]
     # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
@@ -801,7 +800,7 @@ def _prediction(
     others.sort(key=lambda i: not i.subject)
     of_light, of_others = ([(i, k) for i in some for k in range(i.size)] for some in (light, others))
     along = [None] if any(t.name in errors for t in stated.targets) else []
-    moves, pairs = [*of_light, *along, *of_others], len(of_light)
+    moves = [*of_light, *along, *of_others]
     signed = [(move, z) for z in (1.0, -1.0) for move in moves]
     truths = [{}, *({} if move is None else move[0].direction(move[1], z) for move, z in signed)]
     every = with_truths(world, truths)
@@ -812,10 +811,8 @@ def _prediction(
         detect(part, object_curves=object_curves)
     if prediction.roc:
         if objects:
-            steps = np.array([0, *range(1, pairs + 1), *range(len(moves) + 1, len(moves) + pairs + 1)])
-            here = Evaluation(every.rows(steps), errors)
-            scores = object_scores(here, np.arange(steps.size), None if objects is True else objects)
-            prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(here))
+            scores = object_scores(every, parts, np.arange(every.size), None if objects is True else objects)
+            prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(e))
         prediction = with_law_errors(prediction, e, origins, truth)
     z = joined(((index, part.probits) for index, part in parts), every.size)
     up, down = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
