@@ -2,10 +2,10 @@
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.stats import norm
 
@@ -18,10 +18,11 @@ from hyperval.spectra import SpectralAxis
 from hyperval.statistics_library import builtin_class
 
 AXIS = SpectralAxis(np.array([450.0, 550, 670, 750, 860, 1050, 1240, 1650, 2130, 2250]), np.full(10, 10.0))
+ON_TEN = model.Origins(axis=AXIS)
 STATED = load_scenario(Path(__file__).with_name("objects.yaml"))
+TABLE = yaml.safe_load(Path(__file__).with_name("moved_objects.yaml").read_text("utf-8"))
 PLANK, OTHER = "scene.targets.plank", "scene.targets.other"
 SQUARE, BESIDE = f"{PLANK}.subjects.square", f"{OTHER}.subjects.beside"
-TWO_ENTRIES = [{"subject": "plank", "relative": 0.05}, {"subject": "plank", "relative": 0.12}]
 
 
 def scenario_of(square=None, beside=None, changes=()) -> Scenario:
@@ -30,7 +31,7 @@ def scenario_of(square=None, beside=None, changes=()) -> Scenario:
 
 
 def run(*places, **kwargs) -> PredictedProducts:
-    return model.predict(scenario_of(*places, **kwargs), model.Origins(axis=AXIS), objects=True)
+    return model.predict(scenario_of(*places, **kwargs), ON_TEN, objects=True)
 
 
 def filter_of():
@@ -42,22 +43,29 @@ def filter_of():
     return model.design_filter("cem", builtin_class("yellow-paint-plank", AXIS).mean, mean, covariance)
 
 
-def test_error_of_the_spectrum_moves_a_whole_row():
-    p = run(changes={"uncertainty.field_spectra": TWO_ENTRIES})
-    values = p.object_scores["tenth", "cem"].values
-    # The entries add up to 13 % of the target's part of the score.
-    w, rho = filter_of(), builtin_class("yellow-paint-plank", AXIS).mean
-    expected = 0.1 * 0.13 * abs(float(w.weights @ rho))
-    inside = values.std(axis=1, ddof=1).mean()
-    between = np.sqrt(values.mean(axis=1).var() - inside**2 / values.shape[1])
-    assert between == pytest.approx(expected, rel=0.09)  # 800 independent pairs: 2.5 %; 3.5 of them
-    same = p.object_scores["beside", "cem"].values  # the other target's own spectrum is certain
-    assert np.std(same.mean(axis=1)) < 1.5 * np.std(same) / np.sqrt(same.shape[1])
+def test_what_is_uncertain_moves_a_whole_row_by_as_much_as_draws_of_it_do():
+    """Draws on a Latin hypercube; of the model's 800 pairs 2.5 %: 4.5 of it, and 4 % for what is not linear.
+
+    False failure below 1e-5.
+    """
+    scenario = with_settings(STATED, {"scene.targets": STATED.scene.targets[:1], **TABLE["uncertain"]})
+    world, rng, moved = model.read_world(scenario, ON_TEN), np.random.default_rng(3), {}
+    levels = norm.ppf((np.arange(60) + 0.5) / 60)[:, None]
+    for path, size in TABLE["sizes"].items():
+        at = model.value_at(world, path)[0]
+        moved[path] = at + size * rng.permutation(levels / levels.std()) * (at if "surfaces" in path else 1.0)
+    truths = [dict(zip(moved, values, strict=True)) for values in zip(*moved.values(), strict=True)]
+    drawn = list(model.predictions(scenario, truths, ON_TEN, objects=1600, object_curves=False))
+    made = model.predict(scenario, ON_TEN, objects=True, object_curves=False)
+    for key, scores in made.object_scores.items():
+        rows = scores.values, np.array([one.object_scores[key].values.ravel() for one in drawn])
+        found, expected = (v.mean(axis=1).var() - v.var(axis=1, ddof=1).mean() / v.shape[1] for v in rows)
+        assert np.sqrt(found) == pytest.approx(np.sqrt(expected), rel=0.15), key
 
 
 def test_a_neighbour_spreads_the_score_in_place_of_the_host():
     # Along the grid and without blur 0.4 x 0.4 of the pixel is plank, 0.25 x 0.8 the neighbour, the rest the host.
-    changes: dict[str, Any] = {f"{target}.covariance": {"builtin": "grass"} for target in (PLANK, OTHER)}
+    changes = {f"{target}.covariance": {"builtin": "grass"} for target in (PLANK, OTHER)}
     for subject, side in ((SQUARE, 0.4), (BESIDE, 0.8)):
         changes[f"{subject}.fill.geometry"] = {"side_m": side, "gsd_m": 1, "psf_fwhm_pixels": 0, "phase": "centred"}
     found = run((0, 0), (0, 0.65), changes=changes).object_scores["square", "cem"]
@@ -70,14 +78,14 @@ def test_a_neighbour_spreads_the_score_in_place_of_the_host():
 def test_each_of_several_truths_has_the_objects_of_its_own_scene():
     # The first truth of a batch once lent its fills to all others.
     scenario = scenario_of((0, 0), (0, 1.0))
-    world = model.read_world(scenario, model.Origins(axis=AXIS))
+    world = model.read_world(scenario, ON_TEN)
     moves = [("fill.square", 0.2), ("surfaces.other.mean", 0.1), ("surfaces.grass.mean", 0.1)]
     more, brighter, greener = ({path: model.value_at(world, path)[0] + step} for path, step in moves)
     blurred = {"scene.targets.plank.subjects.[square].fill.geometry.psf_fwhm_pixels": 3.0}
     truths = [{}, more, blurred, brighter, greener]
-    together = list(model.predictions(scenario, truths, model.Origins(axis=AXIS), objects=300))
+    together = list(model.predictions(scenario, truths, ON_TEN, objects=300))
     for truth, one in zip(truths, together, strict=True):
-        (alone,) = model.predictions(scenario, [truth], model.Origins(axis=AXIS), objects=300)
+        (alone,) = model.predictions(scenario, [truth], ON_TEN, objects=300)
         for key, scores in alone.object_scores.items():
             assert one.object_scores[key].values == pytest.approx(scores.values, abs=1e-9)
     stated, fuller, wider, bright, _ = (p.object_scores["square", "cem"].values.mean() for p in together)
@@ -118,20 +126,13 @@ def test_expected_scores_of_classes_and_other_targets_follow_from_the_filter():
 BLUR, GSD, N = 0.8, 0.7, 6
 
 
-ON_GRASS = {"scene.classes": [{"name": "grass", "fraction": 1.0, "spectrum": {"builtin": "grass"}}]}
-ON_GRASS |= {f"{target}.host": "grass" for target in (PLANK, OTHER)}
-ON_GRASS |= {f"{subject}.fill.geometry.heading_deg": 0.0 for subject in (SQUARE, BESIDE)}
-
-
 def placed(square=(0, 0), beside=(0, 1.4), **changes) -> Scenario:
-    return scenario_of(square, beside, ON_GRASS | changes)
+    return scenario_of(square, beside, TABLE["on grass"] | changes)
 
 
 def shares(position=None, beside=(0, 1.4)) -> model.Shares:
     populations = tuple((t.name, p) for t in placed(beside=beside).scene.targets for p in t.populations)
-    found = model.shares_of(*populations[1], populations, position, 1)
-    assert found is not None
-    return found
+    return model.shares_of(*populations[1], populations, position, 1)
 
 
 def painted(draws: int, rng: np.random.Generator) -> np.ndarray:
@@ -166,8 +167,8 @@ def test_shares_are_those_of_squares_painted_finely():
 
 def test_an_object_alone_has_the_mean_of_its_fill_and_the_spread_of_its_host():
     found = shares(beside=(0, 40))
-    p = model.predict(placed(beside=(0, 40)), model.Origins(axis=AXIS))
-    q = model.predict(placed(None, (0, 40)), model.Origins(axis=AXIS))
+    p = model.predict(placed(beside=(0, 40)), ON_TEN)
+    q = model.predict(placed(None, (0, 40)), ON_TEN)
     np.testing.assert_allclose(p.reflectance["square"].mean, q.reflectance["square"].mean, rtol=2e-3)
     grass = builtin_class("grass", AXIS)
     u = p.reflectance["square"].budget
@@ -186,7 +187,7 @@ def test_true_worlds_pass_and_false_ones_do_not():
         "of the neighbour's material": {f"{PLANK}.spectrum.builtin": "green-paint-plank"},
         "target too small": {f"{SQUARE}.fill.geometry.side_m": 0.6},
     }
-    told = {n: model.predict(placed(uncertainty=errors, **more), model.Origins(axis=AXIS)) for n, more in said.items()}
+    told = {n: model.predict(placed(uncertainty=errors, **more), ON_TEN) for n, more in said.items()}
     full = {n: builtin_class(f"{n}-paint-plank", AXIS).mean for n in ("yellow", "green")}
     grass, found = builtin_class("grass", AXIS), shares(position=0.2)
     rng = np.random.default_rng(5)

@@ -179,7 +179,7 @@ def test_3_12_target_pixels_of_a_fill():
 
 
 def test_3_26_and_3_28_drawn_scores_of_objects():
-    drawn = object_scores(Evaluation(both()), np.array([1]), 40_000)["plank", "cem"].values
+    drawn = object_scores(both(), [(np.arange(2), Evaluation(both()))], np.array([1]), 40_000)["plank", "cem"].values
     mean, variance = plain(1).scores(plain(1).pixel(0.3))
     z = (drawn - mean) / np.sqrt(variance)
     assert abs(z.mean()) < 5.0 / np.sqrt(z.size)  # (3.26)

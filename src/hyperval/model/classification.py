@@ -342,7 +342,7 @@ def predicted_areas(
         return {}
     world = settled(with_truths(read_world(scenario, origins), [truth]))[0][1]
     index = np.flatnonzero(unmixed.bands)
-    populations = {(name, p.name): p for name, p in world.populations_at(0)}
+    populations = {(name, p.name): p for name, p in world.populations[0][0]}
     out = {}
     for number, item in enumerate(unmixed.subjects):
         population = populations.get((item.scenario_target, item.population))

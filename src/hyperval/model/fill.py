@@ -381,13 +381,13 @@ def _of_pixels(fill: Fill) -> FillDistribution:
     return FillDistribution(fills, np.full(fills.size, 1.0 / fills.size)).binned()
 
 
-def fills_of_objects(fill: Fill, wider: float = 0.0) -> Array:
+def fills_of_objects(fill: Fill, n: int | None = None) -> Array:
     """(K, n) fills of the pixels of one object (f of 3.10), NaN behind those of one that has fewer.
 
-    ``wider`` : added to the width of the blur [pixels]
+    ``n`` : default: as many as it may have
     """
     if fill.geometry is not None:
-        return object_fills(widened(fill.geometry, wider), pixels_of_object(fill))
+        return object_fills(fill.geometry, n or pixels_of_object(fill))
     if fill.listed is not None:
         size = pixels_of_object(fill)
         return np.array([sorted(row, reverse=True) + [np.nan] * (size - len(row)) for row in fill.listed])
@@ -401,14 +401,6 @@ def pixels_of_object(fill: Fill) -> int:
     if fill.geometry is None:
         return 1
     return int(touched_counts(fill.geometry).max()) if fill.geometry.pixels == "touched" else fill.geometry.n or 1
-
-
-def widened(geometry: Geometry, wider: float) -> Geometry:
-    """The geometry with its blur ``wider`` by so much, but not below 0 [pixels]."""
-    if not wider:
-        return geometry
-    along, across = _both(geometry.psf_fwhm_pixels)
-    return geometry.model_copy(update={"psf_fwhm_pixels": (max(along + wider, 0.0), max(across + wider, 0.0))})
 
 
 def population_fill(fill: Fill, thesis: bool) -> FillDistribution:

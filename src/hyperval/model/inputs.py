@@ -267,9 +267,22 @@ def field_spectrum_of(subject: str) -> str:
 
 
 def spectrum_inputs(world: World) -> Iterator[UncertainInput]:
-    """Errors of field spectra, as stated or as replicate spectra say of their own mean."""
+    """Errors of field spectra, as stated or as replicate spectra say of their own mean.
+
+    By subject, in whatever order a file lists them: draws go by the order of inputs.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import predict
+    >>> unlit = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
+    >>> listed = [{"subject": "grass", "relative": 0.05, "correlation_nm": 60}, {"subject": "grass", "relative": 0.1},
+    ...           {"subject": "soil", "relative": 0.1, "correlation_nm": 60}]
+    >>> curves = [predict(unlit.with_values({"uncertainty.field_spectra": each})).roc["green plank 0.4", "cem", "pixel"]
+    ...           for each in (listed, listed[::-1])]
+    >>> np.array_equal(*(curve.pd_lower for curve in curves)), np.array_equal(*(curve.pd_upper for curve in curves))
+    (True, True)
+    """
     number: dict[str, int] = {}
-    for item in world.stated.scenario.uncertainty.field_spectra:
+    for item in sorted(world.stated.scenario.uncertainty.field_spectra, key=lambda one: (one.subject, repr(one))):
         subject = item.subject
         number[subject] = number.get(subject, 0) + 1
         name = field_spectrum_of(subject) + ("" if number[subject] == 1 else f" ({number[subject]})")
@@ -319,7 +332,7 @@ def _of_scene(world: World) -> Iterator[UncertainInput]:
     """Fills and fractions."""
     u = world.stated.scenario.uncertainty
     for words, path, items in (("fill", "fill", u.fills), ("area fraction", "fraction", u.fractions)):
-        for item in items:
+        for item in sorted(items, key=lambda one: one.subject):  # in whatever order a file lists them
             yield number_input(world, f"{words} of {item.subject}", "scene", f"{path}.[{item.subject}]", item.absolute)
 
 

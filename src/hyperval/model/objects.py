@@ -19,20 +19,24 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 
 import numpy as np
-from scipy.special import ndtri
 
 from hyperval.data import Array, Index, Mask
-from hyperval.model.detection import Evaluation, Responses
-from hyperval.model.fill import PHASES, fills_of_objects, pixels_of_object, population_fill, shared_pixel_fills, widened
+from hyperval.model.detection import FILL_NODES, Evaluation, Responses
+from hyperval.model.fill import (
+    PHASES,
+    fill_distribution,
+    fills_of_objects,
+    pixels_of_object,
+    population_fill,
+    shared_pixel_fills,
+)
 from hyperval.model.radiance import of_truth, retrieved_reflectance, target_light, target_pixel_reflectance
 from hyperval.model.roc import Host
-from hyperval.model.stated import band_correlation
+from hyperval.model.world import Populations, World
 from hyperval.products import ObjectScores
 from hyperval.scenario import Geometry, TargetSubject
 
 ROWS = 1600
-# The blur's distribution stands on this many equally likely widths.
-_WIDTHS = 5
 
 
 @dataclass(frozen=True)
@@ -41,43 +45,29 @@ class InputDraws:
 
     Attributes
     ----------
-    spectra : target -> (S, F) departure of its reflectance from the field spectrum, and of what the collection holds
-    steps : (S, K) scalar inputs of the view, in standard uncertainties
-    blur : (S,) change of its width, one of few values [pixels]
+    spectra : target -> (S, F) departure of its reflectance from the field spectrum
+    steps : (S, K) of all other inputs along each of their directions, in standard uncertainties
     """
 
     spectra: Mapping[str, Array]
     steps: Array
-    blur: Array
 
 
-def input_draws(e: Evaluation, u: int, steps: int) -> InputDraws:
+def input_draws(e: Evaluation, steps: int) -> InputDraws:
     """Draws of what the scenario calls uncertain; one row of zeros when nothing is.
 
     Rows come in pairs of opposite sign, so that means carry no sampling error to first order.
 
     Parameters
     ----------
-    u : the truth as it stands
-    steps : scalar inputs of light and sensor
+    steps : directions of inputs besides the spectra of targets
     """
-    uncertainty = e.scenario.uncertainty
-    error, width = uncertainty.collected_reflectance, uncertainty.psf_fwhm_pixels
     rows = {t.name: e.errors[t.name][:, e.bands] for t in e.targets if t.name in e.errors}
-    if not (steps or rows or error or width or uncertainty.position_m):
-        return InputDraws({}, np.zeros((1, 0)), np.zeros(1))
+    if not (steps or rows or e.scenario.uncertainty.position_m):
+        return InputDraws({}, np.zeros((1, 0)))
     rng = np.random.default_rng([e.scenario.processing.seed, 7])
     spectra = {name: _normal(rng, each.T @ each) for name, each in rows.items()}
-    if error is not None:
-        shape = band_correlation(e.axis.select(e.bands), error.correlation_nm)
-        scaled, shifted = _normal(rng, shape), _normal(rng, shape)
-        means = e.world.rows(np.array([u])).mean[0][:, e.bands]
-        for t in e.targets:
-            collected = error.relative * scaled * means[e.world.surface(t.name)] + error.absolute * shifted
-            spectra[t.name] = spectra.get(t.name, 0.0) + collected
-    widths = ndtri((np.arange(_WIDTHS) + 0.5) / _WIDTHS)
-    blur = rng.permutation(np.resize(widths / widths.std(), ROWS)) * (width or 0.0)
-    return InputDraws(spectra, _pairs(rng, steps), blur)
+    return InputDraws(spectra, _pairs(rng, steps))
 
 
 def _pairs(rng: np.random.Generator, columns: int) -> Array:
@@ -93,6 +83,7 @@ def _normal(rng: np.random.Generator, covariance: Array) -> Array:
 
 
 Key = tuple[str, str]
+Subjects = tuple[TargetSubject, ...]  # a population and its neighbours
 Laws = tuple[tuple[float, float], ...]
 
 COLUMNS = 24  # draws of objects at each of those of the inputs
@@ -101,52 +92,72 @@ _TOGETHER = 32  # draws of the inputs at once: what a cache holds
 _REACH = 3.0
 
 
-def response_nodes(e: Evaluation, truths: Index, target: int, detector: str, holds: int) -> tuple[Array, Array]:
-    """(P, 9) means and variances at FILL_NODES in some truths (3.26, 3.28).
+Parts = Sequence[tuple[Index, Evaluation]]  # of all truths, with the numbers of those in each
+
+
+def response_nodes(parts: Parts, target: int, detector: str, holds: int) -> Array:
+    """(2, U, 9) means and variances at FILL_NODES in all truths (3.26, 3.28).
 
     By the filter that looks for target number ``target``, of pixels that hold number ``holds``.
     """
-    rows, response = e.responses(target, detector, holds)
-    gain = e.world.of_target("target_gain", holds)[truths]
-    return response.means[rows[truths]], response.variances(gain, rows[truths])
+    out = np.empty((2, sum(index.size for index, _ in parts), FILL_NODES.size))
+    for index, part in parts:
+        rows, response = part.responses(target, detector, holds)
+        gain = part.world.of_target("target_gain", holds)
+        out[:, index] = response.means[rows], response.variances(gain, rows)
+    return out
 
 
-def object_scores(e: Evaluation, truths: Index, draws: int | None = None) -> dict[Key, ObjectScores]:
+def object_scores(world: World, parts: Parts, truths: Index, draws: int | None = None) -> dict[Key, ObjectScores]:
     """(subject, detector) -> draws of the greatest score over the pixels of an object (3.26, 3.28 for objects).
 
     Linear detectors alone.  The pixels of an object are independent given their fills and the inputs.
 
     Parameters
     ----------
-    truths : the one whose objects are looked for, then those with one input of light or sensor up by its standard
-        uncertainty, then as many with it down
+    world, parts : all truths, as they are and as they were evaluated
+    truths : the one whose objects are looked for, in the first of the parts, then those with one direction of an input
+        up by its standard uncertainty, then as many with it down
     draws : of each object where no input is uncertain; default: as many as there would be with uncertain inputs
     """
-    u, uncertainty = int(truths[0]), e.scenario.uncertainty
-    drawn, populations = input_draws(e, u, (truths.size - 1) // 2), e.world.populations_at(u)
-    certain, thesis, seed = len(drawn.blur) == 1, e.scenario.formulation == "thesis", e.scenario.processing.seed
+    e, u, position_m = parts[0][1], int(truths[0]), world.stated.scenario.uncertainty.position_m
+    drawn, (each, which) = input_draws(e, (truths.size - 1) // 2), world.populations
+    certain, thesis, seed = len(drawn.steps) == 1, e.scenario.formulation == "thesis", e.scenario.processing.seed
     linear = e.scenario.processing.linear_detectors
     names = [t.name for t in e.targets]
+    stated, (up, down) = each[which[u]], np.split(which[truths[1:]], 2)
     out: dict[Key, ObjectScores] = {}
-    for owner, population in populations:
+    for i, (owner, population) in enumerate(stated):
         number = names.index(owner)
-        beside = [] if thesis else neighbours_of(population, populations)
-        _, parts, dof = e.host_laws(number)
-        laws = tuple(zip(parts.tolist(), of_truth(dof, u).tolist(), strict=True))
+        beside = [] if thesis else neighbours_of(population, stated)
+        near = [subject.name for _, subject in beside]
+        there = [(one[i][1], *(s for _, s in one if s.name in near)) for one in each]
+        here = there[which[u]]
+        _, shares, dof = e.host_laws(number)
+        laws = tuple(zip(shares.tolist(), of_truth(dof, u).tolist(), strict=True))
         laws = () if laws == ((1.0, math.inf),) else laws  # one normal law
-        count, around = (draws or ROWS * COLUMNS) if certain else COLUMNS, tuple(s for _, s in beside)
-        wanted = population, around, uncertainty.position_m, count, thesis, laws, len(linear), seed
-        numbers = _few_numbers(*wanted) if certain and draws else drawn_numbers(*wanted, drawn.blur)
+        count = (draws or ROWS * COLUMNS) if certain else COLUMNS
+        wanted = here, position_m, thesis, seed, count, laws, len(linear)
+        numbers = _few_numbers(*wanted) if certain and draws else drawn_numbers(*wanted, len(drawn.steps))
+        fills = {
+            w: tuple(map(np.nan_to_num, _placed(population, there[w], position_m, thesis, seed)))
+            for w in {*up, *down} if there[w] != here
+        }  # fmt: skip
+        moved = {
+            k: [fills.get(w, (numbers.fills, numbers.others)) for w in ends]
+            for k, ends in enumerate(zip(up, down, strict=True)) if not fills.keys().isdisjoint(ends)
+        }  # fmt: skip
         others = [names.index(name) for name, _ in beside]
         for name, more in zip(linear, numbers.more, strict=True):
-            through = response_nodes(e, truths, number, name, number)
-            full = [np.array(response_nodes(e, truths[:1], number, name, o))[:, 0, -1] for o in others]
-            host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), *(nodes[:1, 0] for nodes in through))
+            through = response_nodes(parts, number, name, number)[:, truths]
+            full = [response_nodes(parts, number, name, o)[:, truths, -1] for o in others]
+            first = through[:, :1, 0]
+            host = e.host(number, name, truths[:1], numbers.rest.reshape(1, -1), *first)
             # What scores alike in two truths has the same draws in both.
-            alike = [*through, *full, *(() if host is None else vars(host.laws).values())]
-            key = repr(wanted), name, b"".join(a.tobytes() for a in alike)
+            alike = [through, *full, *(() if host is None else vars(host.laws).values())]
+            key = repr((wanted, [there[w] for w in fills])), name, b"".join(a.tobytes() for a in alike)
             change = [_change(e, u, number, name, o, drawn) for o in (number, *others)]
-            make = partial(_greatest_scores, through, full, change, host, drawn, numbers, more)
+            make = partial(_greatest_scores, through, full, change, moved, host, drawn, numbers, more)
             out[population.name, name] = e.once(key, make)
     return out
 
@@ -185,27 +196,29 @@ class Numbers:
 
 
 def drawn_numbers(
-    population: TargetSubject, beside: tuple[TargetSubject, ...], position_m: float | None, columns: int, thesis: bool,
-    laws: Laws, detectors: int, seed: int, blur: Array | None = None,
+    subjects: Subjects, position_m: float | None, thesis: bool, seed: int, columns: int, laws: Laws, detectors: int,
+    rows: int = 1,
 ) -> Numbers:  # fmt: skip
     """The numbers of the objects of one population.
 
     Parameters
     ----------
-    beside, position_m : its neighbours, and the standard uncertainty of their places
-    columns : draws of objects at each of those of the blur
+    subjects : the population and its neighbours
+    position_m : standard uncertainty of the neighbours' places
     thesis : whether an object is one pixel of its mean fill
+    columns : draws of objects at each of ``rows`` of the inputs
     laws : of the host; none: one normal law
-    blur : (S,) changes of its width [pixels]; None: it is certain
 
     >>> population = TargetSubject(name="plank", fill={"listed": [[0.5, 0.2], [0.4]]})
-    >>> numbers = drawn_numbers(population, (), None, 3, False, (), 1, 1)
+    >>> numbers = drawn_numbers((population,), None, False, 1, 3, (), 1)
     >>> numbers.fills.tolist(), numbers.absent.tolist()
     ([[0.5, 0.2], [0.4, 0.0]], [[False, False], [False, True]])
     """
-    rng = np.random.default_rng([seed, 11, zlib.crc32(population.name.encode())])
-    widths = np.zeros(1) if blur is None else blur
-    fills, others, places = _drawn_fills(population, beside, position_m, columns, thesis, widths, rng)
+    rng, population = np.random.default_rng([seed, 11, zlib.crc32(subjects[0].name.encode())]), subjects[0]
+    (fills, others), weights = _placed(population, subjects, position_m, thesis, seed), None
+    if _is_one_pixel(population, thesis):
+        weights = population_fill(population.fill, thesis).weights
+    places = rng.choice(len(fills), (rows, columns), p=weights)
     shape = (*places.shape, fills.shape[1])
     host, law = rng.standard_normal(shape), None
     if laws:
@@ -222,10 +235,7 @@ def drawn_numbers(
 _few_numbers = lru_cache(maxsize=64)(drawn_numbers)  # populations; those of few draws, some 0.1 to 1 MB each
 
 
-Populations = Sequence[tuple[str, TargetSubject]]  # each with the name of its target
-
-
-def neighbours_of(population: TargetSubject, populations: Populations) -> Populations:
+def neighbours_of(population: TargetSubject, populations: Populations) -> list[tuple[str, TargetSubject]]:
     """Those with a position and a geometry that may share pixels with this one, itself left out."""
     geometry, here = population.fill.geometry, population.position_m
     if geometry is None or here is None:
@@ -240,50 +250,40 @@ def neighbours_of(population: TargetSubject, populations: Populations) -> Popula
     return out
 
 
-def _drawn_fills(
-    population: TargetSubject, beside: Sequence[TargetSubject], position_m: float | None, columns: int, thesis: bool,
-    blur: Array, rng: np.random.Generator,
-) -> tuple[Array, Array, Index]:  # fmt: skip
-    """``fills``, ``others`` and ``places`` of :class:`Numbers`."""
-    shape, geometry = (blur.size, columns), population.fill.geometry
-    if thesis or (geometry is None and population.fill.listed is None):
-        fill = population_fill(population.fill, thesis)
-        alone = fill.values[:, None]
-        return alone, np.zeros((*alone.shape, 0)), rng.choice(fill.values.size, shape, p=fill.weights)
-    inner, others, places, count = [], [], np.empty(shape, int), 0
-    for width in np.unique(blur):
-        rows = np.flatnonzero(blur == width)
-        if population.position_m is None or geometry is None:
-            fills = fills_of_objects(population.fill, width)
-            beside_fills = np.zeros((*fills.shape, len(beside)))
-        else:
-            fills, beside_fills = _pixels_at_place(population, beside, position_m, rng, width)
-        places[rows] = count + rng.integers(len(fills), size=(rows.size, columns))
-        inner.append(fills)
-        others.append(beside_fills)
-        count += len(fills)
-    return np.concatenate(inner), np.concatenate(others), places
+def _is_one_pixel(population: TargetSubject, thesis: bool) -> bool:
+    """Whether a population is of single pixels whose fill has a distribution, and no place."""
+    return thesis or (population.fill.geometry is None and population.fill.listed is None)
 
 
-def _pixels_at_place(
-    population: TargetSubject, beside: Sequence[TargetSubject], position_m: float | None, rng: np.random.Generator,
-    change: float = 0.0,
-) -> tuple[Array, Array]:  # fmt: skip
-    """(K, n) fills of an object's pixels at its place, (K, n, J) those by its neighbours.
+def _placed(
+    stated: TargetSubject, subjects: Subjects, position_m: float | None, thesis: bool, seed: int
+) -> tuple[Array, Array]:
+    """(L, n) fills of the pixels of an object at each of its places, NaN where it has fewer, and (L, n, J) those by its
+    neighbours.
 
-    ``position_m`` : standard uncertainty of the neighbours' places;  ``change`` : added to the width of the blur
+    Parameters
+    ----------
+    stated : the population before anything moved its fill, whose places and pixels count
+    subjects, position_m : the population and its neighbours, and the standard uncertainty of their places
     """
-    geometry = population.fill.geometry
-    assert geometry is not None  # noqa: S101 - what has a place has one
+    (population, *beside), geometry = subjects, subjects[0].fill.geometry
+    if _is_one_pixel(population, thesis):
+        step = fill_distribution(population.fill).mean - fill_distribution(stated.fill).mean
+        fills = population_fill(stated.fill, thesis).values[:, None] + step
+        return fills, np.zeros((*fills.shape, 0))
+    if geometry is None or population.position_m is None:
+        fills = fills_of_objects(population.fill, pixels_of_object(stated.fill))
+        return fills, np.zeros((*fills.shape, 0))
     shifts, phases = None, 1 if geometry.phase == "centred" else PHASES
-    if position_m is not None:
+    if position_m is not None:  # the same whatever else is moved
+        rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
         shifts = rng.normal(0.0, position_m / geometry.gsd_m, (phases, len(beside), 2))
-    placed, n = [], pixels_of_object(population.fill)
+    placed = []
     for subject in beside:
-        other, here, position = subject.fill.geometry, population.position_m or (), subject.position_m or ()
+        other, position = subject.fill.geometry, subject.position_m or ()
         assert other is not None  # noqa: S101 - as neighbours_of has chosen them
-        placed.append((widened(other, change), np.subtract(position, here) / geometry.gsd_m))
-    return shared_pixel_fills(widened(geometry, change), n, placed, shifts if placed else None)
+        placed.append((other, np.subtract(position, population.position_m) / geometry.gsd_m))
+    return shared_pixel_fills(geometry, pixels_of_object(stated.fill), placed, shifts if placed else None)
 
 
 def _half_diagonal(geometry: Geometry) -> float:
@@ -292,31 +292,35 @@ def _half_diagonal(geometry: Geometry) -> float:
 
 
 def _greatest_scores(
-    moments: tuple[Array, Array], full: Sequence[Array], change: Sequence[Array], host: Host | None, drawn: InputDraws,
-    numbers: Numbers, more: Array | None,
+    moments: Array, full: Sequence[Array], change: Sequence[Array], moved: Mapping[int, Sequence[tuple[Array, ...]]],
+    host: Host | None, drawn: InputDraws, numbers: Numbers, more: Array | None,
 ) -> ObjectScores:  # fmt: skip
-    """Draws of an object by the moments of its pixels at FILL_NODES, mean and variance (P, 9) (3.26, 3.28).
+    """Draws of an object by the moments of its pixels at FILL_NODES, (2, P, 9) (3.26, 3.28).
 
-    ``full`` : mean and variance of pixels full of each neighbour;  ``change`` : (S,) of the mean score of pixels full
-    of the target and of each neighbour
+    ``full`` : mean and variance of pixels full of each neighbour, (2, P);  ``change`` : (S,) of the mean score of
+    pixels full of the target and of each neighbour;  ``moved`` : fills with an input up and down
     """
-    means, variances = moments
-    each = np.moveaxis(numbers.weights @ means.T, -1, 0)  # (P, L, n), of (3.26)
-    variance = np.clip(numbers.weights @ variances[0], 0.0, None)  # of (3.28)
-    steps = (len(means) - 1) // 2
-    # What the inputs and the neighbours add to the mean is linear in what they are by.
-    parts, by = [0.5 * (each[1 + k] - each[1 + steps + k]) for k in range(steps)], [*drawn.steps.T, change[0]]
-    parts.append(numbers.fills)
-    sd = np.sqrt(variance)
-    if full:
-        by += [mean + c - means[0, 0] for (mean, _), c in zip(full, change[1:], strict=True)]
-        parts += list(np.moveaxis(numbers.others, -1, 0))
-        # Parts of neighbours are in place of the host, as the target is in equation 3.28.
-        host_part, full_parts = (np.clip(v, 0.0, None) for v in (variances[0, 0], np.array(full)[:, 1]))
-        host_part = (numbers.rest**2 - (1.0 - numbers.fills) ** 2) * host_part
-        sd = np.sqrt(np.clip(variance + numbers.others**2 @ full_parts + host_part, 0.0, None))
-    here = np.where(numbers.absent, -np.inf, each[0])
-    mean = _mean_draws(here, np.stack(parts, axis=-1), np.stack(by, axis=-1), numbers.places)
+    (means, variances), beside = moments, np.reshape(full, (-1, *moments.shape[:2]))
+    # The mean score is linear in the parts of host, target and neighbours: what the inputs make of each, by as many
+    # times the change that one standard uncertainty up or down makes of it.
+    ends, signs = np.array([means[:, 0], means[:, -1], *beside[:, 0]]), (drawn.steps, -drawn.steps)
+    changes = zip(signs, np.split((ends[:, 1:] - ends[:, :1]).T, 2), strict=True)
+    by = sum(np.maximum(c, 0.0) @ of for c, of in changes) + np.stack([np.zeros(len(drawn.steps)), *change], axis=1)
+    shares, some = np.concatenate([numbers.fills[..., None], numbers.others], axis=2), by.any(axis=0)
+    stated = numbers.weights @ means[0] + numbers.others @ (beside[:, 0, 0] - means[0, 0])  # (3.26)
+    parts = np.concatenate([numbers.rest[..., None], shares], axis=2)[..., some]
+    mean = _mean_draws(np.where(numbers.absent, -np.inf, stated), parts, by[:, some], numbers.places)
+    contrast = ends[1:, 0] - ends[0, 0] + by[:, 1:] - by[:, :1]
+    along = np.reshape([np.maximum(c[:, k], 0.0) for k in moved for c in signs], (-1, len(by))).T
+    at_ends = [np.concatenate([f[..., None], o], axis=2) for of_input in moved.values() for f, o in of_input]
+    for j, share in enumerate(np.moveaxis(shares, -1, 0)):
+        if at_ends:  # no part of a pixel is below 0 or above 1, however far the inputs are off
+            off = _mean_draws(share, np.stack([f[..., j] - share for f in at_ends], axis=-1), along, numbers.places)
+            mean += (np.clip(off, 0.0, 1.0) - share[numbers.places]) * contrast[:, j, None, None]
+    # Parts of neighbours are in place of the host, as the target is in equation 3.28.
+    of_beside = numbers.others**2 @ np.clip(beside[:, 1, 0], 0.0, None)
+    of_beside += (numbers.rest**2 - (1.0 - numbers.fills) ** 2) * max(variances[0, 0], 0.0)
+    sd = np.sqrt(np.clip(np.clip(numbers.weights @ variances[0], 0.0, None) + of_beside, 0.0, None))
     if more is None or host is None:
         return ObjectScores((mean + sd[numbers.places] * numbers.host).max(axis=2))
     flat, places, laws = sd.reshape(1, -1), numbers.places, []
@@ -329,7 +333,7 @@ def _greatest_scores(
 
 def _mean_draws(mean: Array, parts: Array, by: Array, places: Index) -> Array:
     """(S, R, n) mean + sum_f parts_f by_f at drawn places, of (L, n), (L, n, F) and (S, F)."""
-    if len(by) == 1:
+    if len(by) == 1 or not by.size:
         return np.asarray((mean + parts @ by[0])[places])
     out = mean[places]
     for start in range(0, len(by), _TOGETHER):
@@ -343,7 +347,7 @@ def _change(e: Evaluation, u: int, looks_for: int, detector: str, holds: int, dr
     """(S,) change of the score of a pixel full of a target, by the errors of its spectrum under its own light."""
     name, v, of = e.targets[holds].name, int(e.which[u]), e.world.of_target
     if name not in drawn.spectra:
-        return np.zeros(len(drawn.blur))
+        return np.zeros(len(drawn.steps))
     shade = e.view.light.row(v).shade(float(of("beam", holds)[u]), float(of("sky_view", holds)[u]))
     weights = e.filters[e.targets[looks_for].name, detector][0].weights[v]
     return np.asarray(drawn.spectra[name] @ (weights * of_truth(e.view.slope, v) * shade))
@@ -428,8 +432,7 @@ def shares_of(
     True
     """
     beside = neighbours_of(population, populations)
-    rng = np.random.default_rng([seed, 13, zlib.crc32(population.name.encode())])
-    target, others = _pixels_at_place(population, [subject for _, subject in beside], position_m, rng)
+    target, others = _placed(population, (population, *(s for _, s in beside)), position_m, False, seed)
     each = np.concatenate([np.nanmean(target, axis=1)[:, None], np.nanmean(others, axis=1)], axis=1)  # (K, J)
     mean = each.mean(axis=0)
     away = each - mean

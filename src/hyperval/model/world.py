@@ -270,6 +270,10 @@ def every_path(world: World) -> list[str]:
     return list(dict.fromkeys([*out, *numbers_of(stated.scenario)]))
 
 
+Populations = tuple[tuple[str, TargetSubject], ...]  # each with the name of its target
+_OF_FILLS = ("fill_models", "populations")
+
+
 @dataclass(frozen=True, eq=False)
 class World:
     """U truths of one scenario.
@@ -296,7 +300,7 @@ class World:
         False
         """
         for name, part in [*vars(World).items()]:  # which pickling adds to
-            if isinstance(part, cached_property) and name != "fill_models":  # which fixed fills do not need
+            if isinstance(part, cached_property) and name not in _OF_FILLS:  # which fixed fills do not need
                 getattr(self, name)
         return self
 
@@ -485,12 +489,19 @@ class World:
         of_entries = with_settings(fill, entries) if entries else fill
         return fill_with_mean(of_entries, change) if change else of_entries
 
-    def populations_at(self, u: int) -> list[tuple[str, TargetSubject]]:
-        """The populations of target pixels with their fills in one truth, each with the name of its target."""
-        stated = self.stated
-        fills = (models[which[u]] for models, which in self.fill_models)
-        each = zip(stated.populations, fills, strict=True)
-        return [(stated.targets[t].name, p.model_copy(update={"fill": fill})) for (t, _, p), fill in each]
+    @cached_property
+    def populations(self) -> tuple[list[Populations], Index]:
+        """The different populations of target pixels with their fills, each with the name of its target, and which
+        (U,) of these each truth has.
+        """
+        first, which = distinct([which for _, which in self.fill_models], self.size)
+        named = [(self.stated.targets[t].name, p) for t, _, p in self.stated.populations]
+
+        def at(u: int) -> Populations:
+            fills = (models[of[u]] for models, of in self.fill_models)
+            return tuple((t, p.model_copy(update={"fill": f})) for (t, p), f in zip(named, fills, strict=True))
+
+        return [at(u) for u in first.tolist()], which
 
     @cached_property
     def pixel_fills(self) -> list[FillDistribution]:
