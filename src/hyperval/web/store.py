@@ -193,15 +193,15 @@ class Runs:
         self.notices: list[str] = []
         self._tasks: dict[tuple[str, object], WorkerTask] = {}  # by owner and run, or by run and file
         self._changed = threading.Condition()
-        self._unwritten: dict[str, WebRun] = {}  # that ended when the disk was full
+        self._unwritten: dict[str, WebRun] = {}  # runs that ended when the disk was full
         self._clearing, self._cleared = threading.Lock(), 0.0
         (self.folder / "runs").mkdir(parents=True, exist_ok=True)
         self._settle()
         self.clear()
-        of = partial(WorkerPool, most=settings.queue, memory_bytes=settings.memory_bytes, scheduler=settings.scheduler)
+        new = partial(WorkerPool, most=settings.queue, memory_bytes=settings.memory_bytes, scheduler=settings.scheduler)
         self.quick, self.long = pools or (
-            of(settings.quick_workers, seconds=settings.quick_seconds),
-            of(settings.long_workers, seconds=settings.long_seconds),
+            new(settings.quick_workers, seconds=settings.quick_seconds),
+            new(settings.long_workers, seconds=settings.long_seconds),
         )
 
     def _settle(self) -> None:
@@ -221,8 +221,8 @@ class Runs:
         """The folder of a run."""
         return self.folder / "runs" / run_id
 
-    def _known(self, place: Path) -> WebRun | None:
-        """The run of a folder as it stands now; None where it does not say."""
+    def _current(self, place: Path) -> WebRun | None:
+        """The current state of the run of a folder; None where the folder has no record of one."""
         run = self._unwritten.get(place.name) or _read(place)
         if run is None or run.state in ENDED:
             return run
@@ -231,7 +231,7 @@ class Runs:
 
     def _every(self) -> list[WebRun]:
         """The runs of all sessions."""
-        return [run for place in (self.folder / "runs").iterdir() if (run := self._known(place)) is not None]
+        return [run for place in (self.folder / "runs").iterdir() if (run := self._current(place)) is not None]
 
     def run(self, run_id: str, owner: str) -> WebRun:
         """A run that a session sees.
@@ -240,7 +240,7 @@ class Runs:
         ------
         Refused : there is none by that name, or it is another session's.
         """
-        run = self._known(self.place(run_id)) if _ID.fullmatch(run_id) else None
+        run = self._current(self.place(run_id)) if _ID.fullmatch(run_id) else None
         if run is None or run.owner not in (owner, EVERYBODY):
             raise Refused(404, "there is no such run in this session")
         return run
@@ -333,7 +333,7 @@ class Runs:
         Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
         """
         with self._changed:
-            count = sum(of == owner for of, _ in list(self._tasks))
+            count = sum(holder == owner for holder, _ in list(self._tasks))
             words = f"{count} of your runs wait or run; more are taken when one has finished"
             deny(count >= self._settings.per_session, 429, words, wait=2)
             about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": hyperval.__version__}
@@ -405,20 +405,20 @@ class Runs:
         self._result(job, self._settings.quick_seconds * 2)
         return place / name
 
-    def ask(self, task: str, of: str = "", **arguments: Any) -> Any:
-        """What a quick task returns that belongs to no run.
+    def ask(self, task: str, field: str = "", **arguments: Any) -> Any:
+        """The result of a quick task that belongs to no run.
 
         Parameters
         ----------
-        of : field that it is asked for, whose mistake it is where it comes to nothing
+        field : of the form, which has the mistake if the task fails
 
         Raises
         ------
-        Refused : it came to nothing, or there is no room.
+        Refused : it failed, or the queue is full.
         """
         job = WorkerTask(task, arguments)
         self._hand(("", job), self.quick, job)
-        return self._result(job, self._settings.quick_seconds, of)
+        return self._result(job, self._settings.quick_seconds, field)
 
     def _result(self, task: WorkerTask, seconds: float, field: str = "") -> Any:
         try:

@@ -215,13 +215,13 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     if observed is None:
         return out
     for (subject, detector, unit), c in observed.roc.items():
-        # A map is named TARGET-DETECTOR, that of anomalies by its detector alone: of one map all curves of its
-        # detector; of several, those whose subject begins as no longer name does.
+        # A map is named TARGET-DETECTOR, that of anomalies by its detector alone.  One map has all curves of its
+        # detector; of several, a curve belongs to the map with the longest name that begins its subject.
         maps = {stem: stem.removesuffix(f"-{detector}") for stem in stems if f"-{stem}".endswith(f"-{detector}")}
         begun = [stem for stem, target in maps.items() if file_stems([subject])[subject].startswith(target)]
-        own = max(maps if len(maps) == 1 else begun, key=len, default="")
+        map_name = max(maps if len(maps) == 1 else begun, key=len, default="")
         valid = np.isfinite(c.threshold) & np.isfinite(c.pd)
-        if own == name and valid.any():
+        if map_name == name and valid.any():
             parts = {part: getattr(c, part)[valid].tolist() for part in ("threshold", "pfa", "pd")}
             targets, background = _scores(observed, subject, detector, unit)
             out.append({"subject": subject, "unit": unit, "target_scores": targets, "n_target": c.n_target,
