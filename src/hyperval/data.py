@@ -143,8 +143,8 @@ class Components:
     def covariance(self) -> Array:
         """(B, B) of all together: within the components and between them."""
         mean = self.weights @ self.offsets
-        away = self.offsets - mean
-        return np.asarray(np.tensordot(self.weights, self.covariances, 1) + (away * self.weights[:, None]).T @ away)
+        offset = self.offsets - mean
+        return np.asarray(np.tensordot(self.weights, self.covariances, 1) + (offset * self.weights[:, None]).T @ offset)
 
 
 @dataclass(frozen=True)

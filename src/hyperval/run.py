@@ -353,7 +353,7 @@ _values = attrgetter(*COLUMNS)
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _ROWS = ' "rows": [\n'  # the last line before the rows of a table
-_KNOWN = set(COLUMNS)
+_COLUMN_NAMES = set(COLUMNS)
 _OLD = set(COLUMNS[: COLUMNS.index("effect")])  # in every version
 # What the values of a column are read by, by the type of the field; rows repeat their words, which are kept once.
 _READ: dict[str, Callable[[Any], Any]] = {
@@ -441,8 +441,8 @@ def junit_xml(rows: Sequence[Result]) -> str:
     """
     cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
-    for campaign, every in grouped(rows, lambda row: row.campaign).items():
-        of_campaign = [row for row in every if row.gates or row.outcome is Outcome.ERROR]
+    for campaign, results in grouped(rows, lambda row: row.campaign).items():
+        of_campaign = [row for row in results if row.gates or row.outcome is Outcome.ERROR]
         suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(of_campaign)})
         for row in of_campaign:
             case = ElementTree.SubElement(suite, "testcase", classname=f"{campaign}.{row.product}", name=row_name(row))
@@ -521,8 +521,8 @@ def _table(path: Path, every: bool) -> tuple[list[str], list[Result]]:
     for i, item in enumerate([] if "runs" in document else rows, start=1):
         if isinstance(item, list) and len(item) == len(columns):
             item = dict(zip(map(str, columns), item, strict=True))
-        if not isinstance(item, dict) or not _OLD <= item.keys() <= _KNOWN:
-            raise refusal("results.columns", f"{path}, row {i}", columns=", ".join(sorted(_KNOWN)))
+        if not isinstance(item, dict) or not _OLD <= item.keys() <= _COLUMN_NAMES:
+            raise refusal("results.columns", f"{path}, row {i}", columns=", ".join(sorted(_COLUMN_NAMES)))
         if every or item["band_nm"] is None or item["outcome"] != Outcome.NONE:
             try:
                 out.append(Result(**{name: _READ_COLUMN[name](value) for name, value in item.items()}))
@@ -732,9 +732,9 @@ def _write_group(group: Any, data: Arrays) -> None:
             options |= {"fillvalue": array.dtype.type(np.nan), **(packed if array.dtype == np.float32 else {})}
         variable = group.create_variable(name, axes, data=array, **options)
         variable.attrs.update(attributes)
-        beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
-        if name not in labels and beside:
-            variable.attrs["coordinates"] = " ".join(beside)
+        labels_along = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
+        if name not in labels and labels_along:
+            variable.attrs["coordinates"] = " ".join(labels_along)
 
 
 @reader
@@ -821,8 +821,8 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
     if kind is product_types.RocCurve:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
     for name, hint in ((f.name, str(f.type)) for f in fields(kind) if f.name in item):
-        value, of = item[name], _TYPES.get(hint.partition(" ")[0], float)
+        value, number = item[name], _TYPES.get(hint.partition(" ")[0], float)
         if isinstance(value, np.ndarray | np.floating):
             is_none = "None" in hint and np.isnan(value).all()
-            item[name] = None if is_none else np.array(value, dtype=of) if value.ndim else of(value)
+            item[name] = None if is_none else np.array(value, dtype=number) if value.ndim else number(value)
     return kind(**item)

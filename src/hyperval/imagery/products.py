@@ -97,8 +97,8 @@ class ProductTree:
     def numbers(self, reference: str, count: int, what: str) -> Array:
         """(count,) numbers; InputError when the file does not have as many."""
         out = self.floats(reference)
-        told = {"what": what, "reference": reference, "count": count}
-        refuse(out.size != count, "product.numbers", self.path, size=out.size, **told)
+        fields = {"what": what, "reference": reference, "count": count}
+        refuse(out.size != count, "product.numbers", self.path, size=out.size, **fields)
         return out
 
     def floats(self, reference: str | None) -> Array:
@@ -295,9 +295,9 @@ def _crs(tree: ProductTree) -> CRS | None:
     """The system of a product by its WKT, its code, or the UTM zone of HDF-EOS5's StructMetadata.
 
     >>> from types import SimpleNamespace as Of
-    >>> def told(**texts):
+    >>> def system(**texts):
     ...     return str(_crs(Of(text=texts.get, layout=ProductLayout(struct_metadata="grid", epsg="code"))))
-    >>> [told(grid=f"Projection=HE5_GCTP_UTM\\n\\tZoneCode={zone}") for zone in (32, -33)], told(code="EPSG:32654")
+    >>> [system(grid=f"Projection=HE5_GCTP_UTM\\n\\tZoneCode={zone}") for zone in (32, -33)], system(code="EPSG:32654")
     (['EPSG:32632', 'EPSG:32733'], 'EPSG:32654')
     """
     wkt, code = tree.text(tree.layout.crs), tree.text(tree.layout.epsg)
@@ -314,10 +314,10 @@ def _time(tree: ProductTree) -> str:
     """When the image was taken, as the file says it: in words, in seconds since 1970, or a day and a clock.
 
     >>> from types import SimpleNamespace as Of
-    >>> def told(**held):
+    >>> def utc(**held):
     ...     layout = ProductLayout(seconds="s", time="t", day_and_clock=("day", "clock"))
     ...     return _time(Of(layout=layout, text=held.get, floats=lambda name: np.array(held.get(name, []))))
-    >>> told(s=[-9999.0, 1744134271.5]), told(day="20120924", clock="131511"), told(t="2024-06-15T10:57:42Z", day="x")
+    >>> utc(s=[-9999.0, 1744134271.5]), utc(day="20120924", clock="131511"), utc(t="2024-06-15T10:57:42Z", day="x")
     ('2025-04-08T17:44:31.500000+00:00', '20120924T131511', '2024-06-15T10:57:42Z')
     """
     seconds = tree.floats(tree.layout.seconds)

@@ -812,13 +812,13 @@ def ring_region(
 
     ``pixel`` : distance between lines and between samples, in the unit of the other two
     """
-    mask = _apart(region.mask, inner, outer, pixel)
+    mask = _ring_of(region.mask, inner, outer, pixel)
     refuse(not mask.any(), "region.ring", f"region {name!r}", of=region.name)
     return Region(name, mask, f"ring around {region.name}")
 
 
-def _apart(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = (1.0, 1.0)) -> Mask:
-    """The pixels more than ``inner`` and at most ``outer`` from the nearest of a mask, which holds one at least."""
+def _ring_of(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = (1.0, 1.0)) -> Mask:
+    """The pixels at a distance above ``inner`` and at most ``outer`` from a mask, which is not empty."""
     out = np.zeros(mask.shape, bool)
     above, beside = (int(min(outer / step, max(mask.shape))) + 1 for step in pixel)
     part = window_of(mask, (above, beside))
@@ -828,10 +828,10 @@ def _apart(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = 
 
 
 def window_of(mask: Mask, margin: tuple[int, int] = (0, 0)) -> tuple[slice, slice]:
-    """Lines and samples of the window of a mask that holds all that is True in it, and a margin."""
+    """Lines and samples of the bounding box of a mask, with a margin."""
     held = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     ends = zip(held, margin, strict=True)
-    lines, samples = (slice(max(int(at[0]) - more, 0), int(at[-1]) + more + 1) for at, more in ends)
+    lines, samples = (slice(max(int(places[0]) - more, 0), int(places[-1]) + more + 1) for places, more in ends)
     return lines, samples
 
 
@@ -883,4 +883,4 @@ def connected_patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator
 def guard(mask: Mask, radius_pixels: float) -> Mask:
     """The mask grown by a disc: every pixel whose centre is within the radius of a centre in the mask."""
     refuse(not radius_pixels >= 0, "region.guard", radius=radius_pixels)
-    return _apart(mask, -1.0, radius_pixels) if mask.any() else mask.copy()
+    return _ring_of(mask, -1.0, radius_pixels) if mask.any() else mask.copy()

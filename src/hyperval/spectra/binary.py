@@ -297,5 +297,5 @@ def on_one_grid(
 ) -> list[FieldSpectrum]:
     """Spectra (spectrum, channel) on one set of wavelengths."""
     named, nm = zip(names, np.asarray(rows, float), strict=True), np.asarray(wavelength, float)
-    of = str(source)
-    return [FieldSpectrum(str(name), nm, row, source=of, wavelength_unit=unit, unit=scale) for name, row in named]
+    origin = str(source)
+    return [FieldSpectrum(str(name), nm, row, source=origin, wavelength_unit=unit, unit=scale) for name, row in named]

@@ -59,8 +59,8 @@ def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
         name = f"series {i + 1}: zenith {zenith:.0f} azimuth {azimuth:.0f}"
         size, spread = np.abs(rho[i]), values["std_reflectance"][:, i]
         notes = (f"quality flags {flags[i]:#x}",) if flags[i] else ()
-        told = {"errors": SpectrumErrors(random[i] * size, systematic[i] * size, correlation), "notes": notes, **_UNITS}
-        records.append(FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, **told))
+        more = {"errors": SpectrumErrors(random[i] * size, systematic[i] * size, correlation), "notes": notes, **_UNITS}
+        records.append(FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, **more))
     return records
 
 

@@ -84,7 +84,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         table, titles = table[:, picked], [titles[i] for i in picked]
         spread = {1: 2} if len(picked) == 3 else {}
     else:
-        # The first column counts the rows where the second has the title of wavelengths.
+        # Where the title of the second column is that of wavelengths the first may count the rows.
         counts = len(titles) > 2 and bool(_WAVE.search(titles[1]) and not _WAVE.search(titles[0]))
         counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
         holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
@@ -103,28 +103,28 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
     counted = [i for i in range(2, len(titles)) if title_words(titles[i])[0] in ("n", "count", "number", "replicates")]
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
-    records, others = list[FieldSpectrum](), {*spread.values(), *counted}
+    records, skipped = list[FieldSpectrum](), {*spread.values(), *counted}
     zero = ("a standard deviation of 0 everywhere is none",)
     for i in range(1, table.shape[1]):
         steps = np.diff(table[np.isfinite(table[:, i]), i])
         is_again = titles[i] == titles[0] != "" and _UNIT_TITLE.match(titles[i])
         if i > 1 and (is_again or _WAVE.search(titles[i])) and abs(np.sign(steps).sum()) == steps.size:
             nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
-        if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
+        if i in skipped or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
         has, times = np.isfinite(nm), _COVERAGE.search(titles[spread.get(i, 0)])
         refuse(not times and _EXPANDED.search(titles[spread.get(i, 0)]), "text.coverage", where)
-        beside = table[has, spread[i]] / float((times[1] or times[2]) if times else 1.0) if i in spread else None
-        unmeasured = beside is not None and not beside.any()
+        spread_values = table[has, spread[i]] / float((times[1] or times[2]) if times else 1.0) if i in spread else None
+        unmeasured = spread_values is not None and not spread_values.any()
         says = y_units or (titles[i] if quantity_in(titles[i]) or percent_in(titles[i]) else above or titles[i])
         factor, value_unit = percent_in(titles[spread.get(i, 0)]), power_unit_in(says) or percent_in(says)
         unlike = i in spread and factor not in (None, value_unit or "fraction")
         refuse(unlike, "text.spread", where, title=titles[spread.get(i, 0)])
         alone = columns is None and (words := title_words(titles[i]))[1] and (not words[0] or len(titles) == 2)
         quantity = "a standard deviation" if alone else quantity_in(says)
-        told: dict[str, Any] = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n}
-        told |= {"notes": middles + zero * unmeasured, "standard_deviation": None if unmeasured else beside}
-        records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **told))
+        fields: dict[str, Any] = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n}
+        fields |= {"notes": middles + zero * unmeasured, "standard_deviation": None if unmeasured else spread_values}
+        records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **fields))
     if len(records) == 1:
         return [replace(records[0], name=of_header or (titles[1] if whole.startswith(_PLOT) else path.stem))]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
@@ -456,7 +456,7 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
 
 
 def _of_row(name: str, about: dict[str, str], titles: list[str], numbers: list[Any], where: str) -> FieldSpectrum:
-    """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
+    """The spectrum of a row by the titles of its bands, with the facts of the columns before them."""
     if None in numbers:
         raise refusal("text.cell", where, title=titles[numbers.index(None)])
     values, suffix = np.array(numbers, dtype=float), _WAVELENGTH.match(titles[0])
@@ -464,9 +464,9 @@ def _of_row(name: str, about: dict[str, str], titles: list[str], numbers: list[A
     said = "percent" if "percent" in about.get("measurement units", "").lower() else percent_in(titles[0])
     doubtful = said == "percent" and (most := np.nanmax(values, initial=0.0)) <= 1.5
     doubt = f"the file says percent, and the values reach {most:.3g}" if doubtful else None
-    known: dict[str, Any] = {"wavelength_unit": unit, "unit": None if doubt else said, "source": where, "doubt": doubt}
+    fields: dict[str, Any] = {"wavelength_unit": unit, "unit": None if doubt else said, "source": where, "doubt": doubt}
     quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "ppfd" * ("ppfd" in about))))
-    return FieldSpectrum(name, _wavelengths(titles), values, quantity=quantity, **known)
+    return FieldSpectrum(name, _wavelengths(titles), values, quantity=quantity, **fields)
 
 
 def _wavelengths(titles: list[str]) -> Array:
@@ -595,16 +595,16 @@ MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
 def usgs_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """The spectrum of a file of one column, at the wavelengths of another, which is stated or lies beside it."""
+    """The spectrum of a file of one column, at the wavelengths of another one, stated or beside it."""
     path, grid = file.path, checked_file(wavelengths_of(file) or "", what="wavelength file")
     (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     title = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     name, unit = title[1].strip() if title else path.stem, wavelength_unit_in(" ".join(above), "", str(grid))
-    told: dict[str, Any] = {"quantity": quantity_in(name), "wavelength_unit": unit}
+    fields: dict[str, Any] = {"quantity": quantity_in(name), "wavelength_unit": unit}
     notes = () if file.wavelengths else (f"wavelengths from {grid.name}, which lies beside it",)
-    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], notes=notes, **told)]
+    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], notes=notes, **fields)]
 
 
 def wavelengths_of(file: SpectraFile) -> Path | str | None:
