@@ -536,9 +536,9 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
     gas = {name: values * (down if name == "ground" else both) for name, values in gas.items()}
     if ratio is None:
         return gas
-    to_ground, whole = (way[:2, 0] for way in amounts(state))  # air and water
-    column_ratio = ratio.within(whole, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
-    way = {"full": whole, "half": whole * (1.0, 0.5), "dry": whole * (1.0, 0.0), "ground": to_ground}
+    to_ground, two_way = (way[:2, 0] for way in amounts(state))  # air and water
+    column_ratio = ratio.within(two_way, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
+    way = {"full": two_way, "half": two_way * (1.0, 0.5), "dry": two_way * (1.0, 0.0), "ground": to_ground}
     return {name: gas[name] * column_ratio.gas(*way[name]) for name in way}
 
 

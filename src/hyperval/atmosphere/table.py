@@ -115,9 +115,9 @@ class AtmosphericTable:
             values = getattr(self, name)
             if values is not None:
                 refuse(values.shape != nm.shape, "table.shape", name=name, found=values.shape, wanted=nm.shape)
-                beyond, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
-                where = {"value": values[beyond], "nm": nm[beyond], "low": least, "high": high[beyond]}
-                refuse(beyond.any(), "table.beyond", name=name, **where)
+                implausible, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
+                where = {"value": values[implausible], "nm": nm[implausible], "low": least, "high": high[implausible]}
+                refuse(implausible.any(), "table.beyond", name=name, **where)
 
     def terms(self, state: AtmosphericState) -> AtmosphericTerms:
         """The terms of a state inside the table.

@@ -385,14 +385,14 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
 def _further(world: World) -> Iterator[Candidate]:
     stated, state = world.stated, _state(world)
     scene, sizes = stated.scenario.scene, (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
-    yield _move("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_elsewhere, world, 1.0))
+    yield _move("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_band_shift, world, 1.0))
 
     def wider(units: float) -> Truth:  # or spectra that were smoothed over bands
         return {**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units}
 
     yield _move("band width", "sensor", "10 %", (-4.0, 10.0, 30.0), wider)
     if state is not None and state.time_utc:
-        yield _move("time of overflight", "scene", "1 h", (1.0, -1.0), partial(_later, state, timedelta(hours=1)))
+        yield _move("time of overflight", "scene", "1 h", (1.0, -1.0), partial(_other_time, state, timedelta(hours=1)))
     elif state is not None and state.solar_zenith_deg is not None:
         path, angles = "atmosphere.solar_zenith_deg", (1.0, -1.0, -5.0, 5.0)
         yield _number(world, "solar zenith angle", "scene", path, "1 deg", angles)
@@ -429,7 +429,7 @@ def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Trut
             yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level} if possible else {}
 
 
-def _later(state: AtmosphericState, step: timedelta, units: float) -> Truth:
+def _other_time(state: AtmosphericState, step: timedelta, units: float) -> Truth:
     """Another time of overflight; another day at the same hour.
 
     >>> from hyperval.api import load_scenario
@@ -437,7 +437,7 @@ def _later(state: AtmosphericState, step: timedelta, units: float) -> Truth:
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
     >>> scenario = load_scenario("green-planks-grass")
     >>> state = scenario.with_values({f"atmosphere.{name}": value for name, value in at.items()}).atmosphere
-    >>> _later(state, timedelta(hours=1), -2.0), _later(state, timedelta(days=30), 0.52)
+    >>> _other_time(state, timedelta(hours=1), -2.0), _other_time(state, timedelta(days=30), 0.52)
     ({'atmosphere.time_utc': '2012-09-20T14:00:00+00:00'}, {'atmosphere.time_utc': '2012-10-06T16:00:00+00:00'})
     """
     delay = units * step if step < timedelta(days=1) else timedelta(days=round(units * step.days))
@@ -661,12 +661,12 @@ def _rarer(world: World, of_files: Mapping[str, Truth]) -> Iterator[Candidate]:
         for key, name in noises.items() if world.stated.noise is not None else ():
             yield _noise(key, f"{name} of {where}", _SIZES[name], arm)
         name, sizes = f"wavelength shift of {where}", (-25.0, -5.0, 5.0, 25.0)
-        yield _move(name, "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_elsewhere, world, arm))
+        yield _move(name, "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_band_shift, world, arm))
     if world.stated.noise is not None:
         words = {f"{bits} bits": {"sensor_changes.bits": bits} for bits in (8, 10, 12, 14, 16)}
         yield from _one_of("bits of a recorded number", "sensor", words)
     from_middle = (axis.centre_nm - axis.centre_nm.mean()) / (1e3 * SHIFT_NM)
-    yield _move("wavelength scale", "sensor", "0.1 %", (-8.0, 8.0), partial(_elsewhere, world, from_middle))
+    yield _move("wavelength scale", "sensor", "0.1 %", (-8.0, 8.0), partial(_band_shift, world, from_middle))
     yield from _one_of("entry of a surface", "scene", {**entries, **of_files})
     yield from _one_of("host of the targets", "scene", hosts)
     if (state := _state(world)) is not None:
@@ -697,7 +697,7 @@ def _of_atmosphere(world: World, state: AtmosphericState) -> Iterator[Candidate]
         if getattr(state, path.partition(".")[2], None) is not None:
             yield _number(world, name, kind, path, step, sizes)
     if state.time_utc:
-        later = partial(_later, state, timedelta(days=30))
+        later = partial(_other_time, state, timedelta(days=30))
         yield _move("date of overflight", "scene", "30 d", (-1.0, 1.0, -2.0, 2.0), later)
     place = {"latitude": state.latitude_deg, "longitude": state.longitude_deg}
     signs = {f"{key} with the other sign": {f"atmosphere.{key}_deg": -x} for key, x in place.items() if x}
@@ -754,7 +754,7 @@ def arms_of(world: World) -> dict[str, Array]:
     return {"{:.0f}-{:.0f} nm".format(*axis.centre_nm[arm][[0, -1]]): 1.0 * arm for arm in arms if several}
 
 
-def _elsewhere(world: World, profile: Array | float, units: float) -> Truth:
+def _band_shift(world: World, profile: Array | float, units: float) -> Truth:
     return _shifted(world, nm=SHIFT_NM * units * profile)
 
 
@@ -857,7 +857,7 @@ def injected_prediction(
     return prediction, truth
 
 
-def _each(world: World, path: str) -> dict[str, Any]:
+def _nominal(world: World, path: str) -> dict[str, Any]:
     """What stands at a path, or at that of each class or target, where it speaks of them."""
     what = "target" if "{target}" in path else "class"
     names = _names(world, what) if "{" in path else [""]
@@ -882,7 +882,7 @@ def _times(world: World, *, path: str, factor: float) -> Truth:
     Traceback (most recent call last):
     hyperval.errors.UsageError: surfaces.[yellow plank].mean is 0
     """
-    nominal = _each(world, path)
+    nominal = _nominal(world, path)
     refuse(not any(map(np.any, nominal.values())), "attribution.none", what=f"{' and '.join(nominal)} is 0")
     return {each: factor * value for each, value in nominal.items()}
 
@@ -898,7 +898,7 @@ def _shifted(world: World, *, bands: float = 0.0, nm: float | Array = 0.0) -> Tr
 
 
 def _without_tails(world: World) -> Truth:
-    heavy = {path: NORMAL_DOF for path, dof in _each(world, "surfaces.[{class}].tail_dof").items() if dof < NORMAL_DOF}
+    heavy = {key: NORMAL_DOF for key, dof in _nominal(world, "surfaces.[{class}].tail_dof").items() if dof < NORMAL_DOF}
     refuse(not heavy, "attribution.none", what="no class has tails")
     return heavy
 
@@ -906,7 +906,7 @@ def _without_tails(world: World) -> Truth:
 def _other_material(world: World) -> Truth:
     """Of the built-in materials the one that is least like the target."""
     others = [builtin_mean(n, world.stated.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
-    means = _each(world, "surfaces.[{target}].mean").items()
+    means = _nominal(world, "surfaces.[{target}].mean").items()
     return {path: max(others, key=lambda mean: float(np.nanmean((mean - stated) ** 2))) for path, stated in means}
 
 

@@ -159,10 +159,10 @@ class Directions:
     def fit(self, e: Array) -> Fit:
         """Of residuals e (n,)."""
         dots = self.vectors.T @ (self.columns.T @ e)
-        q2, whole = dots**2 / self.values, float(e @ e)
-        rest, beside = max(whole - float(q2.sum()), 0.0), e.size - self.values.size
-        logs = whole - self._inverse @ q2 - self._logs
-        logs -= (rest / self.scale2 + beside * np.log(self.scale2))[:, None]
+        q2, total = dots**2 / self.values, float(e @ e)
+        rest, unmoved = max(total - float(q2.sum()), 0.0), e.size - self.values.size
+        logs = total - self._inverse @ q2 - self._logs
+        logs -= (rest / self.scale2 + unmoved * np.log(self.scale2))[:, None]
         logs = 0.5 * logs + self.prior
         best_s, best = np.unravel_index(int(np.argmax(logs)), logs.shape)
         t2, s2 = float(self.tau[best] ** 2), float(self.scale2[best_s])
@@ -546,7 +546,7 @@ class Reasoner:
         total = float(e @ e)
         singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
         found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (total,))]
-        found += [self._with(None, fit, e, total) for fit in (*singles, self._none.fit(e))]
+        found += [self._extended(None, fit, e, total) for fit in (*singles, self._none.fit(e))]
         # Chi-square that each leaves by itself, or nothing does; not of what could make anything, or no candidate.
         alone = {h.first: h.chi_squares[0] for h in found[:-1] if not any(f.candidate.makes_anything for f in h.causes)}
         beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not UNKNOWN]
@@ -594,7 +594,7 @@ class Reasoner:
         """Of inputs that explain the same, rounding shall not say which comes first."""
         return fit.limited, -float(f"{fit.evidence + self.prior[fit.candidate]:.6g}"), fit.name
 
-    def _with(self, before: Hypothesis | None, fit: Fit, e: Array, total: float) -> Hypothesis:
+    def _extended(self, before: Hypothesis | None, fit: Fit, e: Array, total: float) -> Hypothesis:
         """One cause more, of residuals e that those before have been taken from; ``total`` is the chi-square of all."""
         prior = self.prior[fit.candidate]
         # Bands that are off by themselves are few, by their participation ratio: many are a pattern without a name.
@@ -603,7 +603,7 @@ class Reasoner:
         many = not self.noisy and fit.name == SINGLE_BANDS and float(np.sum(z2)) ** 2 > few
         if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
-        rest = _after(fit, e - fit.made)
+        rest = _rewhitened(fit, e - fit.made)
         causes, weight, chi2 = (before.causes, before.weight, before.chi_squares) if before else ((), 0.0, ())
         if not self.noisy and fit.candidate is UNKNOWN and chi2 and chi2[-1] > REMAINDER * total:
             causes, chi2 = (), ()
@@ -613,7 +613,7 @@ class Reasoner:
         """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
         columns = self._together
         for fit in causes:
-            e, columns = _after(fit, e - fit.made), _after(fit, columns)
+            e, columns = _rewhitened(fit, e - fit.made), _rewhitened(fit, columns)
         return e, dict(zip([*self.columns, UNKNOWN], np.split(columns, self._ends, axis=1), strict=True))
 
     def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
@@ -622,7 +622,7 @@ class Reasoner:
             rest, columns = self._without(h.causes, e)
             for candidate, g in columns.items():
                 if all(candidate is not f.candidate for f in h.causes):
-                    yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
+                    yield self._extended(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
 
     def _ordered(self, h: Hypothesis, e: Array, alone: Mapping[str, float]) -> Hypothesis:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
@@ -644,7 +644,7 @@ class Reasoner:
             if self.noisy or special.chdtrc(e.size, chi2[-1]) <= SUFFICES:
                 rest, columns = self._without(causes, e)
                 causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
-                rest = _after(causes[-1], rest - causes[-1].made)
+                rest = _rewhitened(causes[-1], rest - causes[-1].made)
                 chi2.append(float(rest @ rest))
         good = chi2[0] - chi2[1] > GOOD_PART * (chi2[0] - h.chi_squares[-1]) and not causes[0].limited
         return Hypothesis(causes, h.weight, tuple(chi2[1:])) if good else h
@@ -694,7 +694,7 @@ def kind_of(name: str) -> str:
     return "light" if name in LIGHT else name if name == NONE else name.partition(" of ")[0]
 
 
-def _after(fit: Fit, x: Array) -> Array:
+def _rewhitened(fit: Fit, x: Array) -> Array:
     """Columns (n,) or (n, k) in units of an uncertainty that holds the freed directions of a cause."""
     less = 1.0 - np.sqrt(fit.factor2 / (fit.factor2 + fit.variances))
     return np.asarray((x - fit.freed @ ((fit.freed.T @ x).T * less).T) / np.sqrt(fit.factor2))

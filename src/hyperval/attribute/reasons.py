@@ -648,7 +648,7 @@ def causes_of(model: ScenarioModel) -> Causes:
 
     heights = [c for c in rarer if c.name in HEIGHTS and not many]
     parts = heights, rare, [c for c in rarer if c not in heights]
-    asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in parts]
+    asked = [cache(partial(_columns_at, candidates, {}, predicted, evaluate)) for candidates in parts]
     return Causes(
         stack, predicted, quantities(base, observed), partial(of_spectra, arms=arms), of_files, asked,
         residuals, ends, evaluate, mistaken, exchanged,
@@ -713,7 +713,7 @@ def attribute(
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     rows = [item for group in ranked for item in _posterior_rows(group)]
-    rows += _left_rows(causes, ranked[0])
+    rows += _rest_rows(causes, ranked[0])
     measured = quantities(model.observed, model.observed)
     for quantity, value in causes.numbers.items():
         shares = shares_of_variance(value, [(up[quantity], down[quantity]) for up, down in stated.values()])
@@ -852,7 +852,7 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         yield from named(out, "attribution", r.group, item.name)
 
 
-def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
+def _rest_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     """Of each quantity the reduced chi-square before and after the cause that is named first.
 
     >>> from hyperval.attribute import ResidualBlock
@@ -860,7 +860,7 @@ def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     >>> stack = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), one, len),))
     >>> residuals = Residuals(30.0 * one[0] + 2.0 * one[1], one, {gain: one[:, :1]}, 0.1 * one[:, 4:])
     >>> causes = Causes(stack, np.zeros(20), {}, dict, dict, [], residuals, {}, len, None, dict)
-    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in _left_rows(causes, residuals.posterior(ALL, True))]
+    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in _rest_rows(causes, residuals.posterior(ALL, True))]
     [('scores of paint cem', 'gain', 0.2, '45.2 before')]
     """
     if not r.best.causes or r.first == NONE:

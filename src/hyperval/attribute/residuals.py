@@ -305,9 +305,9 @@ def _blocks(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
     mixed = {subject for subject, _ in predicted.scores}
     in_radiance = {name for name in observed.radiance if name in predicted.radiance}
     left_out = {"radiance": mixed, "reflectance": mixed | in_radiance, "toa_reflectance": set(observed.radiance)}
-    for product, others in left_out.items():
+    for product, left_out_names in left_out.items():
         for name, estimate in getattr(observed, product).items():
-            if name in getattr(predicted, product) and name not in others:
+            if name in getattr(predicted, product) and name not in left_out_names:
                 yield from _spectrum(product, name, predicted, estimate)
     for name, estimate in observed.snr.items():
         if name in predicted.snr:

@@ -109,7 +109,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     return report_of(
         campaign, rows, kind="Campaign" if predicted else "Collection of campaign", provenance=provenance,
-        given={"predicted": prediction, "observed": observed.observation}, quicklook=quicklook(observed),
+        products={"predicted": prediction, "observed": observed.observation}, quicklook=quicklook(observed),
         score_maps=score_maps(observed, campaign.detection, prediction, rows), deciding=deciding,
         power=(power, power.stale(provenance["inputs"], rows)) if power else None,
         notes=list(dict.fromkeys(notes)), chosen_after=campaign.every_choice(),
@@ -239,7 +239,7 @@ class CampaignRun(NamedTuple):
                 record = {"made_of": made_of(self.job, files), "files": list(files), "outputs": outputs}
                 write_text(self.folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
         table = ResultTable(row for row in run.table if row.planned or not row.per_band)  # most are of single bands
-        return replace(run, table=table, given={}, score_maps={}, quicklook=None), code
+        return replace(run, table=table, products={}, score_maps={}, quicklook=None), code
 
 
 def unchanged_run(job: Job, folder: Path) -> Run | None:

@@ -359,11 +359,11 @@ class Draft:
             listed: Entry = {"csv": file}
             head = decoded(head_of(self.sources.targets, 4096)).partition("\n")[0].lower()
             if not (self.sources.targets.suffix.lower() == ".csv" and re.search("material|targets_type", head)):
-                every = {"material": "every region", "file": file}
-                whole = parts | {"targets": {"regions": [every], **truth}}
-                self._coordinates(every, **whole)
-                names = dict.fromkeys(target.attributes["region"] for target in self.opened(**whole).targets)
-                listed = {"regions": [{**every, "material": name, "regions": [escape(name)]} for name in names]}
+                entry = {"material": "every region", "file": file}
+                settings = parts | {"targets": {"regions": [entry], **truth}}
+                self._coordinates(entry, **settings)
+                names = dict.fromkeys(target.attributes["region"] for target in self.opened(**settings).targets)
+                listed = {"regions": [{**entry, "material": name, "regions": [escape(name)]} for name in names]}
             parts["targets"] = self.collection["targets"] = listed | truth
         return self.opened(**parts)
 
@@ -457,8 +457,8 @@ class Draft:
         if not sources.time_utc:
             time_text = place.cube.raster.description.entries.get("acquisition time", "")
             with suppress(UsageError):  # of no time, or in a form that is not clear
-                when, clock = parse_utc(time_text), re.search("[T ]([0-9].*)", time_text)
-                stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
+                time, clock = parse_utc(time_text), re.search("[T ]([0-9].*)", time_text)
+                stated["time_utc"] = f"{time:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
                 if clock and not re.search("[Zz+-]", clock[1]):
                     self.guess("time")
         state |= {key: value for key, value in stated.items() if value is not None}
@@ -498,7 +498,7 @@ class Draft:
         entries = scenario["scene"]["targets"] = []
         for material, same in members.items():
             each = sizes[material].items() if all(sizes.values()) else ()
-            subjects = [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]
+            subjects = [{"name": f"{material} {m} m", "fill": _fill(place, same_size)} for m, same_size in each]
             fills = {"subjects": subjects} if subjects else {"fill": _fill(place, same)}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
             target = {"name": material, "spectrum": spectra[material].source, "covariance": spread}

@@ -85,9 +85,9 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
             yield from without("beyond_curve.ties", f"pfa_ratio@{label}", n=observed.n, share=measured, label=label)
             continue
         ratio = false_alarm_ratio(predicted, observed, k)
-        beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
+        extrapolated = threshold > predicted.threshold[predicted.probability > 0][-1]
         halves = math.nan if observed.half_image is None else float(observed.half_image[k])
-        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed, at=k)
+        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=extrapolated, observed=observed, at=k)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
         yield from _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
         if np.isfinite(halves):
@@ -101,14 +101,14 @@ def _without_part(metric: str, ratio: float, threshold: float, predicted: Exceed
         return
     number, alarms = parts.number, parts.alarms[:, np.argmin(np.abs(parts.threshold - threshold))]
     pixels = np.bincount(number[number >= 0], minlength=alarms.size)
-    others = np.where(pixels > 0, parts.at(threshold), np.inf)
-    part = int(np.argmin(np.abs(np.log(others))))
-    far, rest = abs(math.log(ratio)), abs(math.log(others[part]))
+    ratios = np.where(pixels > 0, parts.at(threshold), np.inf)
+    part = int(np.argmin(np.abs(np.log(ratios))))
+    far, rest = abs(math.log(ratio)), abs(math.log(ratios[part]))
     responsible = far > 2.0 * rest or far < math.log(1.25)
     places, held = np.nonzero(number == part), 100.0 * alarms[part] / max(alarms.sum(), 1)
-    numbers = {"places": places, "pixels": pixels, "held": held, "without": others[part], "ratio": ratio}
+    numbers = {"places": places, "pixels": pixels, "held": held, "without": ratios[part], "ratio": ratio}
     words = said("pfa_ratio_without", part=part, responsible=responsible, **numbers)
-    yield row(metric, float(others[part]), n=int(pixels[part]), reason=words)
+    yield row(metric, float(ratios[part]), n=int(pixels[part]), reason=words)
 
 
 def compare_classification(p: ClassificationError, o: ClassificationError) -> Iterator[Result]:

@@ -84,9 +84,9 @@ class Gate(Model):
             refuse(ends is not None and not ends[0] < ends[1], "gate.empty", name=name, ends=ends)
         refuse(self.chosen_after != bool(self.before), "gate.before")
         metric, limit, (floor, ceiling) = metric_of(self.metric), self.limit_text, self.limits
-        whole, bounded = floor <= metric.low and ceiling >= metric.high, math.isfinite(metric.low)
+        unlimited, bounded = floor <= metric.low and ceiling >= metric.high, math.isfinite(metric.low)
         ends = (metric.low, metric.high)
-        refuse(whole, "gate.all" if bounded else "gate.ever", metric=self.metric, ends=ends, limit=limit)
+        refuse(unlimited, "gate.all" if bounded else "gate.ever", metric=self.metric, ends=ends, limit=limit)
         # A ratio to the collected value may be larger than 1, but a limit of 100 % or more is a slip of the pen.
         relative = (metric.agreement == 0.0 and "difference_ratio" in metric.name) or metric.name == "bias_ratio"
         refuse(relative and max(abs(x) for x in self.limits if math.isfinite(x)) >= 1.0, "gate.percent", limit=limit)

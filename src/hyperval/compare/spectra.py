@@ -700,8 +700,8 @@ def _consistency(
         bias, half = float(ratio[use].sum()) / (use.size or math.nan), half_of_mean(errors[np.ix_(use, use)])
         yield row("bias_ratio", bias, half=half, n=use.size)
         yield from _test_rows("shape", chi_square_shape(r, o, tested), tilts[1])
-        inside, limits = share_inside(r, cov)
-        yield row("fraction_inside_95", inside, limits, n=count)
+        fraction, limits = share_inside(r, cov)
+        yield row("fraction_inside_95", fraction, limits, n=count)
     yield row("spectral_angle", spectral_angle_degrees(p, o), n=count)
 
 
@@ -1020,9 +1020,9 @@ def _of_level(item: Result, predicted: Products, observed: Products) -> dict[str
 
 
 def deciding(
-    budget: Mapping[str, float], wanted: float, scales: Mapping[str, tuple[float, str]], subjects: int = 1
+    budget: Mapping[str, float], fraction: float, scales: Mapping[str, tuple[float, str]], subjects: int = 1
 ) -> str:
-    """What reduces a half width to a fraction ``wanted`` of it: each source alone, the fewest largest, more subjects.
+    """What reduces a half width to a ``fraction`` of it: each source alone, the fewest largest, more subjects.
 
     Parameters
     ----------
@@ -1042,7 +1042,7 @@ def deciding(
     def allowed_part(names: Sequence[str]) -> float:
         """The fraction of the uncertainty of these sources that may remain; 0 where no reduction suffices."""
         share = sum(budget[name] ** 2 for name in names)
-        return math.sqrt(max(wanted**2 * total - (total - share), 0.0) / share)
+        return math.sqrt(max(fraction**2 * total - (total - share), 0.0) / share)
 
     def sentence(names: Sequence[str]) -> str:
         sources = [(name, *scales.get(name, (math.nan, ""))) for name in names]
@@ -1051,7 +1051,7 @@ def deciding(
     out = [sentence([name]) for name in largest if allowed_part([name]) > _LEAST_LEFT][:3]
     pairs = [largest[:k] for k in range(2, len(largest) + 1) if allowed_part(largest[:k]) > _LEAST_LEFT]
     out = out or [sentence(names) for names in pairs[:1]]
-    single, goal = sum(budget.get(name, 0.0) ** 2 for name in (FIELD, REST, UNSTATED)), wanted**2 * total
+    single, goal = sum(budget.get(name, 0.0) ** 2 for name in (FIELD, REST, UNSTATED)), fraction**2 * total
     if subjects > 1 and goal > total - single:
         out.append(f"{math.ceil(subjects * single / (goal - (total - single)))} subjects in place of {subjects}")
     return " or ".join(out) or "more than this collection can provide: every source would need a smaller uncertainty"

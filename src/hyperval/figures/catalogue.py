@@ -499,8 +499,8 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
         styles = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
         for of_side, (make, marker, name, shift) in zip(both, styles, strict=True):
             each = {key: of_side[key] for key in place if key in of_side}
-            every = [(place[key], a.nominal_m2, a.area_m2, a.standard_uncertainty) for key, a in each.items()]
-            rank, nominal, area, u = np.array(every).reshape(-1, 4).T
+            values = [(place[key], a.nominal_m2, a.area_m2, a.standard_uncertainty) for key, a in each.items()]
+            rank, nominal, area, u = np.array(values).reshape(-1, 4).T
             columns = {"x": rank * shift, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
             labels = tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items())
             above.append(make("dots", columns, marker=marker, words=labels))
@@ -667,14 +667,14 @@ _TELLING = 10.8
 def reason_figures(table: ResultTable) -> list[Figure | None]:
     """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
     gains = table.where(product="attribution", metric="likelihood_gain")
-    whole = sorted(gains.where(subject="all"), key=lambda r: -r.value)
+    common = sorted(gains.where(subject="all"), key=lambda r: -r.value)
     moved = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
     tests, moves = moved.where(metric="reduced_chi_square"), moved.where(product="sensitivity")
     residuals = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
     outcomes = tests.where(product="what-if")
     return [
         _before_and_after("residuals", residuals, [r.subject for r in residuals]),
-        _inputs(whole[:_MOST_INPUTS], table) if whole and whole[0].value >= 1.0 else None,
+        _inputs(common[:_MOST_INPUTS], table) if common and common[0].value >= 1.0 else None,
         _gain(table),
         _by_subject([r for r in gains if r.subject != "all"]),
         _effects(moves) if moves else None,

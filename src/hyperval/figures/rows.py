@@ -154,8 +154,8 @@ def outcome_words(rows: Iterable[Result]) -> str:
 
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     """Criteria as effects: a plot for each product and unit, the worst first; similar ones are folded into one row."""
-    every = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
-    groups = grouped(every, lambda row: (row.product, row.effect_unit or _words(row)))
+    criteria_rows = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
+    groups = grouped(criteria_rows, lambda row: (row.product, row.effect_unit or _words(row)))
     if not groups:
         return None
     unmet = [group for group in groups.values() if group[0].outcome is not Outcome.AGREES] or list(groups.values())
@@ -169,8 +169,8 @@ def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, (math.nan,)), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
-    criteria = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
-    more = left_out(sum(map(len, shown)), len(every), "summary.csv")
+    criteria = "Acceptance criteria" if any(row.gates for row in criteria_rows) else "Informational comparisons"
+    more = left_out(sum(map(len, shown)), len(criteria_rows), "summary.csv")
     return captioned("criteria", [Panels(Axis(), tuple(parts))], more, criteria=criteria)
 
 

@@ -497,7 +497,7 @@ def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     axes = _axes(array, str(wave.dims[0]))
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = quantity_of(_stated_unit(array), str(array.name), str(array.attrs.get("long_name", "")))
-    good, width = (_beside(dataset, wave, name) for name in (_GOOD, _WIDTH))
+    good, width = (_along_bands(dataset, wave, name) for name in (_GOOD, _WIDTH))
     centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
     about = Description(
         product=f"array {str(array.name)!r}",
@@ -554,13 +554,13 @@ def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, st
     return ("reflectance", factor, ()) if says else (None, None, ())
 
 
-def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
+def _along_bands(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
     """Another array along the axis of the wavelengths, by its name; lengths in the unit of those.
 
     >>> import xarray as xr
     >>> wave = xr.DataArray([0.5, 0.6], dims="band", attrs={"units": "um"})
     >>> width = xr.DataArray([6.0, 7.0], dims="band", attrs={"units": "nm"})
-    >>> _beside(xr.Dataset({"wavelength": wave, "fwhm": width}), wave, _WIDTH).round(9).tolist()
+    >>> _along_bands(xr.Dataset({"wavelength": wave, "fwhm": width}), wave, _WIDTH).round(9).tolist()
     [0.006, 0.007]
     """
     fits = [v for n, v in data.variables.items() if v.dims == wave.dims and name.search(str(n))]

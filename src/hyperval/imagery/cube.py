@@ -416,15 +416,15 @@ def open_raster(
             with suppress(HypervalError):
                 return arrays.open_matrix(data, HDF5, variable)
             raise
-    beside = Path(header) if header is not None else header_beside(data)
+    sidecar = Path(header) if header is not None else header_beside(data)
     matrix: Raster | None = None
     if kind in MATRICES:
-        with suppress(*([] if beside is None else [InputError])):  # else numbers that the header describes
+        with suppress(*([] if sidecar is None else [InputError])):  # else numbers that the header describes
             matrix = arrays.open_matrix(data, str(kind), variable)
     if matrix is not None:
-        return matrix if beside is None else described_by(matrix, beside)
-    if beside is not None:
-        return open_envi(data, beside)
+        return matrix if sidecar is None else described_by(matrix, sidecar)
+    if sidecar is not None:
+        return open_envi(data, sidecar)
     refuse(kind is not None, "image.kind", data, kind=kind)
     raise refusal("image.no_header", data, first=f"{data.name}.hdr", second=data.with_suffix(".hdr").name)
 

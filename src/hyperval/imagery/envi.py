@@ -181,12 +181,12 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     files = [] if scaled or parsed.dtype.kind == "f" else sorted(data.parent.glob("*.[gG][aA][iI][nN]"))
     named = [p for p in files if data.name.lower().startswith(p.stem.lower())]
     gains = max(named, key=lambda p: len(p.stem), default=None)
-    others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
+    companions = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(
         entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains, band_names=parsed.band_names
     )
     image_size, place = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
-    return EnviRaster(data, *image_size, parsed.dtype, about, *place, others)
+    return EnviRaster(data, *image_size, parsed.dtype, about, *place, companions)
 
 
 @dataclass(eq=False)

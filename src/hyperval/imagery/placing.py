@@ -445,8 +445,8 @@ def image_record(raster: Raster) -> list[tuple[str, str, str]]:
         place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {_steps(a)}"
         row("position", place, origin("map info"))
         row("coordinate system", str(raster.crs or "not known"), origin("coordinate system string", "map info"))
-    if when := about.entries.get("acquisition time"):
-        row("acquisition time", when, origin("acquisition time"))
+    if acquired := about.entries.get("acquisition time"):
+        row("acquisition time", acquired, origin("acquisition time"))
     if (sun := sun_zenith_deg(raster)) is not None:
         row("zenith angle of the sun", f"{sun[0]:.4g} deg", sun[1])
     return rows + [("assumed", note, "reader") for note in notes]

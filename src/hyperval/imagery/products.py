@@ -422,7 +422,7 @@ def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> De
     ignore = root.findtext(sidecar.ignore) if sidecar.ignore is not None else None
     zenith, elevation = _angle(root, sidecar.sun_zenith), _angle(root, sidecar.sun_elevation)
     rectified = level is None or not level.startswith("L1") or level == "L1C"
-    when = (root.findtext(sidecar.time) or "").strip() if sidecar.time is not None else ""
+    acquired = (root.findtext(sidecar.time) or "").strip() if sidecar.time is not None else ""
     product = f"{sidecar.sensor} {level or 'image'}"
     return Description(
         product=product,
@@ -434,7 +434,7 @@ def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> De
         sensor=sidecar.sensor,
         sun_zenith_deg=90.0 - elevation if zenith is None and elevation is not None else zenith,
         sorts=True,
-        entries={"sensor": sidecar.sensor} | ({"acquisition time": when} if when else {}),
+        entries={"sensor": sidecar.sensor} | ({"acquisition time": acquired} if acquired else {}),
         notes=(*([] if rectified else [NO_MAP]), *([_UNRECTIFIED] if detector else [])),
     )
 
@@ -455,8 +455,8 @@ def _number(text: str | None, what: str, path: Path) -> float:
 def _stac_assets(image: Path) -> Iterator[tuple[Path, dict[str, Any], dict[str, Any]]]:
     """Items of STAC beside an image whose assets name it: the file, the item, the asset."""
     named = image.with_suffix(".json")
-    others = sorted(image.parent.glob("*.json"))[:MAX_ITEMS]
-    for path in [named, *(p for p in others if p != named)]:
+    neighbours = sorted(image.parent.glob("*.json"))[:MAX_ITEMS]
+    for path in [named, *(p for p in neighbours if p != named)]:
         if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
             continue
         try:
@@ -510,7 +510,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     instruments = properties.get("instruments") or [properties.get("platform") or properties.get("constellation") or ""]
     sensor = str(instruments[0]) if isinstance(instruments, list) else str(instruments)
     width = column("eo:full_width_half_max", "full_width_half_max")
-    when = properties.get("datetime") or properties.get("start_datetime")
+    acquired = properties.get("datetime") or properties.get("start_datetime")
     words = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
     quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in words else None
     gain, offset = (column(f"raster:{n}", n, default=v) for n, v in (("scale", 1.0), ("offset", 0.0)))
@@ -522,7 +522,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
         quantity=quantity,
         unit=unit if quantity == "radiance" else None,
         sensor=sensor,
-        entries={"sensor": sensor, "acquisition time": str(when or "")},
+        entries={"sensor": sensor, "acquisition time": str(acquired or "")},
         ignore_value=float(nodata.pop()) if len(nodata) == 1 else None,
         notes=tuple(notes),
     )

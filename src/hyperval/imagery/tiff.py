@@ -131,11 +131,11 @@ def _bands_in_tags(dataset: Any, header: EnviHeader) -> ListedBands | None:
     texts: dict[str, Sequence[str]] = {}
     for domain in ("IMAGERY", "ENVI", None):  # the last overrides
         each = [_lower(dataset.tags(i, ns=domain)) for i in dataset.indexes]
-        whole = _lower(dataset.tags(ns=domain))
-        for key in each[0].keys() | whole.keys():
+        common = _lower(dataset.tags(ns=domain))
+        for key in each[0].keys() | common.keys():
             values = [str(tags.get(key, "")) for tags in each]
             if not all(values):
-                values = [part.strip() for part in whole.get(key, "").strip("{} ").split(",")]
+                values = [part.strip() for part in common.get(key, "").strip("{} ").split(",")]
             if (len(values) == dataset.count and all(values)) or key == "wavelength units":
                 texts[key] = values
     units = set(texts.get("wavelength units", ())) - {""}

@@ -390,7 +390,7 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     """
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
-    finite = np.array([[np.isfinite(one) for one in some] for some in used.values()])  # (targets, detectors, ...)
+    finite = np.array([[np.isfinite(one) for one in scores] for scores in used.values()])  # (targets, detectors, ...)
     pixels = place.pixels_of(*detection.false_alarms)
     counted = pixels & finite.all(axis=(0, 1))
     # What others have scores of, objects and pixels of the background: where none has the image holds no data.
@@ -398,17 +398,17 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     missing[1] = np.count_nonzero(pixels & finite.any(axis=(0, 1)) & ~finite.all(axis=0), axis=(1, 2))
     counts, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
-        objects = {o.name: o for some in subjects.values() for o in some}
+        objects = {o.name: o for members in subjects.values() for o in members}
         greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
         found = np.isfinite(greatest)
         valid = found.all(axis=0)
         missing[0] += (found.any(axis=0) & ~found).sum(axis=1)
         index = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
-        pairs = [counts_by_block(some[valid], each) for some, each in zip(greatest, blocks, strict=True)]
+        pairs = [counts_by_block(scores[valid], each) for scores, each in zip(greatest, blocks, strict=True)]
         counts.append(np.array(pairs).transpose(1, 2, 0, 3))
         item += [number.setdefault(name, len(number)) for name in index]
-        group |= {subject: [index[o.name] for o in some if o.name in index] for subject, some in subjects.items()}
+        group |= {subject: [index[o.name] for o in members if o.name in index] for subject, members in subjects.items()}
     group |= {pool.name: [i for s in pool.subjects for i in group.get(s, [])] for pool in detection.pools}
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
@@ -755,8 +755,8 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
         rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in ranked.items()]
         dots = measured_mark("dots", columns_of(rows, ("x", "low", "high", "y")), marker="circle", along="x")
-        looks: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
-        marks = dots.by_kind([rank.lower <= 1 for _, rank in ranked.values()], looks)
+        styles: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
+        marks = dots.by_kind([rank.lower <= 1 for _, rank in ranked.values()], styles)
         none = far and any(row.value == 0.0 for row, _ in ranked.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         texts = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in ranked.items()]

@@ -76,7 +76,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
     """
     path, columns, middles = file.path, file.columns, tuple[str, ...]()
     header, table, first_line = number_table(text or file.text, path)
-    where, whole = str(path), "\n".join(header)
+    where, header_text = str(path), "\n".join(header)
     titles = _titles(header, table.shape[1], where)
     if columns is not None:
         picked = [_column(c, titles, where) for c in columns]
@@ -95,11 +95,11 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         spread = _deviations(titles)
     refuse(table.shape[1] < 2, "text.single", f"{path}:{first_line}")
     nm = table[:, 0]
-    ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(whole, f"{key} X Value") or "")]
-    check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
-    replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
-    unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
-    above = match.group() if (match := _ABOVE.search(whole)) else ""
+    ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(header_text, f"{key} X Value") or "")]
+    check_stated(nm, where, _entry(header_text, "Number of X Values"), ends)
+    replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", header_text), _entry(header_text, "Name") or ""
+    unit, y_units = wavelength_unit_in(titles[0], header_text, where), _entry(header_text, "Y Units?")
+    above = match.group() if (match := _ABOVE.search(header_text)) else ""
     counted = [i for i in range(2, len(titles)) if title_words(titles[i])[0] in ("n", "count", "number", "replicates")]
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
@@ -109,7 +109,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         steps = np.diff(table[np.isfinite(table[:, i]), i])
         is_again = titles[i] == titles[0] != "" and _UNIT_TITLE.match(titles[i])
         if i > 1 and (is_again or _WAVE.search(titles[i])) and abs(np.sign(steps).sum()) == steps.size:
-            nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
+            nm, unit = table[:, i], wavelength_unit_in(titles[i], header_text, where)
         if i in skipped or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
         has, times = np.isfinite(nm), _COVERAGE.search(titles[spread.get(i, 0)])
@@ -126,7 +126,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         fields |= {"notes": middles + zero * unmeasured, "standard_deviation": None if unmeasured else spread_values}
         records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **fields))
     if len(records) == 1:
-        return [replace(records[0], name=of_header or (titles[1] if whole.startswith(_PLOT) else path.stem))]
+        return [replace(records[0], name=of_header or (titles[1] if header_text.startswith(_PLOT) else path.stem))]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
 
 
@@ -539,9 +539,9 @@ def sig_records(file: SpectraFile) -> list[FieldSpectrum]:
     path, of_ger = file.path, file.head.startswith(b"///GER")
     entries, _, table, start = _below(file, "data=", "=")
     count, units = table.shape[1], entries.get("units", "").split(",")[-1].strip().lower()
-    wanted = ("target, reference, perhaps" if of_ger else "reference, target,") + " reflectance in percent"
+    expected = ("target, reference, perhaps" if of_ger else "reference, target,") + " reflectance in percent"
     unlike = count != 4 and (count != 3 or not of_ger)
-    refuse(unlike, "sig.columns", f"{path}:{start}", count=count, wanted=f"wavelength, {wanted}")
+    refuse(unlike, "sig.columns", f"{path}:{start}", count=count, wanted=f"wavelength, {expected}")
     name = entries.get("name", "").removesuffix(".sig") or path.stem
     nm, percent = table[:, 0], table[:, -1]
     if count == 3:
@@ -571,24 +571,24 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     path, where = file.path, str(file.path)
     stated, below, table, start = _below(file, "Data:", ":", titles=1)
     titles, where_titles = [t.strip() for t in below[0].split("\t")], f"{path}:{start - 1}"
-    wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
-    pattern = r"reflect|tgt\.?\s*/\s*ref" if wanted == "reflectance" else rf"{wanted[:3]}\w*\.?\s*\(target"
+    quantity = file.quantity if file.quantity in SVC_UNITS else "reflectance"
+    pattern = r"reflect|tgt\.?\s*/\s*ref" if quantity == "reflectance" else rf"{quantity[:3]}\w*\.?\s*\(target"
     # Behind a column of wavelengths, which numbers of channels may precede.
     waves, columns = (
         [i for i, title in enumerate(titles) if re.match(words, title, re.IGNORECASE)]
         for words in ("wvl|wavelength", pattern)
     )
-    refuse((len(waves), len(columns)) != (1, 1), "sed.column", where_titles, wanted=wanted, titles=", ".join(titles))
+    refuse((len(waves), len(columns)) != (1, 1), "sed.column", where_titles, wanted=quantity, titles=", ".join(titles))
     title = titles[columns[0]]
-    unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
-    refuse(unit is None and wanted == "reflectance", "sed.unit", where_titles, title=title)
+    unit = percent_in(title) if quantity == "reflectance" else power_unit_in(stated.get("units", ""))
+    refuse(unit is None and quantity == "reflectance", "sed.unit", where_titles, title=title)
     named = [int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))] or [len(titles)]
     count, unlike = table.shape[1], len({table.shape[1], len(titles), named[0]}) > 1
     refuse(unlike, "sed.titles", f"{path}:{start}", count=count, titles=len(titles), stated=named[0])
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
     nm, values = table[:, waves[0]], table[:, columns[0]]
     check_stated(nm, where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
-    return [FieldSpectrum(path.stem, nm, values, quantity=wanted, wavelength_unit="nm", unit=unit)]
+    return [FieldSpectrum(path.stem, nm, values, quantity=quantity, wavelength_unit="nm", unit=unit)]
 
 
 MAX_WAVELENGTH_FILES = 40  # that are looked into

@@ -229,7 +229,7 @@ def complete(trade: Trade, p: Prepared) -> Trade:
     among = p.surfaces if trade.is_spectral else p.targets
     subject = [name for name in trade.subject if name in among] or list(among[:1])
     refuse(not subject, "trade.subject", "output")
-    x = trade.x or _usual(p, "" if trade.is_spectral else f"[{subject[0]}]")
+    x = trade.x or _initial_input(p, "" if trade.is_spectral else f"[{subject[0]}]")
     for field, names, valid in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
@@ -285,7 +285,7 @@ def _is_emulated(p: Prepared, state: Mapping[str, float]) -> bool:
     return False
 
 
-def _usual(p: Prepared, target: str) -> str:
+def _initial_input(p: Prepared, target: str) -> str:
     """The initial input: the first slider; of a target its own fill or GSD."""
     sliders = [offer for offer in p.inputs.values() if offer.slider]
     of_target = [o for o in sliders if target and any(target in path for path in o.paths)]
@@ -449,8 +449,8 @@ def next_piece(source: str, trade: Trade, before: Progress | None = None) -> Pro
     if what == "points":
         new = _evaluated(trade, step) & ~(_evaluated(trade, 2 * step) if before.figure else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
-        some = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
-        values.reshape(-1, subjects)[rows], notes = plan.output_values(_world(p, trade), some, study.outputs)
+        part = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
+        values.reshape(-1, subjects)[rows], notes = plan.output_values(_world(p, trade), part, study.outputs)
         remarks |= {int(rows[i]): words for i, words in notes.items()}
         needed = _required(p, trade, study) if trade.wanted is not None and step == _STRIDES[-1] else ()
     else:
@@ -469,7 +469,7 @@ def _questions(p: Prepared, trade: Trade) -> list[Required]:
     [[1.0], []]
     """
     offer, moves = p.inputs[trade.x], moves_of(p.inputs[trade.x], trade)
-    if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
+    if trade.y and math.isfinite(now := _current_value(p, trade, trade.y)):
         moves += [Move(path=move.path, factor=0.0, offset=now) for move in moves_of(p.inputs[trade.y], trade)]
     return [
         Required(
@@ -496,7 +496,7 @@ def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float,
         why = why.replace("no solution", "not reached in this range")
         words = f"{offer.name} = {offer.with_unit(value)} for {KINDS[trade.output]} = {trade.wanted:g}"
         words = f"{words} ({why})" if why and math.isfinite(value) else why or words
-        if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
+        if trade.y and math.isfinite(now := _current_value(p, trade, trade.y)):
             words += f"; along {offer.name} alone, {p.inputs[trade.y].name} at {p.inputs[trade.y].with_unit(now)}"
         needed.append((value, f"{label}: {words}" if len(labels) > 1 else words))
     return tuple(needed)
@@ -547,14 +547,14 @@ def _axis(along: Input) -> tuple[Axis, Array]:
     return Axis(along.words, along.grid.spacing, ends=ends), np.asarray(along.listed, float)
 
 
-def _now(p: Prepared, trade: Trade, key: str) -> float:
+def _current_value(p: Prepared, trade: Trade, key: str) -> float:
     """Where an input stands; NaN where the scenario does not state it."""
     return trade.pfa if key == plan.PFA else trade.moved.get(key, p.inputs[key].now)
 
 
 def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
     """A rule at the present value of an input, where it lies on its axis."""
-    now = _now(p, trade, getattr(trade, field))
+    now = _current_value(p, trade, getattr(trade, field))
     return ((field, now),) if getattr(trade, f"{field}_from") <= now <= getattr(trade, f"{field}_to") else ()
 
 

@@ -85,12 +85,12 @@ def run_page(request: Request, run: OwnRun, beside: str | None = None) -> Respon
     return page(
         request, "run.html.j2", run=run, maps=maps_of(store.place(run.id)), others=others[:50], other=other,
         progress=store.progress(run), ended=run.state in ENDED, is_own=run.owner != EVERYBODY,
-        source=_SOURCES.get(run.kind, "") if run.owner != EVERYBODY else "", rows=_beside(run, other),
+        source=_SOURCES.get(run.kind, "") if run.owner != EVERYBODY else "", rows=_detection_rows(run, other),
         files=files, pictures=pictures, figures=[name for name in figures if name not in pictures],
     )  # fmt: skip
 
 
-def _beside(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
+def _detection_rows(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
     """Rows of P_D, with those of another run and the difference; not those of objects of one pixel."""
     key = itemgetter("subject", "detector", "pfa", "unit")
     earlier, current = (

@@ -205,7 +205,7 @@ class Runs:
         )
 
     def _settle(self) -> None:
-        runs = {run.id: run for run in self._every()}
+        runs = {run.id: run for run in self._all_runs()}
         unreadable = [p for p in (self.folder / "runs").iterdir() if _ID.fullmatch(p.name) and p.name not in runs]
         lost = [run for run in runs.values() if run.state not in ENDED]
         for place in unreadable:
@@ -229,7 +229,7 @@ class Runs:
         task = self._tasks.get((run.owner, run.id))
         return run.model_copy(update={"state": "running"}) if task is not None and task.started else run
 
-    def _every(self) -> list[WebRun]:
+    def _all_runs(self) -> list[WebRun]:
         """The runs of all sessions."""
         return [run for place in (self.folder / "runs").iterdir() if (run := self._current(place)) is not None]
 
@@ -248,7 +248,7 @@ class Runs:
     def of(self, owner: str, kind: str | None = None) -> list[WebRun]:
         """Runs that a session sees, the latest first."""
         self._adopt()
-        some = [r for r in self._every() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
+        some = [r for r in self._all_runs() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
         return sorted(some, key=lambda r: -r.created)
 
     def _adopt(self) -> None:
@@ -293,7 +293,7 @@ class Runs:
                 return
             self._cleared = now
             kept = [(path.stat().st_mtime, path) for path in (self.folder / "uploads").glob("*/*/*")]
-            ended = [run for run in self._every() if run.state in ENDED and run.owner != EVERYBODY]
+            ended = [run for run in self._all_runs() if run.state in ENDED and run.owner != EVERYBODY]
             kept += [(run.created, self.place(run.id)) for run in ended]
             sizes = [size_of(path) for _, path in kept]
             total = sum(sizes)
@@ -393,11 +393,11 @@ class Runs:
         Refused : it cannot be made, or the run has no results.
         """
         deny(run.state != "finished", 409, f"this run has no results: {run.reason or run.state}")
-        place, now = self.place(run.id), hyperval.__version__
+        place, version = self.place(run.id), hyperval.__version__
         if (place / name).exists():
             return place / name
-        if task in ("files", "draw") and run.version != now:  # the scenario would give other numbers
-            raise Refused(409, f"the run was made by version {run.version}, and this is {now}: run it again")
+        if task in ("files", "draw") and run.version != version:  # the scenario would give other numbers
+            raise Refused(409, f"the run was made by version {run.version}, and this is {version}: run it again")
         with self._changed:
             job = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
             if (run.id, name) not in self._tasks:

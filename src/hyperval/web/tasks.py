@@ -154,8 +154,8 @@ def _drafted(
     """The campaign of the files of each part, what is guessed in it, and what the header says."""
     cube, about, targets = files["cube"][0], dict(stated), next(iter(files["targets"]), None)
     header_file = files["header"][0]
-    beside = None if header_file == header_beside(cube) else header_file
-    raster = open_raster(cube, header=beside)
+    stated_header = None if header_file == header_beside(cube) else header_file
+    raster = open_raster(cube, header=stated_header)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
     described = raster.description
     quantity = about.get("quantity") or ("radiance" if "unit" in about else described.quantity)
@@ -165,7 +165,7 @@ def _drafted(
         header |= {what: f"x {about['scale']:g}" for what in header if what.startswith("scale of ")}
     spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
     name = about.pop("name")
-    named = StarterSources(cube, files["regions"], targets, spectra, header=beside, **about)
+    named = StarterSources(cube, files["regions"], targets, spectra, header=stated_header, **about)
     return (*starter_campaign(named, place, name), header)
 
 
