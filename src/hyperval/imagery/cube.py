@@ -142,7 +142,7 @@ class Cube:
     def step(self) -> Array | None:
         """(B,) step of values that are whole numbers in the file, whatever type holds them; None of others.
 
-        Some programs store counts as floats, and packed numbers are returned unpacked.
+        Programs keep counts as floats, and packed numbers are handed out unpacked.
 
         >>> import xarray as xr
         >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
@@ -153,10 +153,10 @@ class Cube:
         [array([0.001, 0.001]), array([1., 1.]), None]
         """
         stored, (gain, offset) = self.raster.some_pixels()[:, self.stored_band], self.raster.description.packing
-        values = stored[self._usable(stored.T, self.axis.good)].astype(float)
-        slack = 4.0 * np.finfo(np.result_type(self.dtype, np.float32)).eps * (np.abs(values) + abs(offset))
-        uneven = np.abs(gain * np.rint((values - offset) / gain) + offset - values) > slack
-        return None if uneven.any() or (self.dtype.kind == "f" and not values.size) else np.abs(self.gain * gain)
+        seen = stored[self._usable(stored.T, self.axis.good)].astype(float)
+        slack = 4.0 * np.finfo(np.result_type(self.dtype, np.float32)).eps * (np.abs(seen) + abs(offset))
+        uneven = np.abs(gain * np.rint((seen - offset) / gain) + offset - seen) > slack
+        return None if uneven.any() or (self.dtype.kind == "f" and not seen.size) else np.abs(self.gain * gain)
 
     def read(self, first_line: int, count: int, dtype: npt.DTypeLike = np.float64) -> Block:
         """The lines ``first_line`` to ``first_line + count - 1``."""
