@@ -32,7 +32,7 @@ _MEMBER = re.compile(r"[a-z-]*\[.*|\(.*\)|(?:constrained-)?(?:float|int|str)|boo
 _BRACKETS = re.compile(r" ?\[([^\]\[]{1,24})\]")
 
 
-def _told(schema: dict[str, Any], model: type[BaseModel]) -> None:
+def _describe_fields(schema: dict[str, Any], model: type[BaseModel]) -> None:
     """Give each field of a JSON schema its title, its unit and its default.
 
     The unit stands in brackets in the description.  A default of no entries goes without saying.
@@ -71,7 +71,7 @@ def unknown(names: Iterable[str], valid: Iterable[str]) -> list[Any]:
 class Model(BaseModel):
     """Base of every configuration model: unknown keys, NaN and infinity are refused, and what contradicts itself."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_told)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_describe_fields)
     refused: ClassVar[Refused] = {}
 
     @model_validator(mode="after")
@@ -122,16 +122,16 @@ class OneOf(Model):
 
 
 def _unit_of(quantity: str) -> AfterValidator:
-    """Refuses an unknown unit when the file is read, so that a dry run tells and the line is known."""
+    """Refuses an unknown unit when the file is read, so that a dry run finds it, with its line."""
 
-    def known(unit: str) -> str:
+    def checked(unit: str) -> str:
         try:
             to_internal(unit, quantity)
         except UsageError as error:
             raise ValueError(f"{error.what}; {error.expected}") from None
         return unit
 
-    return AfterValidator(known)
+    return AfterValidator(checked)
 
 
 RadianceUnit = Annotated[str, _unit_of("radiance")]
@@ -218,8 +218,8 @@ def file_of(name_or_path: str | Path, library: Mapping[str, Path], kind: str) ->
 
 
 @reader
-def load_yaml(path: Path, of: type[BaseModel] = BaseModel) -> tuple[Any, dict[Location, int]]:
-    """Read a YAML file strictly; the file of another kind than ``of`` is refused with the command that takes it.
+def load_yaml(path: Path, model: type[BaseModel] = BaseModel) -> tuple[Any, dict[Location, int]]:
+    """Read a YAML file strictly; a file of another kind than ``model`` is refused, with the command that reads it.
 
     Returns the plain data and the line number (1-based) of every key and list item.
 
@@ -230,23 +230,23 @@ def load_yaml(path: Path, of: type[BaseModel] = BaseModel) -> tuple[Any, dict[Lo
     """
     path = Path(path)
     refuse(path.is_dir(), "file.folder", path, file=min(path.glob("*.y*ml"), default=path / "FILE.yaml"))
-    content = content_of(path, ("file.none", "file.large"), most=MAX_BYTES)
     try:
-        text = content.decode("utf-8-sig")
+        text = content_of(path, ("file.none", "file.large"), most=MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UsageError("not UTF-8 text", where=str(path), expected="a YAML file in UTF-8") from error
     data, lines = parse_yaml(text, str(path))
     refuse(not isinstance(data, dict), "yaml.keys", f"{path}:1")
-    (own, _), (kind, by), (known, _) = map(_kind_of, (of.model_fields, data, data.keys() & of.model_fields.keys()))
-    command = by.format(file=shlex.quote(str(path)))
-    refuse(own and kind and not known, "file.kind", path, kind=kind, own=own, command=command)
+    fields = model.model_fields.keys()
+    (wanted, _), (kind, command), (matching, _) = map(_kind_of, (fields, data, data.keys() & fields))
+    command = command.format(file=shlex.quote(str(path)))
+    refuse(wanted and kind and not matching, "file.kind", path, kind=kind, wanted=wanted, command=command)
     return data, lines
 
 
 def _kind_of(keys: Iterable[str]) -> tuple[str, str]:
-    """What a file with these keys is, and the command that takes it; of none that is known, nothing."""
+    """The kind of a file with these keys, and the command that reads it; empty where no kind fits."""
     marks = package_table("own_files.yaml")["yaml"].items()
-    return next((told for mark, told in marks if any(re.match(mark, f"{key}:") for key in keys)), ("", ""))
+    return next((entry for mark, entry in marks if any(re.match(mark, f"{key}:") for key in keys)), ("", ""))
 
 
 def parse_yaml(text: str, name: str = "<text>") -> tuple[Any, dict[Location, int]]:
@@ -359,9 +359,9 @@ def misread(data: Any, read: Any, location: Location = ()) -> Iterator[tuple[Loc
 def mistakes_in(
     items: Sequence[Mapping[str, Any]], model: type[BaseModel] | None = None
 ) -> Iterator[tuple[Location, str]]:
-    """Place of each mistake that pydantic tells of plain data, and what it is; kinds that one place may have once.
+    """Path and text of each mistake that pydantic finds in plain data; the types that one path may have as one.
 
-    ``model`` : which may have a key like one that is unknown
+    ``model`` : to suggest a key like an unknown one
 
     >>> made = type("Made", (Model,), {"__annotations__": {"heading_deg": float | Literal["random"]}})
     >>> try:
@@ -374,23 +374,23 @@ def mistakes_in(
     """
     expected: dict[Location, list[str]] = {}
     for number, item in enumerate(fitting(items)):
-        at = tuple(part for part in item["loc"] if not _MEMBER.fullmatch(str(part)))
+        path = tuple(part for part in item["loc"] if not _MEMBER.fullmatch(str(part)))
         kind, words = item["type"].replace("_parsing", "_type"), str(item["msg"]).removeprefix("Value error, ")
         if kind == "float_type" and isinstance(item["input"], dict) and "distribution" in item["input"]:
-            yield at, f"expected a number; {_GONE['distribution']}"
+            yield path, f"expected a number; {_GONE['distribution']}"
         elif kind in _EXPECTED:
-            expected.setdefault(at, []).append(_EXPECTED[kind].format(**item.get("ctx", {})))
-        elif kind == "extra_forbidden":  # what is looked for takes long beside what is listed
-            yield at, _unknown_key(at, model if number < MOST_MISTAKES else None)
+            expected.setdefault(path, []).append(_EXPECTED[kind].format(**item.get("ctx", {})))
+        elif kind == "extra_forbidden":  # a suggestion takes long: for the listed ones alone
+            yield path, _unknown_key(path, model if number < MOST_MISTAKES else None)
         elif kind == "string_pattern_mismatch":
             first, letters = (re.findall(r"\w-\w|.", part) for part in re.findall(r"\[(.*?)\]", item["ctx"]["pattern"]))
-            yield at, f"expected a name of {' '.join(letters)}, a letter {'or digit ' if '0-9' in first else ''}first"
+            yield path, f"expected a name of {' '.join(letters)}, a letter {'or digit ' if '0-9' in first else ''}first"
         elif kind == "value_error" and (of_key := re.fullmatch(r"([a-z_0-9.]+): (.*)", words, re.DOTALL)):
-            yield (*at, *of_key[1].split(".")), of_key[2]
+            yield (*path, *of_key[1].split(".")), of_key[2]
         else:
-            yield at, "is missing" if kind == "missing" else words.replace("Input should be", "expected a value")
-    for at, nouns in expected.items():
-        yield at, f"expected {', or '.join(dict.fromkeys(nouns))}"
+            yield path, "is missing" if kind == "missing" else words.replace("Input should be", "expected a value")
+    for path, nouns in expected.items():
+        yield path, f"expected {', or '.join(dict.fromkeys(nouns))}"
 
 
 def _unknown_key(place: Location, model: type[BaseModel] | None) -> str:

@@ -122,21 +122,21 @@ class Components:
         """The components on some bands alone."""
         if bands.size == self.offsets.shape[1]:
             return self
-        return self._with(self.offsets[:, bands], self.covariances[:, bands[:, None], bands])
+        return self._replaced(self.offsets[:, bands], self.covariances[:, bands[:, None], bands])
 
     def through(self, weights: Array) -> Components:
         """The components of ``weights`` (C, B) times the spectra, such as those on other bands."""
         covariances = weights @ self.covariances @ weights.T
-        return self._with(self.offsets @ weights.T, 0.5 * (covariances + covariances.transpose(0, 2, 1)))
+        return self._replaced(self.offsets @ weights.T, 0.5 * (covariances + covariances.transpose(0, 2, 1)))
 
     def stretched(self, gain: Array | float) -> Components:
         """The components of spectra times ``gain`` (B,), of which a single number is the root of a factor on the
         covariance of the class: it spreads the components as it spreads their pixels."""
         g = np.broadcast_to(np.asarray(gain, dtype=float), self.offsets.shape[1:])
-        return self._with(self.offsets * g, self.covariances * np.outer(g, g))
+        return self._replaced(self.offsets * g, self.covariances * np.outer(g, g))
 
-    def _with(self, offsets: Array, covariances: Array) -> Components:
-        """Others of the same number, without the checks that these have passed."""
+    def _replaced(self, offsets: Array, covariances: Array) -> Components:
+        """As many other components, without the checks that these have passed."""
         out = copy(self)
         vars(out).update(offsets=offsets, covariances=covariances)
         return out
@@ -145,8 +145,8 @@ class Components:
     def covariance(self) -> Array:
         """(B, B) of all together: within the components and between them."""
         mean = self.weights @ self.offsets
-        away = self.offsets - mean
-        return np.asarray(np.tensordot(self.weights, self.covariances, 1) + (away * self.weights[:, None]).T @ away)
+        offset = self.offsets - mean
+        return np.asarray(np.tensordot(self.weights, self.covariances, 1) + (offset * self.weights[:, None]).T @ offset)
 
 
 @dataclass(frozen=True)

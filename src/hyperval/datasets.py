@@ -307,11 +307,11 @@ class InputLog:
                 self.resolve((PurePosixPath(reference).parent / one.name).as_posix(), base)
             return path
         is_own = base in (None, self.base) and not Path(reference).is_absolute()
-        ending, beside = path.suffix.lower(), None
+        ending, companion = path.suffix.lower(), None
         with suppress(HypervalError):  # which of several is read is the reader's to say
-            beside = data_beside(path) if ending == ".hdr" else header_beside(path)
-        if beside is not None:
-            self.add(beside)
+            companion = data_beside(path) if ending == ".hdr" else header_beside(path)
+        if companion is not None:
+            self.add(companion)
         return self.add(path, reference if is_own or reference.startswith(PREFIX) else None)
 
     def add(self, path: Path, reference: str | None = None) -> Path:
@@ -370,8 +370,8 @@ def _resolve_data(path: str) -> Path:
     owner = next(of_pattern, None) or owner_of(PREFIX + path)
     if owner is None:  # neither the registry nor this machine knows it: the names nearest to it
         folders = [folder for root in _roots() if (folder := (root / path).parent).is_dir()]
-        beside = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
-        close = nearest(path, [*_by_path(), *beside], 3) or nearest(path.split("/")[0], registry(), 3)
+        neighbours = [str(PurePosixPath(path).parent / p.name) for f in folders for p in islice(f.iterdir(), 10_000)]
+        close = nearest(path, [*_by_path(), *neighbours], 3) or nearest(path.split("/")[0], registry(), 3)
         perhaps = f"perhaps {', '.join(PREFIX + name for name in close)}" if close else ""
         raise refusal("data.unknown", PREFIX + path, looked=looked, perhaps=perhaps)
     mend = f"hyperval data fetch {owner.name}"

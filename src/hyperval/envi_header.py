@@ -201,8 +201,8 @@ def parse_header(text: str, path: Path, *, sidecar: bool = False) -> EnviHeader:
     # A single band has one order only.
     interleave = _bare(entries.get("interleave", "tif" if sidecar else "bsq")).lower().replace("tiff", "tif")
     allowed = (*INTERLEAVES, "tif") if sidecar else INTERLEAVES
-    told = {"interleave": interleave, "allowed": ", ".join(allowed)}
-    refuse(interleave not in allowed, "header.interleave", where("interleave"), **told)
+    fields = {"interleave": interleave, "allowed": ", ".join(allowed)}
+    refuse(interleave not in allowed, "header.interleave", where("interleave"), **fields)
     refuse(integer("file compression", "0") != 0, "header.compressed", where("file compression"))
     for key in ("major frame offsets", "minor frame offsets"):
         offset = any(part.strip() not in ("", "0") for part in entries.get(key, "").split(","))
@@ -225,14 +225,14 @@ def _byte_order(value: str | None, where: str) -> tuple[int, str]:
 
 
 def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list[str]]:
-    """Keys with their texts and lines, and notes of keys that stand twice; linear in the length of the text."""
+    """Keys with their texts and lines, and notes on keys that occur twice; linear in the length of the text."""
     entries, line_of, notes = dict[str, str](), dict[str, int](), list[str]()
 
     def add(key: str, value: str, number: int) -> None:
         if key in entries:
             a, b = _squeezed(entries[key]), _squeezed(value)
             differ = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
-            values = " against ".join(repr(of[max(0, differ - 20) : differ + 30]) for of in (a, b))
+            values = " against ".join(repr(version[max(0, differ - 20) : differ + 30]) for version in (a, b))
             refuse(a != b, "header.twice", f"{name}:{number}", key=key, first=line_of[key], told=values)
             notes.append(f"header: {key!r} occurs twice with the same value (lines {line_of[key]} and {number})")
         else:
@@ -261,8 +261,8 @@ def _entries(text: str, name: str) -> tuple[dict[str, str], dict[str, int], list
         depth += line.count("{") - line.count("}")
         parts.append(line)
         if depth <= 0:
-            depth, whole = 0, "\n".join(parts)
-            listed, rest = whole[: whole.rindex("}")], whole[whole.rindex("}") + 1 :].strip()
+            depth, listed_text = 0, "\n".join(parts)
+            listed, rest = listed_text[: listed_text.rindex("}")], listed_text[listed_text.rindex("}") + 1 :].strip()
             refuse(rest and not rest.startswith(";"), "header.behind", f"{name}:{number}", text=rest[:40])
             add(key, listed[1:].strip(), start)
     refuse(depth, "header.open", f"{name}:{start}", key=key)

@@ -20,7 +20,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 
-_OWN = Path(__file__).parent
+_ROOT = Path(__file__).parent
 _CALLS = 4
 WARNING = "warning: "  # what a note that warns begins with
 
@@ -89,7 +89,7 @@ def package_table(name: str) -> dict[str, Any]:
     """The content of a YAML file of the package, by its path below it."""
     import yaml  # of the few runs that need one
 
-    found: dict[str, Any] = yaml.load((_OWN / name).read_text("utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506
+    found: dict[str, Any] = yaml.load((_ROOT / name).read_text("utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # noqa: S506
     return found
 
 
@@ -188,8 +188,8 @@ def internal_error(error: Exception) -> str:
     places = []
     for frame in reversed(traceback.extract_tb(error.__traceback__)):
         path = Path(frame.filename)
-        if path.is_relative_to(_OWN):
-            places.append(f"{path.relative_to(_OWN.parent).as_posix()}:{frame.lineno}")
+        if path.is_relative_to(_ROOT):
+            places.append(f"{path.relative_to(_ROOT.parent).as_posix()}:{frame.lineno}")
         elif not places:
             places.append(f"{path.name}:{frame.lineno}")
     where = f" (at {', called from '.join(places[:_CALLS])})" if places else ""

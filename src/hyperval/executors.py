@@ -310,7 +310,7 @@ class Workers:
         assert self.executor is not None  # noqa: S101
         if isinstance(self.executor, TaskPool):
             return self.executor.submit(WorkerTask(function, piece)).future
-        return self.executor.submit(_elsewhere, function, piece, command_line())
+        return self.executor.submit(_in_worker, function, piece, command_line())
 
 
 # What all pieces need, packed: itself, or the file that processes of this machine read it from.
@@ -390,7 +390,7 @@ def workers(count: int = 1, scheduler: str | None = None) -> Iterator[Workers]:
     elif count <= 1:
         yield Workers()
     else:
-        with closing(TaskPool(partial(Process, _elsewhere), count, renewals=_RENEWALS)) as pool:
+        with closing(TaskPool(partial(Process, _in_worker), count, renewals=_RENEWALS)) as pool:
             yield Workers(pool, count)
 
 
@@ -430,7 +430,7 @@ def in_order(
 
 @bars(False)
 @single_blas_thread()
-def _elsewhere(function: Callable[[T], R], piece: T, command: Sequence[str] = ()) -> R:
+def _in_worker(function: Callable[[T], R], piece: T, command: Sequence[str] = ()) -> R:
     with within(_command, command or None):
         return function(piece)
 
@@ -446,7 +446,7 @@ def under_command(*words: str) -> AbstractContextManager[None]:
 def command_line() -> list[str]:
     """What the user typed, on whichever machine a piece of it runs.
 
-    >>> _elsewhere(lambda _: command_line(), None, ["hyperval", "validate"])
+    >>> _in_worker(lambda _: command_line(), None, ["hyperval", "validate"])
     ['hyperval', 'validate']
     """
     return list(_command.get() or sys.argv)

@@ -78,7 +78,7 @@ def checked_file(
 
 
 def refuse_own(path: Path) -> None:
-    """Raise InputError for a file of this program's own, with what it is and what reads it.
+    """Raise InputError for a file of hyperval, with its kind and the command that reads it.
 
     >>> from tempfile import NamedTemporaryFile
     >>> with NamedTemporaryFile(suffix=".yaml") as file:
@@ -91,9 +91,9 @@ def refuse_own(path: Path) -> None:
     with open(path, "rb") as stream:
         head = stream.read(_HEAD_BYTES)
     marks = package_table("own_files.yaml")["yaml" if path.suffix.lower() in (".yaml", ".yml") else "others"]
-    for mark, (kind, by) in marks.items():
+    for mark, (kind, command) in marks.items():
         found = re.search(mark.encode(), head, re.MULTILINE)
-        refuse(found, "file.own", path, kind=kind, by=by.format(file=shlex.quote(str(path))))
+        refuse(found, "file.own", path, kind=kind, command=command.format(file=shlex.quote(str(path))))
 
 
 def checked_folder(path: Path | str) -> Path:

@@ -38,9 +38,9 @@ def within(variable: ContextVar[T], value: T | None) -> Iterator[None]:
         variable.reset(token)
 
 
-def step(of: str, number: int, count: int, what: str) -> AbstractContextManager[None]:
-    """Bars within the block say that they are step ``number`` of ``count`` of the job ``of``."""
-    return within(_step, f"{of} {number}/{count} {what}: ")
+def step(job: str, number: int, count: int, what: str) -> AbstractContextManager[None]:
+    """Bars within the block are labelled as step ``number`` of ``count`` of ``job``."""
+    return within(_step, f"{job} {number}/{count} {what}: ")
 
 
 def bars(show: bool | None) -> _GeneratorContextManager[None]:

@@ -147,17 +147,17 @@ class Quicklook:
 
 @dataclass(frozen=True)
 class Run:
-    """What a folder of results holds, and what its page says besides.
+    """The contents of a folder of results, and of its page.
 
     Attributes
     ----------
     table : every row
     provenance : ``inputs`` is a list of mappings with the keys reference, sha256, licence, citation; the other keys
         (versions, command, seed, formulation, ...) are shown as they are; empty for what joins several runs
-    given : name of a side -> its products, of a run that is to be written
+    products : name of a side -> its products, of a run that is to be written
     campaign, title, description : name (also of the output folder), heading, a sentence or two
     simulated : True when the collection is simulated; every page, figure and file then says so
-    group : heading that it stands under on an index page; empty: that of collected or of simulated imagery
+    group : its heading on an index page; empty: that of collected or of simulated imagery
     score_maps : "TARGET-DETECTOR" -> map
     quicklook : picture of the scene
     notes : assumptions made, what was left out
@@ -168,13 +168,13 @@ class Run:
         the present run (empty where it is); None where that was not worked out
     remedy : how to get the collection of a run that was skipped for lack of it
     kind : what the page is: "Campaign" for both sides compared, else what it shows
-    sentence : what the page says first where it compares something else than a model with a collection
+    sentence : first on a page that compares something else than a model with a collection
     folder : where it was read, None for one that is to be written
     """
 
     table: ResultTable
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    given: Mapping[str, Products | None] = field(default_factory=dict)
+    products: Mapping[str, Products | None] = field(default_factory=dict)
     title: str = ""
     simulated: bool = False
     campaign: str = ""
@@ -194,7 +194,7 @@ class Run:
 
     @classmethod
     def open(cls, folder: Path) -> Run:
-        """What a command wrote into a folder; products are read when they are asked for.
+        """The run that a command wrote into a folder; products are read on access.
 
         Raises
         ------
@@ -206,8 +206,8 @@ class Run:
     def sides(self) -> Mapping[str, Products]:
         """Name of a side -> its products; InputError for a damaged file, empty where there is none."""
         stored = self.folder is not None and (self.folder / PRODUCTS).is_file() and read_products(self.folder)
-        products_of = stored.given if stored else self.given
-        return {name: products for name, products in products_of.items() if products is not None}
+        products = stored.products if stored else self.products
+        return {name: side for name, side in products.items() if side is not None}
 
     @property
     def pair(self) -> tuple[PredictedProducts | None, ObservedProducts | None]:
@@ -216,7 +216,7 @@ class Run:
 
     @property
     def warnings(self) -> list[str]:
-        """Those of the notes that warn."""
+        """The notes that are warnings."""
         return [note for note in self.notes if note.startswith(WARNING)]
 
     @property
@@ -227,7 +227,7 @@ class Run:
 
     @property
     def times(self) -> set[datetime]:
-        """When its scenarios take place, in UTC."""
+        """Times of its scenarios, in UTC."""
         records = [r for r in dict(self.provenance.get("engines") or {}).values() if isinstance(r, dict)]
         texts = {str(record["time_utc"]) for record in records if record.get("time_utc")}
         parsed = (datetime.fromisoformat(text) for text in texts)
@@ -243,7 +243,7 @@ class Run:
         """
         folder = Path(folder)
         write_table(self.table, folder)
-        if self.given:
+        if self.products:
             write_products(folder, self.sides, title=self.title, simulated=self.simulated)
         stems = file_stems(self.score_maps)
         for name, score_map in self.score_maps.items():
@@ -353,7 +353,7 @@ _values = attrgetter(*COLUMNS)
 _NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _READABLE = (2, 3, SCHEMA_VERSION)  # the second version repeated the names of the columns in each row
 _ROWS = ' "rows": [\n'  # the last line before the rows of a table
-_KNOWN = set(COLUMNS)
+_COLUMN_NAMES = set(COLUMNS)
 _OLD = set(COLUMNS[: COLUMNS.index("effect")])  # in every version
 # What the values of a column are read by, by the type of the field; rows repeat their words, which are kept once.
 _READ: dict[str, Callable[[Any], Any]] = {
@@ -441,14 +441,14 @@ def junit_xml(rows: Sequence[Result]) -> str:
     """
     cases = [row for row in rows if row.gates or row.outcome is Outcome.ERROR]
     root = ElementTree.Element("testsuites", {"name": "hyperval", **_tally(cases)})
-    for campaign, every in grouped(rows, lambda row: row.campaign).items():
-        of_campaign = [row for row in every if row.gates or row.outcome is Outcome.ERROR]
+    for campaign, results in grouped(rows, lambda row: row.campaign).items():
+        of_campaign = [row for row in results if row.gates or row.outcome is Outcome.ERROR]
         suite = ElementTree.SubElement(root, "testsuite", {"name": campaign, **_tally(of_campaign)})
         for row in of_campaign:
             case = ElementTree.SubElement(suite, "testcase", classname=f"{campaign}.{row.product}", name=row_name(row))
             if element := row.outcome.element:
                 undecided = f"inconclusive: {row.cause}; " if row.outcome is Outcome.UNDECIDED else ""
-                ElementTree.SubElement(case, element, message=undecided + _why(row))
+                ElementTree.SubElement(case, element, message=undecided + _reason_of(row))
     ElementTree.indent(root, " ")
     text = _NOT_XML.sub("\ufffd", ElementTree.tostring(root, "unicode"))
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
@@ -460,7 +460,7 @@ def _tally(rows: Iterable[Result]) -> dict[str, str]:
     return {"tests": str(count.total())} | {name: str(count[element]) for name, element in names.items()}
 
 
-def _why(row: Result) -> str:
+def _reason_of(row: Result) -> str:
     """The reason of a row, or its numbers where it states none."""
     ends = (("at least", row.limit_low), ("at most", row.limit_high))
     limits = " and ".join(f"{words} {end:.6g}" for words, end in ends if not math.isnan(end))
@@ -521,8 +521,8 @@ def _table(path: Path, every: bool) -> tuple[list[str], list[Result]]:
     for i, item in enumerate([] if "runs" in document else rows, start=1):
         if isinstance(item, list) and len(item) == len(columns):
             item = dict(zip(map(str, columns), item, strict=True))
-        if not isinstance(item, dict) or not _OLD <= item.keys() <= _KNOWN:
-            raise refusal("results.columns", f"{path}, row {i}", columns=", ".join(sorted(_KNOWN)))
+        if not isinstance(item, dict) or not _OLD <= item.keys() <= _COLUMN_NAMES:
+            raise refusal("results.columns", f"{path}, row {i}", columns=", ".join(sorted(_COLUMN_NAMES)))
         if every or item["band_nm"] is None or item["outcome"] != Outcome.NONE:
             try:
                 out.append(Result(**{name: _READ_COLUMN[name](value) for name, value in item.items()}))
@@ -732,9 +732,9 @@ def _write_group(group: Any, data: Arrays) -> None:
             options |= {"fillvalue": array.dtype.type(np.nan), **(packed if array.dtype == np.float32 else {})}
         variable = group.create_variable(name, axes, data=array, **options)
         variable.attrs.update(attributes)
-        beside = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
-        if name not in labels and beside:
-            variable.attrs["coordinates"] = " ".join(beside)
+        labels_along = [label for label in labels if label not in axes and {*data[label][0]} <= {*axes}]
+        if name not in labels and labels_along:
+            variable.attrs["coordinates"] = " ".join(labels_along)
 
 
 @reader
@@ -751,7 +751,7 @@ def read_products(folder: Path) -> Run:
     try:
         with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
             sides = {name: _products(group, SIDES.get(name, PredictedProducts)) for name, group in file.groups.items()}
-            return Run(ResultTable(), given=sides, simulated=bool(file.attrs.get("simulated") == "yes"))
+            return Run(ResultTable(), products=sides, simulated=bool(file.attrs.get("simulated") == "yes"))
     except KeyError as error:
         raise refusal("products.version", path, version=hyperval.__version__) from error
     except (OSError, ValueError, RuntimeError) as error:
@@ -821,8 +821,8 @@ def _made(kind: type | None, key: tuple[str, ...], item: dict[str, Any]) -> Any:
     if kind is product_types.RocCurve:
         item["unit"] = "pixel" if key[2] == "pixel" else "object"
     for name, hint in ((f.name, str(f.type)) for f in fields(kind) if f.name in item):
-        value, of = item[name], _TYPES.get(hint.partition(" ")[0], float)
+        value, number = item[name], _TYPES.get(hint.partition(" ")[0], float)
         if isinstance(value, np.ndarray | np.floating):
             is_none = "None" in hint and np.isnan(value).all()
-            item[name] = None if is_none else np.array(value, dtype=of) if value.ndim else of(value)
+            item[name] = None if is_none else np.array(value, dtype=number) if value.ndim else number(value)
     return kind(**item)

@@ -74,16 +74,16 @@ def with_settings(model: M, changes: Mapping[str, Any]) -> M:
 
 
 def _changed(node: Any, parts: list[str], value: Any, path: str) -> Any:
-    """What stands at a part of a configuration, with another value where the rest of the path leads."""
+    """A part of a configuration with another value at the rest of the path."""
     if not parts:
         return _plain(value)
-    here, (part, *rest) = ".".join(path_parts(path)[: -len(parts)]), parts
-    if node is None or isinstance(node, dict):  # what is left out is made; unknown keys are found when it is checked
+    holder, (part, *rest) = ".".join(path_parts(path)[: -len(parts)]), parts
+    if node is None or isinstance(node, dict):  # missing parts are made; validation finds unknown keys
         entries = node or {}
         return {**entries, part: _changed(entries.get(part), rest, value, path)}
     is_whole = isinstance(node, tuple) and not all(isinstance(item, dict) for item in node)
-    refuse(is_whole, "setting.whole", path=path, here=here)
-    refuse(not isinstance(node, list | tuple), "setting.parts", path=path, here=here)
+    refuse(is_whole, "setting.whole", path=path, holder=holder)
+    refuse(not isinstance(node, list | tuple), "setting.parts", path=path, holder=holder)
     number, items = _key(node, part, path), list(node)
     items[number] = _changed(items[number], rest, value, path)
     return items

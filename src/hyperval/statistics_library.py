@@ -150,9 +150,9 @@ def read_statistics_library(path: Path, record: str | None = None) -> ClassStati
     with opened_netcdf(path, "statistics library", _AXES, _MOST, _MAY_LACK) as data:
         names = [str(n) for n in data["class_name"].values]
         refuse(record is None and len(names) > 1, "classes.several", path, names=", ".join(names))
-        wanted = names[0] if record is None else record
-        refuse(wanted not in names, "classes.none", path, name=wanted, names=", ".join(names))
-        number = names.index(wanted)
+        record_name = names[0] if record is None else record
+        refuse(record_name not in names, "classes.none", path, name=record_name, names=", ".join(names))
+        number = names.index(record_name)
         one = data.isel({"class": number})
         good = one["good_band"].values > 0 if "good_band" in one else np.ones(0, bool)
         tail, components = float(one["tail_dof"]) if "tail_dof" in one else np.nan, None
@@ -179,11 +179,11 @@ def on_bands(statistics: ClassStatistics, axis: SpectralAxis, edge_nm: float = 1
     """
     if statistics.axis.matches(axis):
         return statistics
-    nm, to = statistics.axis.centre_nm, axis.centre_nm
-    short = (to < nm[0] - edge_nm) | (to > nm[-1] + edge_nm)
-    ends = {"low": nm[0], "high": nm[-1], "count": int(short.sum()), "first": to[int(np.argmax(short))]}
+    nm, centre_nm = statistics.axis.centre_nm, axis.centre_nm
+    short = (centre_nm < nm[0] - edge_nm) | (centre_nm > nm[-1] + edge_nm)
+    ends = {"low": nm[0], "high": nm[-1], "count": int(short.sum()), "first": centre_nm[int(np.argmax(short))]}
     refuse(nm.size < 2 or short.any(), "class.bands", name=statistics.name, **ends)
-    weights = np.stack([np.interp(to, nm, one) for one in np.eye(nm.size)], axis=1)
+    weights = np.stack([np.interp(centre_nm, nm, one) for one in np.eye(nm.size)], axis=1)
     covariance = weights @ statistics.covariance @ weights.T
     mean, covariance, components = weights @ statistics.mean, 0.5 * (covariance + covariance.T), statistics.components
     components = components and components.through(weights)

@@ -282,7 +282,7 @@ def partial_folder(path: Path) -> Path:
 
 @contextmanager
 def _claimed(path: Path) -> Iterator[Path]:
-    """The folder itself, made where it is not there, and nobody else's for the block."""
+    """The folder, created where it is missing, and locked for the block."""
     with _making(path):
         place = path.resolve()
         lock = place / LOCK
@@ -292,10 +292,10 @@ def _claimed(path: Path) -> Iterator[Path]:
         try:
             handle = _claim(lock)
         except BlockingIOError as error:
-            who = "it does not say which"
+            owner = "it does not say which"
             with suppress(OSError):
-                who = lock.read_text("utf-8", "replace")[:200].strip() or who
-            raise refusal("folder.claimed", path, who=who) from error
+                owner = lock.read_text("utf-8", "replace")[:200].strip() or owner
+            raise refusal("folder.claimed", path, owner=owner) from error
     try:
         yield place
     finally:
@@ -303,7 +303,7 @@ def _claimed(path: Path) -> Iterator[Path]:
             lock.unlink(missing_ok=True)
         os.close(handle)
         if made:
-            with suppress(OSError):  # it holds what was written
+            with suppress(OSError):  # it is not empty
                 place.rmdir()
 
 

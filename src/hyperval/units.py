@@ -47,7 +47,7 @@ def to_internal(unit: str, quantity: str) -> float:
     UsageError : an unknown unit.
     """
     units = _QUANTITIES[quantity][2]
-    return needed(_known(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=units)
+    return needed(_factor(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=units)
 
 
 def only_wavelength_unit(values: npt.ArrayLike) -> str | None:
@@ -80,7 +80,7 @@ def in_nm(unit: str | None) -> float | None:
     >>> [in_nm(unit) for unit in ("um", "m", "m2", "W")]
     [1000.0, 1000000000.0, None, None]
     """
-    return _known(unit or "", "wavelength")
+    return _factor(unit or "", "wavelength")
 
 
 def wavelength_unit_named(text: str) -> str | None:
@@ -102,17 +102,17 @@ def is_radiance(unit: str | None) -> bool:
     >>> is_radiance("W.m-2.sr-1.um-1")
     True
     """
-    return _known(unit or "", "radiance") is not None
+    return _factor(unit or "", "radiance") is not None
 
 
 def power_unit(unit: str) -> str | None:
     """A unit of spectral radiance or irradiance as the project writes it, such as W m-2 sr-1 um-1; None for another."""
     symbols = {_SYMBOLS[symbol][0]: f"{symbol}{power if power < 0 else ''}" for symbol, power in _parts(unit)}
-    is_known = any(_known(unit, quantity) is not None for quantity in ("radiance", "irradiance"))
+    is_known = any(_factor(unit, quantity) is not None for quantity in ("radiance", "irradiance"))
     return " ".join(symbols[k] for k in ("power", "area", "angle", "wavelength") if k in symbols) if is_known else None
 
 
-def _known(unit: str, quantity: str) -> float | None:
+def _factor(unit: str, quantity: str) -> float | None:
     powers, power_of_unit, _ = _QUANTITIES[quantity]
     parts = _parts(unit)
     kinds = {_SYMBOLS[symbol][0]: power for symbol, power in parts}

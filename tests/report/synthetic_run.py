@@ -110,7 +110,7 @@ def make_run(
     engine = {"notes": ("Thermal emission is left out.",), "provenance": {"engine": "6S"}}
     sides = {"predicted": products.PredictedProducts(ax, **p, **engine), "observed": products.ObservedProducts(ax, **o)}
     return Run(
-        table, given=sides, campaign=campaign, title="Planks on a court", simulated=simulated,
+        table, products=sides, campaign=campaign, title="Planks on a court", simulated=simulated,
         description="Invented spectra in the shape of a small campaign.",
         score_maps={
             "yellow planks-CEM": ScoreMap(score, (0.5, 0, 287000.0, 0, -0.5, 4781000.0), "EPSG:32618", masks, 0.5),

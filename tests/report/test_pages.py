@@ -228,10 +228,10 @@ def test_nothing_at_all_is_undecided(tmp_path):
     predicted, observed = PredictedProducts(axis(5)), ObservedProducts(axis(5))
     for number, sides in enumerate([(None, None), (predicted, observed), (predicted, None)]):
         given = dict(zip(SIDES, sides, strict=True))
-        files = written(Run(ResultTable(), given=given, campaign="empty", title="Empty"), tmp_path / str(number))
+        files = written(Run(ResultTable(), products=given, campaign="empty", title="Empty"), tmp_path / str(number))
         assert "nothing is compared" in Page(files["report.html"].decode()).text
         assert not any(name.startswith(("figures/", "scores/")) for name in files)
-    alone = {"given": {"predicted": make_run(curves=1).pair[0]}, "score_maps": {}, "quicklook": None}
+    alone = {"products": {"predicted": make_run(curves=1).pair[0]}, "score_maps": {}, "quicklook": None}
     alone = page_of(subjects=("grass",), change=alone)
     names = {attributes.get("id") for _, attributes in alone.tags if attributes.get("role") == "group"}
     assert {"chart-radiance-budget", "chart-scores", "chart-abundance"} <= names
@@ -344,8 +344,8 @@ def test_curves_that_moved_stand_in_one_chart(folders, tmp_path):
     (tmp_path / "moved").mkdir()
     radiance = {k: dataclasses.replace(e, mean=1.1 * e.mean) for k, e in run.pair[0].radiance.items()}
     table = ResultTable(dataclasses.replace(row, value=row.value * 1.1) for row in run.table)
-    moved = {**run.given, "predicted": dataclasses.replace(run.pair[0], radiance=radiance)}
-    report.write_outputs(dataclasses.replace(run, given=moved, table=table), tmp_path / "moved")
+    moved = {**run.products, "predicted": dataclasses.replace(run.pair[0], radiance=radiance)}
+    report.write_outputs(dataclasses.replace(run, products=moved, table=table), tmp_path / "moved")
     page = compared(folders / "a", tmp_path / "moved", tmp_path / "out")
     assert all(words in page for words in ("run B (dashed) and run A", "difference in the windows 10.00%"))  # of A
     assert page.count('id="chart-radiance"') == page.count('id="chart-snr"') == 1

@@ -163,7 +163,7 @@ def whole():
 @pytest.fixture(scope="module")
 def opened(whole, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    run.write_products(folder, whole.given, title=whole.title, simulated=True)
+    run.write_products(folder, whole.products, title=whole.title, simulated=True)
     run.write_table(whole.table, folder)
     return hyperval.open(folder)
 

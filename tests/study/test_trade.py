@@ -18,7 +18,7 @@ def whole(source, **asked):
     """What is asked, complete, and what stands when all pieces have come."""
     trade = complete(Trade(**asked), prepare(source, Trade(**asked)))
     now = None
-    while now is None or now.left:
+    while now is None or now.todo:
         now = next_piece(source, trade, now)
     return trade, now
 

@@ -245,17 +245,17 @@ def path_error(nodes: Array, aot550: float, ground_km: float, sensor_km: float) 
     (validation/atmosphere/README.md).
     """
     i, _, w = _place(nodes, aot550, ground_km, sensor_km)
-    ratio = float(nodes[i + 1] / max(nodes[i], 0.01))  # less haze than 0.01 is none
-    apart = 2.0 * np.sqrt(np.clip(w * (1.0 - w), 0.0, None))
-    return float(np.nan_to_num(apart) * PATH_ERROR * np.log(ratio) / np.log(AT_RATIO))
+    ratio = float(nodes[i + 1] / max(nodes[i], 0.01))  # a depth below 0.01 counts as none
+    shape = 2.0 * np.sqrt(np.clip(w * (1.0 - w), 0.0, None))
+    return float(np.nan_to_num(shape) * PATH_ERROR * np.log(ratio) / np.log(AT_RATIO))
 
 
 def _place(nodes: Array, aot550: float, ground_km: float, sensor_km: float) -> tuple[int, float, float]:
-    """The node before, and how far it is from there to the next over tau, and over d: NaN where no haze lies below."""
+    """The node below, and the fractions of the way to the next over tau and over d: NaN where no haze lies below."""
     i = int(np.clip(np.searchsorted(nodes, aot550) - 1, 0, nodes.size - 2))
-    low, here, high = depth_below([nodes[i], aot550, nodes[i + 1]], ground_km, sensor_km)
+    low, depth, high = depth_below([nodes[i], aot550, nodes[i + 1]], ground_km, sensor_km)
     over_tau = float((aot550 - nodes[i]) / (nodes[i + 1] - nodes[i]))
-    return i, over_tau, float((here - low) / (high - low)) if high > low else np.nan
+    return i, over_tau, float((depth - low) / (high - low)) if high > low else np.nan
 
 
 def _straight(a: Array, b: Array, w: float) -> Array:

@@ -110,9 +110,9 @@ def _tables(path: Path, layout: _Layout) -> list[_Table]:
 
 def _row(line: str, ends: list[int], where: str, blank: float | None) -> list[float]:
     """The numbers of one row, cut at the given column ends."""
-    short, beyond = blank is None and len(line) < ends[-1], blank is not None and line[ends[-1] :].strip()
+    short, surplus = blank is None and len(line) < ends[-1], blank is not None and line[ends[-1] :].strip()
     refuse(short, "modtran.short", where, found=len(line), wanted=ends[-1])
-    refuse(beyond, "modtran.beyond", where, last=ends[-1], count=len(ends))
+    refuse(surplus, "modtran.beyond", where, last=ends[-1], count=len(ends))
     values = []
     for start, end in zip([0, *ends[:-1]], ends, strict=True):
         text = line[start:end].strip()

@@ -525,8 +525,8 @@ def _gas(state: AtmosphericState, setting: Setting, folder: Path) -> Arrays:
 def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: EngineRatio | None) -> Arrays:
     """Gas transmittances times that of the collision-induced bands (Beer's law), and what MODTRAN has over 6S.
 
-    Both over the same slanted ways: like 6S's other dry gases they dim what the air scatters by the whole way down and
-    up.  They are not in the cache, which holds what 6S printed.
+    Both over the same slant paths: like 6S's other dry gases they attenuate the path radiance over the whole way down
+    and up.  They are not in the cache, which holds the output of 6S.
     """
     profile, ground = standard_profile(state.model), setting.ground_km
     sensor = np.inf if setting.height_km is None else ground + setting.height_km
@@ -536,10 +536,10 @@ def _corrected(gas: Arrays, state: AtmosphericState, setting: Setting, ratio: En
     gas = {name: values * (down if name == "ground" else both) for name, values in gas.items()}
     if ratio is None:
         return gas
-    to_ground, whole = (way[:2, 0] for way in amounts(state))  # air and water
-    here = ratio.within(whole, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
-    way = {"full": whole, "half": whole * (1.0, 0.5), "dry": whole * (1.0, 0.0), "ground": to_ground}
-    return {name: gas[name] * here.gas(*way[name]) for name in way}
+    to_ground, two_way = (way[:2, 0] for way in amounts(state))  # air and water
+    column_ratio = ratio.within(two_way, -np.log(gas["dry"]), np.log(gas["dry"] / gas["full"]))
+    way = {"full": two_way, "half": two_way * (1.0, 0.5), "dry": two_way * (1.0, 0.0), "ground": to_ground}
+    return {name: gas[name] * column_ratio.gas(*way[name]) for name in way}
 
 
 def _answers(kind: str, runs: Sequence[Run], folder: Path, read: Callable[[str, Array], Arrays] = solved_at) -> Arrays:
@@ -664,16 +664,16 @@ def basis(x: Array) -> Array:
 
 
 def kernel(a: Array, b: Array, shape: Array) -> Array:
-    """Long waves over all features, and shorter ones over the sun alone: the phase function, the same in every state.
+    """Covariance of long length scales over all features, and of short ones over the sun, as of the phase function.
 
     Parameters
     ----------
     a, b : (n, 5), (m, 5) features
-    shape : logarithms of the lengths of the features, of that of the sun's waves, and of their height
+    shape : logarithms of the length scales of the features, of the short one of the sun, and of its standard deviation
     """
-    apart = (a[:, None] - b[None]) / np.exp(shape[:5])
+    distance = (a[:, None] - b[None]) / np.exp(shape[:5])
     sun = (a[:, None, 0] - b[None, :, 0]) / np.exp(shape[5])
-    return np.asarray(np.exp(-0.5 * (apart**2).sum(axis=2)) + np.exp(2.0 * shape[6] - 0.5 * sun**2))
+    return np.asarray(np.exp(-0.5 * (distance**2).sum(axis=2)) + np.exp(2.0 * shape[6] - 0.5 * sun**2))
 
 
 def scattering(state: AtmosphericState, held: Arrays) -> Arrays:

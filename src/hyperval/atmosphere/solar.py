@@ -103,8 +103,8 @@ def extraterrestrial_irradiance(name: str, wavelength_nm: Array, distance_au: fl
     """
     grid = np.asarray(wavelength_nm, dtype=float)
     source_nm, irradiance = _extended(*source_samples(name), grid)
-    beyond = grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM
-    refuse(beyond, "sun.short", name=name, covers=source_nm[[0, -1]], wanted=grid[[0, -1]])
+    uncovered = grid[0] < source_nm[0] - _REACH_NM or grid[-1] > source_nm[-1] + _REACH_NM
+    refuse(uncovered, "sun.short", name=name, covers=source_nm[[0, -1]], wanted=grid[[0, -1]])
     step = np.gradient(grid)
     count = int(np.ceil(2.0 * step.max() / _FINE_NM)) | 1
     offset = np.linspace(-1.0, 1.0, count)

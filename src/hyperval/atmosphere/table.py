@@ -26,7 +26,7 @@ from hyperval.atmosphere import modtran, solar
 from hyperval.atmosphere.between import AS_THEY_ARE, Rule, along, between_aerosols, inside, path_error
 from hyperval.atmosphere.sixs import emulator_terms, sixs_terms, terms_near
 from hyperval.atmosphere.state import SPACE_KM, AtmosphericState, aot550_from_range, coordinates
-from hyperval.atmosphere.terms import AtmosphericTerms, lit_by
+from hyperval.atmosphere.terms import Arrays, AtmosphericTerms, lit_by
 from hyperval.data import Array
 from hyperval.datasets import cache_root
 from hyperval.errors import InputError, UsageError, needed, reader, refusal, refuse
@@ -115,9 +115,9 @@ class AtmosphericTable:
             values = getattr(self, name)
             if values is not None:
                 refuse(values.shape != nm.shape, "table.shape", name=name, found=values.shape, wanted=nm.shape)
-                beyond, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
-                where = {"value": values[beyond], "nm": nm[beyond], "low": least, "high": high[beyond]}
-                refuse(beyond.any(), "table.beyond", name=name, **where)
+                implausible, high = ~((values >= least) & (values <= most)), np.broadcast_to(most, nm.shape)
+                where = {"value": values[implausible], "nm": nm[implausible], "low": least, "high": high[implausible]}
+                refuse(implausible.any(), "table.beyond", name=name, **where)
 
     def terms(self, state: AtmosphericState) -> AtmosphericTerms:
         """The terms of a state inside the table.
@@ -173,12 +173,12 @@ class AtmosphericTable:
             refuse(wrong, "table.other", name=name, given=asked, value=value)
 
 
-def _along(nodes: Array, values: Mapping[str, Array], x: float, axis: str, to: Mapping[str, float]) -> dict[str, Array]:
+def _along(nodes: Array, values: Mapping[str, Array], x: float, axis: str, targets: Mapping[str, float]) -> Arrays:
     """All quantities (k, ...) at ``x`` along their first dimension."""
     rule = AXES[axis][0]
     if rule is AEROSOL_RULE:
-        return between_aerosols(nodes, values, x, to["ground_altitude_km"], to["sensor_altitude_km"])
-    # What is no transmittance is straight where those are straight in their logarithm.
+        return between_aerosols(nodes, values, x, targets["ground_altitude_km"], targets["sensor_altitude_km"])
+    # Where transmittances are linear in their logarithm all other quantities are linear.
     rules = {q: _STRAIGHT if rule.logarithm and q in AS_THEY_ARE else rule for q in values}
     return {q: along(nodes, v, x, rules[q]) for q, v in values.items()}
 
@@ -193,8 +193,8 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
     misses: dict[str, dict[str, float] | None] = {}
     for number, (name, nodes) in enumerate(table.axes.items()):
         place, part, errors = dict[str, float](), [slice(None)] * (len(table.axes) + 1), list[Array]()
-        for level, usual in (("ground_altitude_km", 0.0), ("sensor_altitude_km", SPACE_KM)):
-            place[level] = table.fixed.get(level, usual)
+        for level, default in (("ground_altitude_km", 0.0), ("sensor_altitude_km", SPACE_KM)):
+            place[level] = table.fixed.get(level, default)
             if level in table.axes and name == "aot550":  # the haze below the sensor: that at the middle altitude
                 middle = table.axes[level].size // 2
                 place[level] = float(table.axes[level][middle])
@@ -206,8 +206,8 @@ def leave_one_out(table: AtmosphericTable) -> dict[str, dict[str, float] | None]
             exact = {q: v[i] for q, v in moved.items()}
             clear = exact["gas"] > _LEAST_GAS
             errors.append((_total(predicted)[clear] / np.maximum(_total(exact)[clear], 1e-30)) - 1.0)
-        every = np.concatenate([*errors, np.zeros(0)])
-        worst, rms = np.max(np.abs(every), initial=0.0), np.sqrt(np.mean(every**2)) if every.size else 0.0
+        ratios = np.concatenate([*errors, np.zeros(0)])
+        worst, rms = np.max(np.abs(ratios), initial=0.0), np.sqrt(np.mean(ratios**2)) if ratios.size else 0.0
         misses[name] = {"worst": round(float(worst), 6), "rms": round(float(rms), 6)} if errors else None
     return misses
 

@@ -29,7 +29,7 @@ _NARROW = 0.5  # channels this much narrower than the bands, or more, can be ave
 # What goes in proportion to the sunlight; the rest are parts of light, which it leaves as they are.
 _OF_THE_SUN = {"path_radiance", "direct", "adjacency", "ground_irradiance", "path_uncertainty", "diffuser_radiance"}
 NOT_AVERAGED = ("wavelength_nm", "provenance", "fwhm_nm", "solar_lines", "notes")
-_ALIKE = 1.35  # channels within this factor of a band's width stand for it
+_SIMILAR_WIDTH = 1.35  # channels within this factor of a band's width stand for it
 
 
 @dataclass(frozen=True)
@@ -112,11 +112,11 @@ class AtmosphericTerms:
         ratio = np.interp(axis.centre_nm, self.wavelength_nm, self.fwhm_nm) / axis.fwhm_nm
         if np.all(ratio <= _NARROW):
             return False
-        alike = (ratio >= 1.0 / _ALIKE) & (ratio <= _ALIKE)
+        similar = (ratio >= 1.0 / _SIMILAR_WIDTH) & (ratio <= _SIMILAR_WIDTH)
         reach = 0.1 * axis.fwhm_nm
-        inside = (axis.centre_nm >= self.wavelength_nm[0] - reach) & (axis.centre_nm <= self.wavelength_nm[-1] + reach)
-        off = int(np.argmin(alike & inside))
-        ends, wide = self.wavelength_nm[[0, -1]], not np.all(alike & inside)
+        covered = (axis.centre_nm >= self.wavelength_nm[0] - reach) & (axis.centre_nm <= self.wavelength_nm[-1] + reach)
+        off = int(np.argmin(similar & covered))
+        ends, wide = self.wavelength_nm[[0, -1]], not np.all(similar & covered)
         refuse(wide, "terms.channels", nm=axis.centre_nm[off], fwhm=axis.fwhm_nm[off], ends=ends)
         return True
 

@@ -122,9 +122,9 @@ class Candidate:
         return max(low, -whole), high
 
     def at(self, direction: int, units: float) -> list[Truth]:
-        """The truth of each scenario so many units along one direction, or with an alternative by its number."""
-        how = self.labels[int(units)] if self.labels else units
-        return [{} if moved is None else moved(direction, how) for moved in self.members]
+        """The truth of each scenario so many units along one direction, or of the alternative of that number."""
+        amount = self.labels[int(units)] if self.labels else units
+        return [{} if moved is None else moved(direction, amount) for moved in self.members]
 
     @property
     def makes_anything(self) -> bool:
@@ -171,7 +171,7 @@ class Candidate:
 
 
 def together(scenarios: Sequence[Iterable[Candidate]]) -> list[Candidate]:
-    """What bears one name in several scenarios moves all of them at once, by sizes that each may have.
+    """Candidates of one name in several scenarios as one that moves all of these, by sizes that each of them allows.
 
     >>> each = [_move("date", "scene", "1 d", (z, 9.0), lambda z: {"day": z}) for z in (-9.0, -2.0)]
     >>> (both,) = together([each[:1], each[1:]])
@@ -182,16 +182,16 @@ def together(scenarios: Sequence[Iterable[Candidate]]) -> list[Candidate]:
     >>> date.at(0, 2.0), haze.labels, haze.at(0, 1)
     ([{'day': 2.0}, {}], ('rural', 'urban'), [{}, {'haze': 'urban'}])
     """
-    by_name = [{c.name: c for c in some} for some in scenarios]
+    by_name = [{c.name: c for c in candidates} for candidates in scenarios]
     out = list[Candidate]()
-    for name in dict.fromkeys(name for some in by_name for name in some):
-        there = [some[name] for some in by_name if name in some]
-        least = max(min(c.sizes, default=0.0) for c in there)
-        sizes = tuple(dict.fromkeys(max(z, least) for z in there[0].sizes))
-        labels = tuple(dict.fromkeys(label for c in there for label in c.labels))
-        members = tuple(some[name].members[0] if name in some else None for some in by_name)
-        size = max(c.size for c in there)
-        out.append(replace(there[0], members=members, sizes=sizes, labels=labels, size=size))
+    for name in dict.fromkeys(name for candidates in by_name for name in candidates):
+        namesakes = [candidates[name] for candidates in by_name if name in candidates]
+        least = max(min(c.sizes, default=0.0) for c in namesakes)
+        sizes = tuple(dict.fromkeys(max(z, least) for z in namesakes[0].sizes))
+        labels = tuple(dict.fromkeys(label for c in namesakes for label in c.labels))
+        members = tuple(candidates[name].members[0] if name in candidates else None for candidates in by_name)
+        size = max(c.size for c in namesakes)
+        out.append(replace(namesakes[0], members=members, sizes=sizes, labels=labels, size=size))
     return out
 
 
@@ -235,9 +235,9 @@ def _number(world: World, name: str, kind: Kind, path: str, step: str, sizes: Se
 
 
 def every_input(worlds: Sequence[World], further: Iterable[Candidate]) -> list[Candidate]:
-    """Inputs of a stated uncertainty, and the others that may be off, with a usual one.
+    """Inputs with a stated uncertainty, and the others that may be wrong, with a typical one.
 
-    ``further`` : of :func:`further_candidates`, which tell how far a stated one may go
+    ``further`` : of :func:`further_candidates`, which give the range of a stated input too
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import read_world
@@ -255,19 +255,18 @@ def every_input(worlds: Sequence[World], further: Iterable[Candidate]) -> list[C
     """
     usual = together([usual_inputs(world) for world in worlds])
     stated = together([stated_inputs(world, [*usual, *further]) for world in worlds])
-    known = {c.path for c in stated}
-    return [*stated, *(c for c in usual if c.path not in known)]
+    stated_paths = {c.path for c in stated}
+    return [*stated, *(c for c in usual if c.path not in stated_paths)]
 
 
 def stated_inputs(world: World, usual: Iterable[Candidate]) -> Iterator[Candidate]:
     """The inputs of a stated uncertainty.
 
-    A number of a small one is asked at the sizes of one of which nothing is stated: who mistypes it is no more careful
-    than another.
+    A number with a small uncertainty is evaluated at the sizes of one without: a mistake in the file may be as large.
 
     Parameters
     ----------
-    usual : how far the same go where nothing is stated
+    usual : candidates of the same inputs without a stated uncertainty
 
     Examples
     --------
@@ -282,10 +281,10 @@ def stated_inputs(world: World, usual: Iterable[Candidate]) -> Iterator[Candidat
     >>> [c.sizes for c in stated_inputs(read_world(wide), usual_inputs(world)) if c.path == "fraction.[grass]"]
     [(1.0, -1.0)]
     """
-    known = {key: c for c in usual if c.sizes for key in (c.name, c.path)}
+    by_key = {key: c for c in usual if c.sizes for key in (c.name, c.path)}
     for item in inputs_of(world):
         sizes: tuple[float, ...] = (1.0, -1.0) if item.size == 1 else ()
-        if sizes and (other := known.get(item.path, known.get(item.name))) is not None:
+        if sizes and (other := by_key.get(item.path, by_key.get(item.name))) is not None:
             number, _, unit = other.step.partition(" ")
             step = float(number) * (float(np.max(np.abs(item.nominal))) / 100.0 if unit == "%" else 1.0)
             ratio = step / float(np.max(np.abs(item.rows)))
@@ -304,16 +303,16 @@ def usual_inputs(world: World) -> Iterator[Candidate]:
     (['tails of grass'], 4)
     """
     names = [c.name for c in world.stated.scenario.scene.classes]
-    shares = [name for name in names if _there(world, f"fraction.[{name}]")]
-    # Of two shares the other one's is the same input.
-    of = {"{class}": names, "{share}": shares[:1] if len(names) == 2 else shares}
+    shares = [name for name in names if _has_number(world, f"fraction.[{name}]")]
+    # Two fractions sum to 1: the second is the same input.
+    subjects = {"{class}": names, "{share}": shares[:1] if len(names) == 2 else shares}
     for name, kind, path, step, sizes in CAUSES["usual"]:
-        what = next((what for what in of if what in path), "")
-        for each in of.get(what, [""]):
-            if _there(world, where := path.replace(what, each)):
-                yield _number(world, name.replace(what, each), kind, where, step, (1.0, -1.0, *sizes))
-    # Mean spectra that the collection itself does not vouch for.  Those of targets are left out: mixed with their
-    # hosts they look like their fill, which is there already.
+        placeholder = next((key for key in subjects if key in path), "")
+        for subject in subjects.get(placeholder, [""]):
+            if _has_number(world, filled := path.replace(placeholder, subject)):
+                yield _number(world, name.replace(placeholder, subject), kind, filled, step, (1.0, -1.0, *sizes))
+    # Mean spectra that were not measured in the collection.  Those of targets are left out: mixed with their hosts
+    # they have the effect of the fill fraction, which is a candidate already.
     form = SpectralForm(correlation_nm=SURFACE_NM)
     for s, path in _field_spectra(_of_ground(world)):
         sd = SURFACE * np.nan_to_num(world.stated.surfaces[s.name].mean)
@@ -345,8 +344,8 @@ def _state(world: World) -> AtmosphericState | None:
     return None if state is None or state.engine == "table" else state
 
 
-def _there(world: World, path: str) -> bool:
-    """Whether a scenario has a number at a path, which is not 0."""
+def _has_number(world: World, path: str) -> bool:
+    """Whether a scenario has a number other than 0 at a path."""
     if path.startswith("atmosphere.") and _state(world) is None:
         return False
     try:
@@ -376,8 +375,8 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
     (('asphalt and grass',), False)
     >>> clear = {"atmosphere.aerosol": "none", "atmosphere.meteorological_range_km": None}
     >>> clear["scene.targets.[yellow plank].subjects.0.fill"] = {"geometry": {"side_m": 0.4, "gsd_m": 1.0}}
-    >>> seen = {c.name for c in further_candidates([read_world(world.stated.scenario.with_values(clear))])}
-    >>> {"date of overflight", "size of yellow plank"} <= seen, "aerosol type" in seen
+    >>> names = {c.name for c in further_candidates([read_world(world.stated.scenario.with_values(clear))])}
+    >>> {"date of overflight", "size of yellow plank"} <= names, "aerosol type" in names
     (True, False)
     """
     return together([_further(world) for world in worlds])
@@ -386,14 +385,14 @@ def further_candidates(worlds: Sequence[World]) -> list[Candidate]:
 def _further(world: World) -> Iterator[Candidate]:
     stated, state = world.stated, _state(world)
     scene, sizes = stated.scenario.scene, (1.0, -1.0, -50.0, -25.0, -5.0, 5.0, 25.0, 50.0)
-    yield _move("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_elsewhere, world, 1.0))
+    yield _move("wavelength shift", "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_band_shift, world, 1.0))
 
     def wider(units: float) -> Truth:  # or spectra that were smoothed over bands
         return {**_shifted(world), "sensor.band_width": 1.0 + 0.1 * units}
 
     yield _move("band width", "sensor", "10 %", (-4.0, 10.0, 30.0), wider)
     if state is not None and state.time_utc:
-        yield _move("time of overflight", "scene", "1 h", (1.0, -1.0), partial(_later, state, timedelta(hours=1)))
+        yield _move("time of overflight", "scene", "1 h", (1.0, -1.0), partial(_other_time, state, timedelta(hours=1)))
     elif state is not None and state.solar_zenith_deg is not None:
         path, angles = "atmosphere.solar_zenith_deg", (1.0, -1.0, -5.0, 5.0)
         yield _number(world, "solar zenith angle", "scene", path, "1 deg", angles)
@@ -430,7 +429,7 @@ def _rescaled(world: World, kind: Sequence[Surface]) -> Iterator[tuple[str, Trut
             yield f"{s.name} x {x:g}{' or of another material' * other}", {path: x * level} if possible else {}
 
 
-def _later(state: AtmosphericState, step: timedelta, units: float) -> Truth:
+def _other_time(state: AtmosphericState, step: timedelta, units: float) -> Truth:
     """Another time of overflight; another day at the same hour.
 
     >>> from hyperval.api import load_scenario
@@ -438,11 +437,11 @@ def _later(state: AtmosphericState, step: timedelta, units: float) -> Truth:
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
     >>> scenario = load_scenario("green-planks-grass")
     >>> state = scenario.with_values({f"atmosphere.{name}": value for name, value in at.items()}).atmosphere
-    >>> _later(state, timedelta(hours=1), -2.0), _later(state, timedelta(days=30), 0.52)
+    >>> _other_time(state, timedelta(hours=1), -2.0), _other_time(state, timedelta(days=30), 0.52)
     ({'atmosphere.time_utc': '2012-09-20T14:00:00+00:00'}, {'atmosphere.time_utc': '2012-10-06T16:00:00+00:00'})
     """
-    by = units * step if step < timedelta(days=1) else timedelta(days=round(units * step.days))
-    return {"atmosphere.time_utc": (parse_utc(str(state.time_utc)) + by).isoformat()}
+    delay = units * step if step < timedelta(days=1) else timedelta(days=round(units * step.days))
+    return {"atmosphere.time_utc": (parse_utc(str(state.time_utc)) + delay).isoformat()}
 
 
 def _on_day(day: int, units: float) -> Truth:
@@ -454,9 +453,9 @@ def _on_day(day: int, units: float) -> Truth:
     return {"atmosphere.day_of_year": (round(day + 30.0 * units) - 1) % 365 + 1}
 
 
-def _noise(key: str, name: str, sizes: Sequence[float], of: Array | float = 1.0) -> Candidate:
-    """Electrons per radiance or fixed noise of another size, in bands ``of`` (B,)."""
-    return _move(name, "sensor", "5 %", sizes, lambda units: {f"sensor.{key}": 1.0 + 0.05 * units * of})
+def _noise(key: str, name: str, sizes: Sequence[float], arm: Array | float = 1.0) -> Candidate:
+    """Electrons per radiance or fixed noise of another size, in the bands of an ``arm`` (B,)."""
+    return _move(name, "sensor", "5 %", sizes, lambda units: {f"sensor.{key}": 1.0 + 0.05 * units * arm})
 
 
 def _sized(world: World, target: Target) -> Candidate:
@@ -515,20 +514,20 @@ def _entries(world: World, looked_for: Mapping[str, Any]) -> Iterator[Candidate]
 
 
 def others_in_place(named: Mapping[str, Any], others: Mapping[str, Any], what: str) -> dict[str, dict[str, Any]]:
-    """Of named entries what changes where one has the place of another, or two have each other's.
+    """Changes of named entries where one takes the place of another, or two are exchanged.
 
     Parameters
     ----------
-    own, others : entries, and further ones that may stand there; ``what`` is said of those of the same name
+    named, others : entries, and further ones that may stand there; ``what`` is said of those of the same name
 
     Examples
     --------
     >>> others_in_place({"red": 1, "green": 1}, {"green": 2}, "looked for")
     {'red: that of green': {'red': 2}, 'green: that looked for': {'green': 2}}
     """
-    entries = {str(entry): (by, entry) for by, entry in (*others.items(), *named.items())}.values()
-    tried = [(name, by, entry) for name, (by, entry) in product(named, entries) if entry != named[name]]
-    out = {f"{name}: that {what if by == name else f'of {by}'}": {name: entry} for name, by, entry in tried}
+    entries = {str(entry): (owner, entry) for owner, entry in (*others.items(), *named.items())}.values()
+    tried = [(name, owner, entry) for name, (owner, entry) in product(named, entries) if entry != named[name]]
+    out = {f"{name}: that {what if owner == name else f'of {owner}'}": {name: entry} for name, owner, entry in tried}
     return out | exchanged_pairs(named)
 
 
@@ -542,9 +541,9 @@ def exchanged_pairs(named: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
-    """What is looked for where little else explains a change: field spectra at another level, one of them or the
-    covariance of another in its place, fractions that two classes trade, shade, electrons of one arm, stretched bands,
-    heights, the direction of view, another date or sun.
+    """Candidates for a change that the usual ones do not explain: field spectra at another level, one of them or the
+    covariance of another in its place, fractions traded between two classes, shade, electrons of one arm, a stretched
+    wavelength scale, heights, the view direction, another date or solar spectrum.
 
     Examples
     --------
@@ -615,11 +614,11 @@ def rarer_candidates(worlds: Sequence[World]) -> list[Candidate]:
     ('tropical', [{'atmosphere.model': 'tropical'}, {'atmosphere.model': 'tropical'}])
     """
     levels = [_spectra(world) for world in worlds]
-    means = {name: next(iter(of.values())) for own in levels for name, of in own.items()}
-    every = together([[_level(name, of) for name, of in own.items()] for own in levels])
+    means = {name: next(iter(truth.values())) for spectra in levels for name, truth in spectra.items()}
+    every = together([[_level(name, truth) for name, truth in spectra.items()] for spectra in levels])
     first = {str([sorted(truth) for truth in c.at(0, 1.0)]): c for c in reversed(every)}.values()  # of the same spectra
     tried = {f"level of the spectrum of {s.name}" for world in worlds for s in _of_ground(world)}
-    rarer = together([_rarer(world, _files_changed(of, means)) for world, of in zip(worlds, levels, strict=True)])
+    rarer = together([_rarer(world, _files_changed(s, means)) for world, s in zip(worlds, levels, strict=True)])
     return [*(c for c in first if c.name not in tried), *rarer]
 
 
@@ -639,7 +638,7 @@ def _rarer(world: World, of_files: Mapping[str, Truth]) -> Iterator[Candidate]:
     for kind in _kinds(world):
         means = {s.name: np.asarray(value_at(world, path))[0] for s, path in _field_spectra(kind)}
         for s, path in _field_spectra(kind):
-            entries |= {f"{by} in the place of {s.name}": {path: means[by]} for by in means if by != s.name}
+            entries |= {f"{other} in the place of {s.name}": {path: means[other]} for other in means if other != s.name}
     entries |= dict(_covariances(scene.classes))
     for t in scene.targets:
         shapes = ((_geometry(t, p), p.fill and p.fill.geometry) for p in t.populations)
@@ -648,10 +647,10 @@ def _rarer(world: World, of_files: Mapping[str, Truth]) -> Iterator[Candidate]:
         yield _number(world, f"light of {t.name}", "scene", f"{path}.beam", "10 %", (-9.0, -4.0, 7.0))
         entries[f"{t.name} in full light"] = {f"{path}.beam": 1.0, f"{path}.sky_view": 1.0}
     for c in scene.classes:
-        on = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
-        hosts |= {f"{name} on {c.name}": truth for name, truth in on.items()}
-        if len(on) > 1:
-            hosts[f"all targets on {c.name}"] = {path: host for truth in on.values() for path, host in truth.items()}
+        moves = {t.name: {f"scene.targets.[{t.name}].host": c.name} for t in scene.targets if t.host != c.name}
+        hosts |= {f"{name} on {c.name}": truth for name, truth in moves.items()}
+        if len(moves) > 1:
+            hosts[f"all targets on {c.name}"] = {path: host for truth in moves.values() for path, host in truth.items()}
     for a, b in combinations(scene.classes, 2):
         name, traded = f"fraction of {a.name} for {b.name}", partial(_traded, a, b)
         yield _move(name, "scene", "0.05 of the area", (-8.0, 8.0), traded)
@@ -662,12 +661,12 @@ def _rarer(world: World, of_files: Mapping[str, Truth]) -> Iterator[Candidate]:
         for key, name in noises.items() if world.stated.noise is not None else ():
             yield _noise(key, f"{name} of {where}", _SIZES[name], arm)
         name, sizes = f"wavelength shift of {where}", (-25.0, -5.0, 5.0, 25.0)
-        yield _move(name, "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_elsewhere, world, arm))
+        yield _move(name, "sensor", f"{SHIFT_NM:g} nm", sizes, partial(_band_shift, world, arm))
     if world.stated.noise is not None:
         words = {f"{bits} bits": {"sensor_changes.bits": bits} for bits in (8, 10, 12, 14, 16)}
         yield from _one_of("bits of a recorded number", "sensor", words)
     from_middle = (axis.centre_nm - axis.centre_nm.mean()) / (1e3 * SHIFT_NM)
-    yield _move("wavelength scale", "sensor", "0.1 %", (-8.0, 8.0), partial(_elsewhere, world, from_middle))
+    yield _move("wavelength scale", "sensor", "0.1 %", (-8.0, 8.0), partial(_band_shift, world, from_middle))
     yield from _one_of("entry of a surface", "scene", {**entries, **of_files})
     yield from _one_of("host of the targets", "scene", hosts)
     if (state := _state(world)) is not None:
@@ -681,24 +680,24 @@ def _of_atmosphere(world: World, state: AtmosphericState) -> Iterator[Candidate]
     >>> from hyperval.model import read_world
     >>> at = {"solar_zenith_deg": None, "solar_azimuth_deg": None, "day_of_year": None, "latitude_deg": 43.0,
     ...       "longitude_deg": -77.7, "time_utc": "2012-09-20T16:00:00Z"}
-    >>> there = load_scenario("green-planks-grass").with_values({f"atmosphere.{name}": v for name, v in at.items()})
-    >>> of = {c.name: c for c in _of_atmosphere(read_world(there), there.atmosphere)}
-    >>> [of["date of overflight"].at(0, z)[0]["atmosphere.time_utc"][:10] for z in of["date of overflight"].sizes]
+    >>> scenario = load_scenario("green-planks-grass").with_values({f"atmosphere.{name}": v for name, v in at.items()})
+    >>> named = {c.name: c for c in _of_atmosphere(read_world(scenario), scenario.atmosphere)}
+    >>> [named["date of overflight"].at(0, z)[0]["atmosphere.time_utc"][:10] for z in named["date of overflight"].sizes]
     ['2012-08-21', '2012-10-20', '2012-07-22', '2012-11-19']
-    >>> of["place on the globe"].labels, of["place on the globe"].at(0, 0.0)
+    >>> named["place on the globe"].labels, named["place on the globe"].at(0, 0.0)
     (('latitude with the other sign', 'longitude with the other sign'), [{'atmosphere.latitude_deg': -43.0}])
-    >>> of["standard atmosphere"].labels.count(there.atmosphere.model)
+    >>> named["standard atmosphere"].labels.count(scenario.atmosphere.model)
     0
-    >>> of["solar spectrum"].labels.count(there.atmosphere.solar_spectrum)
+    >>> named["solar spectrum"].labels.count(scenario.atmosphere.solar_spectrum)
     0
-    >>> sorted({"time of overflight", "solar zenith angle"} & {c.name for c in _further(read_world(there))})
+    >>> sorted({"time of overflight", "solar zenith angle"} & {c.name for c in _further(read_world(scenario))})
     ['time of overflight']
     """
     for name, kind, path, step, sizes in CAUSES["state"]:
         if getattr(state, path.partition(".")[2], None) is not None:
             yield _number(world, name, kind, path, step, sizes)
     if state.time_utc:
-        later = partial(_later, state, timedelta(days=30))
+        later = partial(_other_time, state, timedelta(days=30))
         yield _move("date of overflight", "scene", "30 d", (-1.0, 1.0, -2.0, 2.0), later)
     place = {"latitude": state.latitude_deg, "longitude": state.longitude_deg}
     signs = {f"{key} with the other sign": {f"atmosphere.{key}_deg": -x} for key, x in place.items() if x}
@@ -714,9 +713,9 @@ def _field_spectra(kind: Iterable[Surface]) -> list[tuple[Any, str]]:
     return [(s, f"surfaces.[{s.name}].mean") for s in kind if s.spectrum.measured is None]
 
 
-def _files_changed(own: Mapping[str, Mapping[str, Array]], means: Mapping[str, Array]) -> dict[str, Truth]:
-    """One file of field spectra in the place of another, or both exchanged, where a scenario reads them; means of other
-    bands, of another scenario, stand nowhere.
+def _files_changed(spectra: Mapping[str, Mapping[str, Array]], means: Mapping[str, Array]) -> dict[str, Truth]:
+    """One file of field spectra in the place of another, or both exchanged, where a scenario reads them; means on other
+    bands, of another scenario, are left out.
 
     >>> a, b = {"surfaces.[red].mean": np.array([0.1])}, {"surfaces.[green].mean": np.array([0.4])}
     >>> means = {f"spectra of {x}.txt": np.array(mean) for x, mean in {"a": [0.1], "b": [0.4], "c": [0.2, 0.2]}.items()}
@@ -728,10 +727,10 @@ def _files_changed(own: Mapping[str, Mapping[str, Array]], means: Mapping[str, A
     spectra of b.txt exchanged with spectra of a.txt {'surfaces.[green].mean': [0.1], 'surfaces.[red].mean': [0.4]}
     """
     out = dict[str, Truth]()
-    bands = {mean.shape for of in own.values() for mean in of.values()}
+    bands = {mean.shape for truth in spectra.values() for mean in truth.values()}
     files = [name for name, mean in means.items() if name.startswith("spectra of ") and mean.shape in bands]
     for a, b in combinations(files, 2):
-        one, other = (dict.fromkeys(own.get(x, {}), means[y]) for x, y in ((a, b), (b, a)))
+        one, other = (dict.fromkeys(spectra.get(x, {}), means[y]) for x, y in ((a, b), (b, a)))
         out |= {f"{b} in the place of {a}": one, f"{a} in the place of {b}": other}
         out[f"{b} exchanged with {a}"] = {**other, **one}
     return out
@@ -755,18 +754,18 @@ def arms_of(world: World) -> dict[str, Array]:
     return {"{:.0f}-{:.0f} nm".format(*axis.centre_nm[arm][[0, -1]]): 1.0 * arm for arm in arms if several}
 
 
-def _elsewhere(world: World, of: Array | float, units: float) -> Truth:
-    return _shifted(world, nm=SHIFT_NM * units * of)
+def _band_shift(world: World, profile: Array | float, units: float) -> Truth:
+    return _shifted(world, nm=SHIFT_NM * units * profile)
 
 
 def _covariances(classes: Sequence[BackgroundClass]) -> Iterator[tuple[str, Truth]]:
-    """Classes whose covariance is stated as that of another one, or of the spectrum it belongs to."""
+    """The covariance of each class replaced by that of another one, or by the covariance of its spectrum."""
     for c, other in product(classes, repeat=2):
         for source in filter(None, (other.covariance, other.spectrum)):
             spread = source.model_dump(include={"builtin", "measured", "replicates"}, exclude_none=True)
             if spread and source is not (c.covariance or c.spectrum):
-                of = next(iter(spread.values()))
-                yield f"covariance of {of} in {c.name}", {f"scene.classes.[{c.name}].covariance": spread}
+                origin = next(iter(spread.values()))
+                yield f"covariance of {origin} in {c.name}", {f"scene.classes.[{c.name}].covariance": spread}
 
 
 def _traded(a: BackgroundClass, b: BackgroundClass, units: float) -> Truth:
@@ -793,7 +792,7 @@ def injected_errors() -> dict[str, Family]:
     made = {
         f.__name__: f for f in (_times, _shifted, _without_tails, _exchanged, _other_material, _fine_texture, _line)
     }
-    return {name: partial(made[f"_{what}"], **of) for name, (what, of) in CAUSES["errors"].items()}
+    return {name: partial(made[f"_{function}"], **options) for name, (function, options) in CAUSES["errors"].items()}
 
 
 def errors_of_file(path: Path) -> dict[str, Family]:
@@ -827,9 +826,9 @@ def injected_prediction(
     >>> from hyperval.api import load_scenario
     >>> scenario = load_scenario("panels").with_values({"atmosphere.engine": "emulator"})
     >>> gains = 1.0, np.linspace(1.0, 1.02, 360).tolist()
-    >>> seen = [injected_prediction(scenario, lambda _, x=x: {"line.gain": x})[0].reflectance["grass"] for x in gains]
-    >>> of, more = (estimate.pixel_covariance for estimate in seen)
-    >>> bool(np.allclose(more, np.outer(gains[1], gains[1]) * of)), float(seen[1].mean[-1] / seen[0].mean[-1])
+    >>> sides = [injected_prediction(scenario, lambda _, x=x: {"line.gain": x})[0].reflectance["grass"] for x in gains]
+    >>> stated, more = (estimate.pixel_covariance for estimate in sides)
+    >>> bool(np.allclose(more, np.outer(gains[1], gains[1]) * stated)), float(sides[1].mean[-1] / sides[0].mean[-1])
     (True, 1.02)
     >>> noise, tail = "sensor.noise", "scene.classes.grass.tail_dof"
     >>> for path, value in (noise, float("nan")), (noise, "loud"), (noise, [1.0, [2.0]]), (tail, 2.0):
@@ -858,7 +857,7 @@ def injected_prediction(
     return prediction, truth
 
 
-def _each(world: World, path: str) -> dict[str, Any]:
+def _nominal(world: World, path: str) -> dict[str, Any]:
     """What stands at a path, or at that of each class or target, where it speaks of them."""
     what = "target" if "{target}" in path else "class"
     names = _names(world, what) if "{" in path else [""]
@@ -883,7 +882,7 @@ def _times(world: World, *, path: str, factor: float) -> Truth:
     Traceback (most recent call last):
     hyperval.errors.UsageError: surfaces.[yellow plank].mean is 0
     """
-    nominal = _each(world, path)
+    nominal = _nominal(world, path)
     refuse(not any(map(np.any, nominal.values())), "attribution.none", what=f"{' and '.join(nominal)} is 0")
     return {each: factor * value for each, value in nominal.items()}
 
@@ -899,7 +898,7 @@ def _shifted(world: World, *, bands: float = 0.0, nm: float | Array = 0.0) -> Tr
 
 
 def _without_tails(world: World) -> Truth:
-    heavy = {path: NORMAL_DOF for path, dof in _each(world, "surfaces.[{class}].tail_dof").items() if dof < NORMAL_DOF}
+    heavy = {key: NORMAL_DOF for key, dof in _nominal(world, "surfaces.[{class}].tail_dof").items() if dof < NORMAL_DOF}
     refuse(not heavy, "attribution.none", what="no class has tails")
     return heavy
 
@@ -907,7 +906,7 @@ def _without_tails(world: World) -> Truth:
 def _other_material(world: World) -> Truth:
     """Of the built-in materials the one that is least like the target."""
     others = [builtin_mean(n, world.stated.axis) for n in BUILTIN_NAMES if not n.endswith("NN")]
-    means = _each(world, "surfaces.[{target}].mean").items()
+    means = _nominal(world, "surfaces.[{target}].mean").items()
     return {path: max(others, key=lambda mean: float(np.nanmean((mean - stated) ** 2))) for path, stated in means}
 
 

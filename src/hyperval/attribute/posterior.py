@@ -37,7 +37,7 @@ UNKNOWN = Candidate(NONE, "", "", False)  # what no candidate describes
 NOTHING_PRIOR, NONE_PRIOR = 0.5, 0.05
 TYPICAL = 2.0  # units that an error has: half of all have less (Cauchy; a half-Cauchy spread of directions)
 LIKELY = 0.8  # probability from which a cause can be called enough
-ALIKE, CORRELATED = 10.0, 0.95  # odds within which causes are not told apart; correlation of their effects
+CONFOUNDED_ODDS, CORRELATED = 10.0, 0.95  # odds within which causes are confounded; correlation of their effects
 MOST_FIRST, MOST_CAUSES, MOST_PEAKS = 4, 3, 4
 CLOSE, GOOD_PART = 30.0, 0.25  # ln of the odds of hypotheses that are named; part of what causes explain together
 _FACTORS = np.geomspace(1.0, 1e3, 41)  # by which all uncertainties may be too small, where no candidate is right
@@ -159,10 +159,10 @@ class Directions:
     def fit(self, e: Array) -> Fit:
         """Of residuals e (n,)."""
         dots = self.vectors.T @ (self.columns.T @ e)
-        q2, whole = dots**2 / self.values, float(e @ e)
-        rest, beside = max(whole - float(q2.sum()), 0.0), e.size - self.values.size
-        logs = whole - self._inverse @ q2 - self._logs
-        logs -= (rest / self.scale2 + beside * np.log(self.scale2))[:, None]
+        q2, total = dots**2 / self.values, float(e @ e)
+        rest, unmoved = max(total - float(q2.sum()), 0.0), e.size - self.values.size
+        logs = total - self._inverse @ q2 - self._logs
+        logs -= (rest / self.scale2 + unmoved * np.log(self.scale2))[:, None]
         logs = 0.5 * logs + self.prior
         best_s, best = np.unravel_index(int(np.argmax(logs)), logs.shape)
         t2, s2 = float(self.tau[best] ** 2), float(self.scale2[best_s])
@@ -274,8 +274,8 @@ Effect = Directions | Family | Alternatives
 
 def effect_of(candidate: Candidate, columns: Array) -> Effect:
     """What a candidate does to whitened residuals (n, k), by its kind."""
-    of: type[Effect] = Alternatives if candidate.labels else Family if candidate.sizes else Directions
-    return of(candidate, columns)
+    kind: type[Effect] = Alternatives if candidate.labels else Family if candidate.sizes else Directions
+    return kind(candidate, columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,12 +285,12 @@ class Hypothesis:
     Attributes
     ----------
     weight : ln of evidence and prior
-    left : chi-square after each cause, the freed directions in the covariance
+    chi_squares : after each cause, the freed directions in the covariance
     """
 
     causes: tuple[Fit, ...]
     weight: float
-    left: tuple[float, ...]
+    chi_squares: tuple[float, ...]
 
     @property
     def first(self) -> str:
@@ -309,7 +309,7 @@ class Posterior:
     fits : each candidate alone, the likeliest first
     hypotheses : the likeliest first
     probability : name -> of its being the first cause; :data:`NONE` and :data:`NOTHING` among them
-    alike : causes that cannot be distinguished from the first
+    confounded : causes that cannot be distinguished from the first
     parts : of all residuals, what spectra share and what they differ in: each a test of its own
     level : p-value below which the residuals are not explained; shared out among the groups of one attribution
     beside_noise : whether more than is named may hide in the noise of a scene made anew, so that no cause is enough
@@ -330,7 +330,7 @@ class Posterior:
     fits: tuple[Fit, ...]
     hypotheses: tuple[Hypothesis, ...]
     probability: Mapping[str, float]
-    alike: tuple[str, ...] = ()
+    confounded: tuple[str, ...] = ()
     parts: tuple[Posterior, ...] = ()
     level: float = ENOUGH
     beside_noise: bool = False
@@ -352,16 +352,16 @@ class Posterior:
         return next(h for h in self.hypotheses if h.first == self.first)
 
     @property
-    def left(self) -> float:
+    def remaining_chi_square(self) -> float:
         """Chi-square after the causes that it names."""
         best = self.best
-        named = [x for x, cause in zip(best.left, best.causes, strict=False) if cause.candidate is not UNKNOWN]
+        named = [x for x, cause in zip(best.chi_squares, best.causes, strict=False) if cause.candidate is not UNKNOWN]
         return named[-1] if named else self.chi_square
 
     @property
     def p_left(self) -> float:
         """Probability of what is left after the causes of the best hypothesis, or of more."""
-        return float(scipy.stats.chi2.sf(self.left, self.dof))
+        return float(scipy.stats.chi2.sf(self.remaining_chi_square, self.dof))
 
     @property
     def enough(self) -> bool:
@@ -377,8 +377,8 @@ class Posterior:
         ((1, True), (1, False))
         >>> one, named = np.eye(8)[:, :1], [Candidate(name, "sensor", "1 %", False) for name in "abc"]
         >>> three = [effect_of(candidate, one).fit(30.0 * one[:, 0]) for candidate in named]
-        >>> told = [Hypothesis(tuple(three[:k]), 0.0, k * (0.1,)) for k in (1, 2, 3)]
-        >>> [Posterior("all", 900.0, 8, 0.0, tuple(three), (h,), {"a": 1.0, NOTHING: 0.0}).enough for h in told]
+        >>> hypotheses = [Hypothesis(tuple(three[:k]), 0.0, k * (0.1,)) for k in (1, 2, 3)]
+        >>> [Posterior("all", 900.0, 8, 0.0, tuple(three), (h,), {"a": 1.0, NOTHING: 0.0}).enough for h in hypotheses]
         [True, True, False]
 
         Of a change, a smooth piece beside another cause fits what that one left:
@@ -389,7 +389,7 @@ class Posterior:
         >>> Posterior("all", 900.0, 8, 0.0, tuple(two), (h,), {"a": 1.0, NOTHING: 0.0}).enough
         False
         """
-        causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.alike))
+        causes, sure = self.best.causes, sum(self.probability.get(name, 0.0) for name in (self.first, *self.confounded))
         named = [c.candidate for c in causes if c.candidate is not UNKNOWN and not c.limited]
         inside = 0 < len(named) == len(causes) < MOST_CAUSES and not any(c.makes_anything for c in named)
         if len(named) > 1 and named[0].unbounded:  # of a change, which has no noise, smooth pieces make the rest
@@ -421,12 +421,12 @@ class Posterior:
         >>> one, sun = np.eye(8)[:, :1], Candidate("sun", "scene", "1 h", False, sizes=(-2.0, 2.0))
         >>> fit = effect_of(sun, np.outer(one, sun.sizes)).fit(1.5 * one[:, 0])
         >>> rest = replace(fit, candidate=UNKNOWN)
-        >>> def of(group, whole, left, *causes):
-        ...     return Posterior(group, whole, 8, 1e-9, (fit,), (Hypothesis(causes, 0.0, left),), {"sun": 1.0})
-        >>> [of("all", 100.0, (left, 8.0), fit, rest).conclusion[:24] for left in (50.0, 70.0)]
+        >>> def posterior(group, whole, rests, *causes):
+        ...     return Posterior(group, whole, 8, 1e-9, (fit,), (Hypothesis(causes, 0.0, rests),), {"sun": 1.0})
+        >>> [posterior("all", 100.0, (rests, 8.0), fit, rest).conclusion[:24] for rests in (50.0, 70.0)]
         ['check the sun (+1.6 h ex', 'none of the causes tried']
-        >>> shared = of("what all share", 90.0, (5.0,), fit)
-        >>> everything = replace(of("all", 100.0, (70.0, 8.0), fit, rest), parts=(shared,))
+        >>> shared = posterior("what all share", 90.0, (5.0,), fit)
+        >>> everything = replace(posterior("all", 100.0, (70.0, 8.0), fit, rest), parts=(shared,))
         >>> everything.conclusion.partition("of 8 residuals, ")[2][:68]
         '0.625 after, of what all share; of everything: none of the causes tr'
         """
@@ -442,12 +442,12 @@ class Posterior:
             return f"consistent in total, not in parts: {before} (p = {self.p_value:.2g}); inconsistent: {names}"
         if self.first == NOTHING:
             return f"no input explains the differences: {before} (p = {self.p_value:.2g})"
-        little = self.left - self.dof > MOST_LEFT * (self.chi_square - self.dof)
+        little = self.remaining_chi_square - self.dof > MOST_LEFT * (self.chi_square - self.dof)
         if self.first == NONE or (little and self.best.causes[-1].candidate is UNKNOWN):
             nearest = max((f for f in self.fits if not f.limited), key=lambda f: f.evidence, default=None)
             near = f" (the nearest: {nearest.name}, {nearest.in_words})" if nearest and nearest.evidence > 0.0 else ""
             return f"none of the causes tried{near}: {before}"
-        return f"{self._causes}: {before}, {self.left / self.dof:.3g} after"
+        return f"{self._causes}: {before}, {self.remaining_chi_square / self.dof:.3g} after"
 
     @property
     def _causes(self) -> str:
@@ -460,10 +460,10 @@ class Posterior:
         ['100 % of the difference); sufficient', 'over 99 % of the difference); possibly not sufficient']
         """
         first, *more = self.best.causes
-        percent = max(100.0 - 100.0 * self.best.left[0] / self.chi_square, 0.0)
+        percent = max(100.0 - 100.0 * self.best.chi_squares[0] / self.chi_square, 0.0)
         part = "over 99" if percent >= 99.5 and not self.enough else f"{percent:.0f}"
         words = f"check the {first.name} ({first.in_words} explains {part} % of the difference"
-        words += f"; not distinguished from {' and '.join(self.alike[:3])})" if self.alike else ")"
+        words += f"; not distinguished from {' and '.join(self.confounded[:3])})" if self.confounded else ")"
         words += "".join(f", then the {c.name} ({c.in_words})" for c in more if c.candidate is not UNKNOWN)
         if any(c.candidate is UNKNOWN for c in more):
             return f"{words}; not sufficient: the remainder has none of the causes tried"
@@ -485,8 +485,8 @@ class Reasoner:
     Examples
     --------
     >>> water, gain = (Candidate(name, "input", "0.1", True) for name in ("water", "gain"))
-    >>> known = Reasoner({water: np.eye(3)[:, :1], gain: np.ones((3, 1))}, np.eye(3))
-    >>> known.posterior("all", np.array([9.0, 0.3, -0.2])).first
+    >>> reasoner = Reasoner({water: np.eye(3)[:, :1], gain: np.ones((3, 1))}, np.eye(3))
+    >>> reasoner.posterior("all", np.array([9.0, 0.3, -0.2])).first
     'water'
     >>> wide, change = np.eye(8), np.array([9.0, 4.0, -3.0, 0, 0, 0, 0, 0])
     >>> two = {water: wide[:, :1], gain: np.ones((8, 1))}
@@ -497,16 +497,16 @@ class Reasoner:
 
     >>> one, smooth = np.eye(40), Candidate("smooth gain", "sensor", "3 %", False, knots_nm=(400.0,))
     >>> offset = Candidate("offset", "sensor", "1 %", False)
-    >>> known = Reasoner({offset: one[:, :1], smooth: one[:, 1:2]}, one[:, 4:])
+    >>> reasoner = Reasoner({offset: one[:, :1], smooth: one[:, 1:2]}, one[:, 4:])
     >>> changes = 10.0 * one[1], 30.0 * one[1], 30.0 * (one[0] + one[1])
-    >>> [[cause.name for cause in known.posterior("all", change).best.causes] for change in changes]
+    >>> [[cause.name for cause in reasoner.posterior("all", change).best.causes] for change in changes]
     [['smooth gain'], ['none of these'], ['offset', 'none of these']]
 
     Of a change, bands that are off by themselves are few; many are a pattern that no candidate has.
 
     >>> bands = Candidate("single bands", "sensor", "1 % in each band", False)
-    >>> known = Reasoner({bands: one}, one, noisy=False)
-    >>> [known.posterior("all", change).first for change in (30.0 * one[1], np.full(40, 30.0))]
+    >>> reasoner = Reasoner({bands: one}, one, noisy=False)
+    >>> [reasoner.posterior("all", change).first for change in (30.0 * one[1], np.full(40, 30.0))]
     ['single bands', 'none of these']
 
     The cause that makes most of it is named first.
@@ -543,12 +543,12 @@ class Reasoner:
 
     def posterior(self, group: str, e: Array) -> Posterior:
         """Of whitened residuals (n,)."""
-        whole = float(e @ e)
+        total = float(e @ e)
         singles = sorted((effect.fit(e) for effect in self._effects), key=self._order)
-        found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (whole,))]
-        found += [self._with(None, fit, e, whole) for fit in (*singles, self._none.fit(e))]
+        found = [Hypothesis((), float(np.log(NOTHING_PRIOR)), (total,))]
+        found += [self._extended(None, fit, e, total) for fit in (*singles, self._none.fit(e))]
         # Chi-square that each leaves by itself, or nothing does; not of what could make anything, or no candidate.
-        alone = {h.first: h.left[0] for h in found[:-1] if not any(f.candidate.makes_anything for f in h.causes)}
+        alone = {h.first: h.chi_squares[0] for h in found[:-1] if not any(f.candidate.makes_anything for f in h.causes)}
         beam = [h for h in sorted(found, key=lambda h: -h.weight) if h.causes and h.causes[-1].candidate is not UNKNOWN]
         beam = [h for h in beam[:MOST_FIRST] if h.weight > found[0].weight]
         for _ in range(MOST_CAUSES - 1):
@@ -556,8 +556,8 @@ class Reasoner:
             found += longer
             beam = [h for h in sorted(longer, key=lambda h: -h.weight)[:1] if h.causes[-1].candidate is not UNKNOWN]
         if not self.noisy:  # a cause of a change makes most of it
-            part = [h.first in (NOTHING, NONE) or h.left[-1] <= MOST_LEFT * whole for h in found]
-            found = [h if most else replace(h, weight=h.weight - whole) for h, most in zip(found, part, strict=True)]
+            part = [h.first in (NOTHING, NONE) or h.chi_squares[-1] <= MOST_LEFT * total for h in found]
+            found = [h if most else replace(h, weight=h.weight - total) for h, most in zip(found, part, strict=True)]
         found.sort(key=lambda h: -h.weight)
         found = [self._ordered(h, e, alone) if h.weight > found[0].weight - CLOSE else h for h in found]
         logs = np.array([h.weight for h in found])
@@ -565,9 +565,9 @@ class Reasoner:
         probability = dict.fromkeys((NOTHING, NONE, *(f.name for f in singles)), 0.0)
         for h, weight in zip(found, weights, strict=True):
             probability[h.first] += float(weight)
-        p_value = float(scipy.stats.chi2.sf(whole, e.size))
-        alike = self._alike(singles, probability, alone)
-        return Posterior(group, whole, e.size, p_value, tuple(singles), tuple(found), probability, alike)
+        p_value = float(scipy.stats.chi2.sf(total, e.size))
+        confounded = self._confounded(singles, probability, alone)
+        return Posterior(group, total, e.size, p_value, tuple(singles), tuple(found), probability, confounded)
 
     def drawn(self, rng: np.random.Generator, times: int) -> Iterator[tuple[str, Posterior]]:
         """Worlds with one cause each, from half to five times what can just be seen, with what none describes, and with
@@ -581,21 +581,21 @@ class Reasoner:
         of_kind: dict[str, list[Effect]] = grouped(self._effects, lambda effect: kind_of(effect.candidate.name))
         for _ in range(times):
             for kind in (*of_kind, NONE, NOTHING):
-                size = 0.0 if kind == NOTHING else SEEN * np.exp(rng.uniform(np.log(0.5), np.log(5.0)))
+                size = 0.0 if kind == NOTHING else DETECTABLE_LENGTH * np.exp(rng.uniform(np.log(0.5), np.log(5.0)))
                 rough = 0.1 * np.linalg.norm(self.wide) * rng.normal(size=n)
                 made = self.wide @ rng.normal(size=self.wide.shape[1]) + rough
                 made *= size / np.linalg.norm(made)
-                if some := of_kind.get(kind):
-                    made = some[rng.integers(len(some))].drawn(rng, size)
-                if size == 0.0 or np.linalg.norm(made) >= 0.5 * SEEN:
+                if effects := of_kind.get(kind):
+                    made = effects[rng.integers(len(effects))].drawn(rng, size)
+                if size == 0.0 or np.linalg.norm(made) >= 0.5 * DETECTABLE_LENGTH:
                     yield kind, self.posterior(ALL, made + rng.normal(size=n))
 
     def _order(self, fit: Fit) -> tuple[bool, float, str]:
         """Of inputs that explain the same, rounding shall not say which comes first."""
         return fit.limited, -float(f"{fit.evidence + self.prior[fit.candidate]:.6g}"), fit.name
 
-    def _with(self, before: Hypothesis | None, fit: Fit, e: Array, whole: float) -> Hypothesis:
-        """One cause more, of residuals e that those before have been taken from; ``whole`` is the chi-square of all."""
+    def _extended(self, before: Hypothesis | None, fit: Fit, e: Array, total: float) -> Hypothesis:
+        """One cause more, of residuals e that those before have been taken from; ``total`` is the chi-square of all."""
         prior = self.prior[fit.candidate]
         # Bands that are off by themselves are few, by their participation ratio: many are a pattern without a name.
         z2 = fit.amplitudes**2
@@ -603,9 +603,9 @@ class Reasoner:
         many = not self.noisy and fit.name == SINGLE_BANDS and float(np.sum(z2)) ** 2 > few
         if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
-        rest = _after(fit, e - fit.made)
-        causes, weight, chi2 = (before.causes, before.weight, before.left) if before else ((), 0.0, ())
-        if not self.noisy and fit.candidate is UNKNOWN and chi2 and chi2[-1] > REMAINDER * whole:
+        rest = _rewhitened(fit, e - fit.made)
+        causes, weight, chi2 = (before.causes, before.weight, before.chi_squares) if before else ((), 0.0, ())
+        if not self.noisy and fit.candidate is UNKNOWN and chi2 and chi2[-1] > REMAINDER * total:
             causes, chi2 = (), ()
         return Hypothesis((*causes, fit), weight + fit.evidence + float(prior), (*chi2, float(rest @ rest)))
 
@@ -613,16 +613,16 @@ class Reasoner:
         """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
         columns = self._together
         for fit in causes:
-            e, columns = _after(fit, e - fit.made), _after(fit, columns)
+            e, columns = _rewhitened(fit, e - fit.made), _rewhitened(fit, columns)
         return e, dict(zip([*self.columns, UNKNOWN], np.split(columns, self._ends, axis=1), strict=True))
 
     def _longer(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
         """Its causes and one more each."""
-        if special.chdtrc(e.size, h.left[-1]) <= SUFFICES:
+        if special.chdtrc(e.size, h.chi_squares[-1]) <= SUFFICES:
             rest, columns = self._without(h.causes, e)
             for candidate, g in columns.items():
                 if all(candidate is not f.candidate for f in h.causes):
-                    yield self._with(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
+                    yield self._extended(h, effect_of(candidate, g).fit(rest), rest, float(e @ e))
 
     def _ordered(self, h: Hypothesis, e: Array, alone: Mapping[str, float]) -> Hypothesis:
         """The same causes: what befalls all subjects before what befalls one, where it explains a good part; of a
@@ -631,8 +631,8 @@ class Reasoner:
         What could make anything, or no candidate describes, comes last:
 
         >>> tilt, bands = (Candidate(name, "sensor", "1 %", False) for name in ("tilt", "single bands"))
-        >>> known = Reasoner({bands: np.eye(40), tilt: np.ones((40, 1))}, np.eye(40)[:, 4:], noisy=False)
-        >>> [f.name for f in known.posterior("all", 30.0 + 40.0 * np.eye(40)[3]).best.causes]
+        >>> reasoner = Reasoner({bands: np.eye(40), tilt: np.ones((40, 1))}, np.eye(40)[:, 4:], noisy=False)
+        >>> [f.name for f in reasoner.posterior("all", 30.0 + 40.0 * np.eye(40)[3]).best.causes]
         ['tilt', 'single bands']
         """
         rank = [f.candidate.kind not in SHARED if self.noisy else alone.get(f.name, np.inf) for f in h.causes]
@@ -644,48 +644,48 @@ class Reasoner:
             if self.noisy or special.chdtrc(e.size, chi2[-1]) <= SUFFICES:
                 rest, columns = self._without(causes, e)
                 causes += (effect_of(cause.candidate, columns[cause.candidate]).fit(rest),)
-                rest = _after(causes[-1], rest - causes[-1].made)
+                rest = _rewhitened(causes[-1], rest - causes[-1].made)
                 chi2.append(float(rest @ rest))
-        good = chi2[0] - chi2[1] > GOOD_PART * (chi2[0] - h.left[-1]) and not causes[0].limited
+        good = chi2[0] - chi2[1] > GOOD_PART * (chi2[0] - h.chi_squares[-1]) and not causes[0].limited
         return Hypothesis(causes, h.weight, tuple(chi2[1:])) if good else h
 
-    def _alike(
+    def _confounded(
         self, singles: Sequence[Fit], probability: Mapping[str, float], alone: Mapping[str, float]
     ) -> tuple[str, ...]:
-        """Candidates whose odds are near those of the first, or whose effect has its pattern.
+        """Candidates whose odds are near those of the first, or whose effects correlate with its effect.
 
         >>> a, b, c = (Candidate(name, "input", "1 %", False, sizes=(-20.0, 25.0)) for name in "abc")
         >>> columns = {one: np.outer(effect, one.sizes) for one, effect in ((a, np.ones(9)), (b, np.ones(9)))}
         >>> columns[c] = np.outer(np.arange(9.0), c.sizes)
         >>> found = Reasoner(columns, np.eye(9)).posterior("all", 3.0 + np.cos(np.arange(9.0)))
-        >>> found.first, found.alike
+        >>> found.first, found.confounded
         ('a', ('b',))
 
-        Of a change, what leaves nearly as little of it by itself is not told apart either.
+        A candidate that leaves nearly as little of a change by itself is confounded too.
 
         >>> wave = Candidate("wave", "input", "1 %", False)
         >>> nearly = {a: columns[a], wave: np.column_stack([np.ones(9), np.cos(np.arange(9.0))])}
         >>> change = 20.0 + 0.6 * np.cos(2.0 * np.arange(9.0))
-        >>> [Reasoner(nearly, np.eye(9), noisy=noisy).posterior("all", change).alike for noisy in (True, False)]
+        >>> [Reasoner(nearly, np.eye(9), noisy=noisy).posterior("all", change).confounded for noisy in (True, False)]
         [(), ('wave',)]
         """
         first = max(probability, key=lambda name: probability[name])
         if (best := next((f for f in singles if f.name == first), None)) is None:
             return ()
-        near = {f.name for f in singles if probability[f.name] * ALIKE > probability[first]}
+        near = {f.name for f in singles if probability[f.name] * CONFOUNDED_ODDS > probability[first]}
         for f in singles:
             one = f.amplitudes.size == best.amplitudes.size == 1 and f.evidence > 0.5 * best.evidence
             lengths = float(np.linalg.norm(f.shown) * np.linalg.norm(best.shown))
             if one and abs(float(f.shown @ best.shown)) > CORRELATED * lengths:
                 near.add(f.name)
-        if not self.noisy:  # without chance, what explains a change nearly as well by itself is as good a reason
+        if not self.noisy:  # a change has no noise: what explains it nearly as well by itself is as good a cause
             chi2 = {f.name: alone[f.name] for f in singles if f.name in alone and not f.limited}
-            most = min(ALIKE * chi2.get(first, 0.0), REMAINDER * alone[NOTHING])
+            most = min(CONFOUNDED_ODDS * chi2.get(first, 0.0), REMAINDER * alone[NOTHING])
             near |= {name for name, rest in chi2.items() if rest <= most}
         return tuple(f.name for f in singles if f.name in near and f is not best)
 
 
-SEEN = 3.6  # length of a whitened effect that a directed test sees in 95 % of cases
+DETECTABLE_LENGTH = 3.6  # length of a whitened effect that a directed test sees in 95 % of cases
 SUFFICES = 0.3  # of a cause that leaves less than chance does, no second one is looked for
 
 
@@ -694,7 +694,7 @@ def kind_of(name: str) -> str:
     return "light" if name in LIGHT else name if name == NONE else name.partition(" of ")[0]
 
 
-def _after(fit: Fit, x: Array) -> Array:
+def _rewhitened(fit: Fit, x: Array) -> Array:
     """Columns (n,) or (n, k) in units of an uncertainty that holds the freed directions of a cause."""
     less = 1.0 - np.sqrt(fit.factor2 / (fit.factor2 + fit.variances))
     return np.asarray((x - fit.freed @ ((fit.freed.T @ x).T * less).T) / np.sqrt(fit.factor2))
@@ -733,15 +733,15 @@ class Residuals(NamedTuple):
 
         >>> from hyperval.attribute import ResidualBlock
         >>> level, noise = np.array([1.0, 2.0, 3.0, 1.5, 1.0, 0.5]), 0.01 * np.random.default_rng(1).normal(size=6)
-        >>> seen, half = level + level * noise, (("lawn", slice(0, 3)), ("lot", slice(3, 6)))
+        >>> measured, half = level + level * noise, (("lawn", slice(0, 3)), ("lot", slice(3, 6)))
         >>> blocks = [
-        ...     ResidualBlock("radiance", n, "", seen[i], np.diag(1e-4 * level[i] ** 2), len, np.arange(3))
+        ...     ResidualBlock("radiance", n, "", measured[i], np.diag(1e-4 * level[i] ** 2), len, np.arange(3))
         ...     for n, i in half
         ... ]
         >>> stack, gain = Stack(tuple(blocks)), Candidate("gain", "sensor", "1 %", False, sizes=(-20.0, 25.0))
         >>> columns = {gain: np.outer(0.01 * level, gain.sizes)}
-        >>> told = Residuals(level * noise, stack.covariance, columns, 0.1 * np.diag(level))
-        >>> found = told.posteriors(stack, [])
+        >>> residuals = Residuals(level * noise, stack.covariance, columns, 0.1 * np.diag(level))
+        >>> found = residuals.posteriors(stack, [])
         >>> [(posterior.group, [fit.name for fit in posterior.fits]) for posterior in found]
         [('all', ['gain']), ('what all subjects share', ['gain']), ('what differs between subjects', [])]
         """
@@ -757,7 +757,7 @@ class Residuals(NamedTuple):
         return [replace(r, level=ENOUGH / len(out)) for r in out]
 
 
-def common_and_individual(common: Array, of: Residuals) -> dict[str, Residuals]:
+def common_and_individual(common: Array, residuals: Residuals) -> dict[str, Residuals]:
     """What is common to all subjects, and what differs between them: two independent parts of the residuals.
 
     The common part is the generalised least-squares estimate of one factor for each band; the other is what no such
@@ -766,19 +766,19 @@ def common_and_individual(common: Array, of: Residuals) -> dict[str, Residuals]:
     Parameters
     ----------
     common : (m, K) what a unit of each band's factor does
-    of : those of the spectra
+    residuals : those of the spectra
     """
-    whole, _ = linalg.qr(common)
-    rest = whole[:, common.shape[1] :]
-    weighted = linalg.solve(of.covariance, common, assume_a="pos")
+    basis, _ = linalg.qr(common)
+    rest = basis[:, common.shape[1] :]
+    weighted = linalg.solve(residuals.covariance, common, assume_a="pos")
     spread = linalg.inv(common.T @ weighted)
     spread = 0.5 * (spread + spread.T)
     estimate = spread @ weighted.T
     out = {}
-    for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ of.covariance @ rest)):
-        moved = {candidate: m @ g for candidate, g in of.columns.items()}
-        kept = {k: g for k, g in moved.items() if _moves(g, of.columns[k])}
-        out[name] = Residuals(m @ of.values, c, kept, m @ of.wide)
+    for name, m, c in ((COMMON, estimate, spread), (DIFFERENT, rest.T, rest.T @ residuals.covariance @ rest)):
+        moved = {candidate: m @ g for candidate, g in residuals.columns.items()}
+        kept = {k: g for k, g in moved.items() if _moves(g, residuals.columns[k])}
+        out[name] = Residuals(m @ residuals.values, c, kept, m @ residuals.wide)
     return out
 
 

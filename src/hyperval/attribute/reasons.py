@@ -56,7 +56,7 @@ FACTOR = 2.0  # a ratio of false alarms within it is good
 AS_WRITTEN = 2e-5  # part of a value within which the six digits of an accepted one and of another machine agree
 # Of a change between two runs, which has no noise: rounding of what is no spectrum; part of an effect that is off as it
 # is large or was found at another level; part of a spectrum that has not moved.
-CHANGE_FLOOR, OFF, STILL = 2e-4, 0.01, 1e-4
+CHANGE_FLOOR, OFF, UNMOVED = 2e-4, 0.01, 1e-4
 _OFFSETS = (-20.0, -8.0, -2.0, 2.0, 8.0, 20.0)
 _EVERYTHING, SINCE = "every input", "since the accepted run"
 UNCHANGED = "spectra, SNR, scores, and false alarms at 1e-2 and 1e-3 have not changed beyond their uncertainty"
@@ -65,6 +65,7 @@ Truths = Sequence[Truth]  # what is moved in each scenario
 # Sides of an accepted run by quantity (:meth:`Causes.sides`), and its reduced chi-square of all residuals, 0: not known
 Accepted = tuple[Mapping[str, Sequence[str]], float]
 Classes = Mapping[str, Mapping[str, Array]]  # (B,) mean of each by product
+Columns = Mapping[Candidate, Array]  # (n, k) what each candidate does to residuals
 Key = tuple[str, str, str]  # background, detector, metric
 Evaluate = Callable[..., list[Array]]  # what is explained, of truths, a title, and whether a budget is made of them
 Numbers = Mapping[Quantity, float]
@@ -144,9 +145,9 @@ class Causes:
         >>> gain, height = (Candidate(name, "scene", "1 km", False) for name in ("gain", "height"))
         >>> stack, one = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), np.eye(20), len),)), np.eye(20)
         >>> def causes(residual):
-        ...     known, further = {gain: one[:, :1]}, [lambda: {height: one[:, 1:2]}]
-        ...     told = Residuals(residual, one, known, 0.1 * one[:, 4:])
-        ...     return Causes(stack, np.zeros(20), {}, dict, dict, further, told, {}, len, None, dict)
+        ...     columns, further = {gain: one[:, :1]}, [lambda: {height: one[:, 1:2]}]
+        ...     residuals = Residuals(residual, one, columns, 0.1 * one[:, 4:])
+        ...     return Causes(stack, np.zeros(20), {}, dict, dict, further, residuals, {}, len, None, dict)
         >>> [[f.name for f in causes(30.0 * one[i]).standing()[1].best.causes] for i in (0, 1)]
         [['gain'], ['height']]
 
@@ -155,8 +156,8 @@ class Causes:
         >>> gain = Candidate("gain", "scene", "1 km", False, (lambda _, z: {"km": z},), sizes=(-2.0, 2.0))
         >>> asked = lambda truths, title, budgeted: [truth["km"] * one[0] for (truth,) in truths]
         >>> tried = replace(causes(0.0), evaluate=asked)
-        >>> told = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
-        >>> found = replace(tried, residuals=told).standing()[0].columns
+        >>> case = Residuals(3.0 * one[0] + 30.0 * one[1], one, {gain: np.outer(one[0], gain.sizes)}, 0.1 * one[:, 4:])
+        >>> found = replace(tried, residuals=case).standing()[0].columns
         >>> [len(one.sizes) == made.shape[1] > 2 for one, made in found.items()]
         [True]
         """
@@ -183,7 +184,7 @@ class Causes:
         return out
 
     def changed(self, texts_of: Mapping[str, Sequence[str]], *, simulated: bool) -> Posterior | None:
-        """What explains the change since a run with the sides ``told``; None where both share no quantity.
+        """What explains the change since a run with the sides ``texts_of``; None where both share no quantity.
 
         What is less than its uncertainty and is not explained is nothing to explain.  Else the same data and the same
         draws have no noise: what was measured moved, or the prediction did.  Where measured spectra moved the data are
@@ -201,17 +202,17 @@ class Causes:
         ...     n, files = stack.observed.size, of.get("files", {})
         ...     asked = of.get("evaluate", lambda truths, title, budgeted: [])
         ...     rarer = of.get("rarer", ())
-        ...     told = Residuals(np.zeros(n), 1e-6 * np.eye(n), {}, np.eye(n))
-        ...     return Causes(stack, np.zeros(n), {}, lambda level: none, lambda: files, rarer, told,
+        ...     residuals = Residuals(np.zeros(n), 1e-6 * np.eye(n), {}, np.eye(n))
+        ...     return Causes(stack, np.zeros(n), {}, lambda level: none, lambda: files, rarer, residuals,
         ...                   {}, asked, of.get("mistaken"), lambda: none)
         >>> exchanged = Candidate("spectra of targets in the file", "scene", "", False, labels=("red and green",))
-        >>> seen = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
-        >>> told = {"scores of paint cem": ("-1 -2", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
-        >>> found = seen.changed(told, simulated=False)
+        >>> tried = causes(block("scores", 0.1, 0.9), block("roc", -4.0), files={exchanged: np.c_[[0.8, -0.6, -9.0]]})
+        >>> texts = {"scores of paint cem": ("-1 -2", "0.5 0.4", "0.8 -0.6"), "roc of paint cem": ("-1", "-4", "2.0")}
+        >>> found = tried.changed(texts, simulated=False)
         >>> found.first, found.enough
         ('spectra of targets in the file', True)
-        >>> told = {"scores of paint cem": ("-1 -2", "0.10001 0.9", "0 1e-05"), "roc of paint cem": ("-1", "-4", "0")}
-        >>> seen.changed(told, simulated=False).first
+        >>> texts = {"scores of paint cem": ("-1 -2", "0.10001 0.9", "0 1e-05"), "roc of paint cem": ("-1", "-4", "0")}
+        >>> tried.changed(texts, simulated=False).first
         'nothing to explain'
 
         Targets are looked for two pixels away at first, where one pixel may show nothing, then beside the best:
@@ -219,30 +220,30 @@ class Causes:
         >>> def at(mistake):
         ...     by = np.array([mistake.get("lines", 0), mistake.get("samples", 0)])
         ...     return (np.hypot(3, 2) - np.hypot(*(by - [3, 2]))) * np.array([0.1, 0.0]) * np.any(np.abs(by) > 1)
-        >>> told = {"scores of paint cem": ("-1 -2", f"{0.1 - 0.1 * 13**0.5} 0.9", "0 0")}
-        >>> found = causes(block("scores", 0.1, 0.9), mistaken=at).changed(told, simulated=False)
+        >>> texts = {"scores of paint cem": ("-1 -2", f"{0.1 - 0.1 * 13**0.5} 0.9", "0 0")}
+        >>> found = causes(block("scores", 0.1, 0.9), mistaken=at).changed(texts, simulated=False)
         >>> found.first, found.best.causes[0].in_words
         ('position of the target regions', '+3 lines, +2 samples')
 
         An atmosphere that explains a change is told by the engine itself, not by its emulator:
 
         >>> air = Candidate("standard atmosphere", "atmosphere", "", False, (lambda *_: {},), labels=("winter",))
-        >>> told = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 -0.3 0.2")}
+        >>> texts = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 -0.3 0.2")}
         >>> tried = causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: {air: np.c_[[0.45, -0.33, 0.2]]}],
         ...                evaluate=lambda truths, title, budgeted: [np.array([0.5, -0.3, 0.2]) * budgeted])
-        >>> tried.changed(told, simulated=False).enough
+        >>> tried.changed(texts, simulated=False).enough
         True
 
         Regions that alone moved are looked for elsewhere, and two of them in each other's place:
 
         >>> def light(name, level):
         ...     return ResidualBlock("radiance", name, "", np.full(3, level), 1e-6 * np.eye(3), len, np.arange(3))
-        >>> told = {f"radiance of {name}": ("0 1 2", "0.4 0.5 0.6", "0 0 0") for name in ("red", "green", "lot")}
-        >>> told["radiance of lot"] = ("0 1 2", "0.7 0.7 0.7", "0 0 0")
+        >>> texts = {f"radiance of {name}": ("0 1 2", "0.4 0.5 0.6", "0 0 0") for name in ("red", "green", "lot")}
+        >>> texts["radiance of lot"] = ("0 1 2", "0.7 0.7 0.7", "0 0 0")
         >>> tried = causes(light("red", 0.2), light("green", 0.1), light("lot", 0.7), mistaken=lambda mistake:
         ...                asked.append(mistake) or np.zeros(9))
         >>> asked = []
-        >>> tried.changed(told, simulated=False).first, len(asked), asked[0]
+        >>> tried.changed(texts, simulated=False).first, len(asked), asked[0]
         ('none of these', 40, {'exchanged': ['red', 'green']})
         >>> asked[1], asked[32]["lines"]
         ({'lines': -2, 'samples': -2, 'regions': True, 'still': ['lot']}, -6)
@@ -250,43 +251,43 @@ class Causes:
         Where no place of all targets fits, lines were lost, and those that lie beyond are looked for alone:
 
         >>> def lost(mistake):
-        ...     there = (mistake.get("lines"), mistake.get("samples")) == (-5, 0)
-        ...     return np.array([0.3 * there, 0.0, 0.2 * there * (mistake.get("beyond", 0.0) < 0.6), 0.0])
+        ...     is_lost = (mistake.get("lines"), mistake.get("samples")) == (-5, 0)
+        ...     return np.array([0.3 * is_lost, 0.0, 0.2 * is_lost * (mistake.get("beyond", 0.0) < 0.6), 0.0])
         >>> noise = 1e-6 * np.eye(2)
         >>> two = [ResidualBlock("scores", n, "cem", np.array([0.4, 0.9]), noise, len) for n in ("red", "lot")]
-        >>> told = {"scores of red cem": ("-1 -2", "0.1 0.9", "0 0"), "scores of lot cem": ("-1 -2", "0.4 0.9", "0 0")}
-        >>> found = causes(*two, mistaken=lost).changed(told, simulated=False)
+        >>> texts = {"scores of red cem": ("-1 -2", "0.1 0.9", "0 0"), "scores of lot cem": ("-1 -2", "0.4 0.9", "0 0")}
+        >>> found = causes(*two, mistaken=lost).changed(texts, simulated=False)
         >>> found.first, found.best.causes[0].in_words, found.enough
         ('position of the target regions beyond some line', '-5 lines, +0 samples from 5/8 of the image on', True)
 
         Scores that moved by some thousandths are no rounding:
 
-        >>> told = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.003 -0.002 0.001")}
+        >>> texts = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.003 -0.002 0.001")}
         >>> fill = {Candidate("fill fraction", "scene", "", False): np.c_[[0.003, -0.002, 0.001]]}
-        >>> causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: fill]).changed(told, simulated=False).first
+        >>> causes(block("scores", 0.1, 0.9, 0.4), rarer=[lambda: fill]).changed(texts, simulated=False).first
         'fill fraction'
 
         Spectra that hardly moved do not hide scores that did:
 
-        >>> told = {"radiance of red": ("0 1 2", "0.4 0.4 0.4", "0 0 0"), "scores of paint cem": ("-1", "0.9", "0.0")}
+        >>> texts = {"radiance of red": ("0 1 2", "0.4 0.4 0.4", "0 0 0"), "scores of paint cem": ("-1", "0.9", "0.0")}
         >>> tried = causes(light("red", 0.40005), block("scores", 0.1), mistaken=lambda mistake: np.zeros(4))
-        >>> tried.changed(told, simulated=False).first
+        >>> tried.changed(texts, simulated=False).first
         'none of these'
 
         A band that held nothing in the accepted run has no part by which it moved:
 
         >>> spectrum = ResidualBlock("radiance", "paint", "", np.full(3, 0.4), 1e-6 * np.eye(3), len, np.arange(3))
-        >>> told = {"radiance of paint": ("0 1 2", "0 0.4 0.4", "0 0 0")}
-        >>> causes(spectrum, mistaken=lambda mistake: np.zeros(3)).changed(told, simulated=False).first
+        >>> texts = {"radiance of paint": ("0 1 2", "0 0.4 0.4", "0 0 0")}
+        >>> causes(spectrum, mistaken=lambda mistake: np.zeros(3)).changed(texts, simulated=False).first
         'none of these'
 
         What is rarer is asked one after the other, until one cause suffices:
 
         >>> def rarer(name, column):
         ...     return lambda: asked.append(name) or {Candidate(name, "scene", "", False): np.c_[column]}
-        >>> told, asked = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 0.2 0.1")}, []
+        >>> texts, asked = {"scores of paint cem": ("-1 -2 -3", "0.1 0.9 0.4", "0.5 0.2 0.1")}, []
         >>> three = [rarer("haze", [1.0, 9.0, 1.0]), rarer("date", [0.5, 0.2, 0.1]), rarer("sun", [1.0, 0.0, 0.0])]
-        >>> found = causes(block("scores", 0.1, 0.9, 0.4), rarer=three).changed(told, simulated=False)
+        >>> found = causes(block("scores", 0.1, 0.9, 0.4), rarer=three).changed(texts, simulated=False)
         >>> found.first, found.enough, asked
         ('date', True, ['haze', 'date'])
 
@@ -300,145 +301,143 @@ class Causes:
         shared = self.stack.shared_with({name: bands for name, (bands, *_) in sides.items()})
         if not shared:
             return None
-        of = np.concatenate([here for _, here, _ in shared])
+        rows = np.concatenate([part for _, part, _ in shared])
         observed, predicted = np.hstack([np.array(sides[name][1:])[:, index] for name, _, index in shared])
-        moved, of_model = change = np.array([self.stack.observed[of] - observed, predicted - self.predicted[of]])
-        scale = np.maximum(np.abs([observed, predicted]), self.stack.bands[of] < 0)  # a score is written to digits of 1
+        moved, of_model = change = np.array([self.stack.observed[rows] - observed, predicted - self.predicted[rows]])
+        scale = np.maximum(np.abs([observed, predicted]), self.stack.bands[rows] < 0)  # scores: written to digits of 1
         same = np.all(np.abs(change) <= AS_WRITTEN * scale)
-        found = None if same else self._change(moved, of_model, of, observed, predicted, simulated)
-        size = Whitened(moved + of_model, self.residuals.covariance[np.ix_(of, of)]).chi_square
-        if found is not None and (size > 1.0 or found.enough):
-            return found
-        return Posterior.of_nothing(of.size)
+        posterior = None if same else self._change(moved, of_model, rows, observed, predicted, simulated)
+        size = Whitened(moved + of_model, self.residuals.covariance[np.ix_(rows, rows)]).chi_square
+        if posterior is not None and (size > 1.0 or posterior.enough):
+            return posterior
+        return Posterior.of_nothing(rows.size)
 
     def _change(
-        self, moved: Array, of_model: Array, of: Index, observed: Array, predicted: Array, simulated: bool
+        self, moved: Array, of_model: Array, rows: Index, observed: Array, predicted: Array, simulated: bool
     ) -> Posterior:
-        """What explains that entries ``of`` moved from what was ``observed`` and ``predicted``."""
+        """What explains that the entries ``rows`` moved from what was ``observed`` and ``predicted``."""
         spectral, level, columns = self.stack.bands >= 0, self.predicted.copy(), self.residuals.columns
-        if np.any(np.abs(moved) > STILL * np.abs(observed), where=spectral[of]):
-            level[of] = np.where(spectral[of], observed, predicted)
-            light = (spectral | (self.stack.named("product") == "snr"))[of]
-            every, change, of, moved = of, moved, of[light], moved[light]
+        if np.any(np.abs(moved) > UNMOVED * np.abs(observed), where=spectral[rows]):
+            level[rows] = np.where(spectral[rows], observed, predicted)
+            light = (spectral | (self.stack.named("product") == "snr"))[rows]
+            all_rows, change, rows, moved = rows, moved, rows[light], moved[light]
             # No field spectrum, which could make anything, has moved what was measured.
             can = (c for c in columns if c.kind == "sensor" or (simulated and not c.makes_anything))
             columns = {c: self.beside(level, columns[c]) for c in can}
             columns |= self.of_spectra(level) | self.stack.single(level)
-            if len(away := self._moved_subjects(moved, of, level)[0]) == 2:
-                one = Candidate("exchanged regions", "scene", "", False, labels=(" and ".join(away),))
-                columns[one] = self.mistaken({"exchanged": away})[:, None]
-            if simulated and (by_setting := self.or_rarer(moved, of, level, columns)).enough:
+            if len(displaced := self._moved_subjects(moved, rows, level)[0]) == 2:
+                one = Candidate("exchanged regions", "scene", "", False, labels=(" and ".join(displaced),))
+                columns[one] = self.mistaken({"exchanged": displaced})[:, None]
+            if simulated and (by_setting := self.or_rarer(moved, rows, level, columns)).enough:
                 return by_setting
-            found = self.or_displaced(moved, of, level, columns, regions=True)
-            if simulated and found.first == NONE:  # a scene made anew has scores too, beside other noise
+            found = self.or_displaced(moved, rows, level, columns, regions=True)
+            if simulated and found.first == NONE:  # a new simulation has other noise, and scores too
                 each = (self.of_inputs, *(more() for more in self.rarer))
-                inputs = {replace(c, unbounded=True): g[every] for columns in each for c, g in columns.items()}
-                residuals = self.residuals.of(every)._replace(values=change, columns=inputs)
-                _, noisy = self.explained(residuals, every, self.predicted, True)
+                inputs = {replace(c, unbounded=True): g[all_rows] for columns in each for c, g in columns.items()}
+                residuals = self.residuals.of(all_rows)._replace(values=change, columns=inputs)
+                _, noisy = self.explained(residuals, all_rows, self.predicted, True)
                 return replace(noisy, beside_noise=True) if noisy.enough else found
-            if found.first != NOTHING:  # else scores moved beside spectra that hardly did
+            if found.first != NOTHING:  # else scores moved, and spectra hardly did
                 return found
-            of, moved, level = every, change, self.predicted.copy()
-        of_scores = bool(np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[of]))
+            rows, moved, level = all_rows, change, self.predicted.copy()
+        of_scores = bool(np.any(np.abs(of_model) > CHANGE_FLOOR, where=~spectral[rows]))
         is_measured = bool(np.any(np.abs(moved) > CHANGE_FLOOR))
-        # Of an entry that is wrong, filters and all that is made of it moved on both sides; false alarms are read at
-        # thresholds that were measured.
-        alone = (self.stack.named("product")[of] != "roc") | (not is_measured)
-        if of_scores and (entry := self.explained_change(of_model[alone], of[alone], level, self.of_files())).enough:
+        # A wrong entry moves filters, and all that follows from them, on both sides; false alarms are read at
+        # measured thresholds.
+        alone = (self.stack.named("product")[rows] != "roc") | (not is_measured)
+        if of_scores and (entry := self.explained_change(of_model[alone], rows[alone], level, self.of_files())).enough:
             return entry
         if is_measured:
             steps = dict[Candidate, Array]()
             for name, step, key, unit, sizes in CAUSES["image"]:
                 effects = np.column_stack([self.mistaken({key: unit * z}) for z in sizes])
                 steps[Candidate(name, "sensor", step, False, sizes=tuple(sizes))] = effects
-            if (by_data := self.or_displaced(moved, of, level, steps, regions=False)).first not in (NONE, NOTHING):
+            if (by_data := self.or_displaced(moved, rows, level, steps, regions=False)).first not in (NONE, NOTHING):
                 return by_data
-        return self.or_rarer(moved + of_model, of, level, self.of_inputs)
+        return self.or_rarer(moved + of_model, rows, level, self.of_inputs)
 
     @property
     def of_inputs(self) -> dict[Candidate, Array]:
         """What may have moved a prediction: no pixel has moved."""
         return {c: g for c, g in self.residuals.columns.items() if c.kind != "region"}
 
-    def or_rarer(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
-        """What explains a change; where no single cause is enough, what is rarer too."""
-        found = self.explained_change(moved, of, level, columns)
+    def or_rarer(self, moved: Array, rows: Index, level: Array, columns: Columns) -> Posterior:
+        """What explains a change; where no single cause suffices, rarer candidates are tried too."""
+        found = self.explained_change(moved, rows, level, columns)
         for more in self.rarer:
             if found.first == NOTHING or (found.enough and len(found.best.causes) == 1):
                 break
             if further := more():
                 columns = {**columns, **further}
-                found = self.explained_change(moved, of, level, columns)
+                found = self.explained_change(moved, rows, level, columns)
         return found
 
-    def or_displaced(
-        self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array], *, regions: bool
-    ) -> Posterior:
-        """What explains a change; where nothing does, regions and targets that lie pixels away, measured again."""
-        found = self.explained_change(moved, of, level, columns)
+    def or_displaced(self, moved: Array, rows: Index, level: Array, columns: Columns, *, regions: bool) -> Posterior:
+        """What explains a change; where nothing does, regions and targets displaced by some pixels, measured again."""
+        found = self.explained_change(moved, rows, level, columns)
         if found.first == NONE and (exchanged := self.exchanged()):
             columns = {**columns, **exchanged}
-            found = self.explained_change(moved, of, level, columns)
-        away, still = self._moved_subjects(moved, of, level)
+            found = self.explained_change(moved, rows, level, columns)
+        displaced, unmoved = self._moved_subjects(moved, rows, level)
         effects, nearest = dict[tuple[int, int], Array](), (0, 0)
-        where = f"regions {', '.join(away)}" if regions and still else "regions" if regions else "target regions"
+        where = f"regions {', '.join(displaced)}" if regions and unmoved else "regions" if regions else "target regions"
         for _ in range(MOST_PIXELS if found.first == NONE else 0):
             reach = (-1, 0, 1) if effects else (-2, -1, 0, 1, 2)
             around = [(nearest[0] + i, nearest[1] + j) for i, j in product(reach, repeat=2)]
             around += [] if effects else _FARTHER
-            for by in around:
-                if by not in effects and any(by):
-                    effects[by] = self.mistaken({"lines": by[0], "samples": by[1], "regions": regions, "still": still})
+            for i, j in around:
+                if (i, j) not in effects and (i, j) != (0, 0):
+                    effects[i, j] = self.mistaken({"lines": i, "samples": j, "regions": regions, "still": unmoved})
             labels = tuple(f"{i:+d} lines, {j:+d} samples" for i, j in effects)
             place = Candidate(f"position of the {where}", "scene", "", False, labels=labels)
-            found = self.explained_change(moved, of, level, {**columns, place: np.column_stack([*effects.values()])})
+            found = self.explained_change(moved, rows, level, {**columns, place: np.column_stack([*effects.values()])})
             best = next((f for f in found.fits if f.candidate == place), None)
             before, nearest = nearest, list(effects)[int(best.amplitudes[0])] if best else nearest
             if found.enough or nearest == before:
                 break
-        if effects and found.first == NONE:  # lines are lost before some of them, by the entries that moved most
-            size = np.where(self.stack.bands[of] < 0, 1.0, np.abs(level[of]) + np.abs(moved) + 1e-12)
+        if effects and found.first == NONE:  # lost lines displace some of them: by the entries that moved most
+            size = np.where(self.stack.bands[rows] < 0, 1.0, np.abs(level[rows]) + np.abs(moved) + 1e-12)
             most = np.abs(moved) > 0.1 * size * np.max(np.abs(moved / size))
-            by = min(effects, key=lambda by: float(np.sum(((moved - effects[by][of]) / size)[most] ** 2)))
-            lost = {f"{by[0]:+d} lines, {by[1]:+d} samples from {n}/8 of the image on": n / 8.0 for n in range(1, 8)}
-            mistake = {"lines": by[0], "samples": by[1], "regions": regions}
+            i, j = min(effects, key=lambda shift: float(np.sum(((moved - effects[shift][rows]) / size)[most] ** 2)))
+            lost = {f"{i:+d} lines, {j:+d} samples from {n}/8 of the image on": n / 8.0 for n in range(1, 8)}
+            mistake = {"lines": i, "samples": j, "regions": regions}
             moves = [self.mistaken({**mistake, "beyond": part}) for part in lost.values()]
             what = f"position of the {'' if regions else 'target '}regions beyond some line"
             one = Candidate(what, "scene", "", False, labels=tuple(lost))
-            found = self.explained_change(moved, of, level, {**columns, one: np.column_stack(moves)})
+            found = self.explained_change(moved, rows, level, {**columns, one: np.column_stack(moves)})
         return found
 
-    def _moved_subjects(self, moved: Array, of: Index, level: Array) -> tuple[list[str], list[str]]:
-        """Subjects whose light, as measured, moved from ``level``, and those that lay still."""
-        # Reflectance follows the empirical line, which is made of other regions.
-        light = np.isin(self.stack.named("product")[of], LIT)
-        light = light if light.any() else self.stack.bands[of] >= 0
-        subjects, off = self.stack.named("subject")[of], np.abs(moved) > STILL * np.abs(level[of])
-        away = list(dict.fromkeys(subjects[light & off].tolist()))
-        return away, [name for name in dict.fromkeys(subjects[light].tolist()) if name not in away]
+    def _moved_subjects(self, moved: Array, rows: Index, level: Array) -> tuple[list[str], list[str]]:
+        """Subjects whose measured radiance moved from ``level``, and those whose did not."""
+        # Reflectance follows the empirical line, which is fitted to other regions.
+        light = np.isin(self.stack.named("product")[rows], LIT)
+        light = light if light.any() else self.stack.bands[rows] >= 0
+        subjects, off = self.stack.named("subject")[rows], np.abs(moved) > UNMOVED * np.abs(level[rows])
+        displaced = list(dict.fromkeys(subjects[light & off].tolist()))
+        return displaced, [name for name in dict.fromkeys(subjects[light].tolist()) if name not in displaced]
 
-    def explained_change(self, moved: Array, of: Index, level: Array, columns: Mapping[Candidate, Array]) -> Posterior:
-        """What explains a change (k,) of the entries ``of``, beside ``level`` (m,).
+    def explained_change(self, moved: Array, rows: Index, level: Array, columns: Columns) -> Posterior:
+        """What explains a change (k,) of the entries ``rows``, beside ``level`` (m,).
 
-        Its variance is that of rounding, and of what an effect is off by that was found at another level.
+        Its variance is that of rounding, and of the error of effects that were evaluated at another level.
         """
         variance, change = np.zeros(level.size), np.zeros(level.size)
-        change[of] = moved
+        change[rows] = moved
         for block, i in self.stack.placed():
             size, floor = (np.abs(level[i]), SPECTRUM_FLOOR) if block.bands is not None else (np.ones(1), CHANGE_FLOOR)
             size = size.clip(1e-3 * size.max() + 1e-12)
             variance[i] = size**2 * (floor**2 + OFF**2 * np.mean((change[i] / size) ** 2))
-        near = {replace(c, unbounded=True): g[of] for c, g in columns.items() if np.any(g[of])}
-        residuals = Residuals(moved, np.diag(variance[of]), near, self.residuals.wide[of])
-        return self.explained(residuals, of, level, False)[1]
+        near = {replace(c, unbounded=True): g[rows] for c, g in columns.items() if np.any(g[rows])}
+        residuals = Residuals(moved, np.diag(variance[rows]), near, self.residuals.wide[rows])
+        return self.explained(residuals, rows, level, False)[1]
 
     def beside(self, level: Array, change: Array) -> Array:
         """A change (n,) or (n, k) of the prediction, of spectra of ``level`` (n,) the same part."""
         spectral = self.stack.bands >= 0
         return np.asarray((change.T * np.divide(level, self.predicted, np.ones(level.size), where=spectral)).T)
 
-    def explained(self, residuals: Residuals, of: Index, level: Array, noisy: bool) -> tuple[Residuals, Posterior]:
-        """What explains residuals of the entries ``of``: between sizes the model is interpolated, and asked at those
+    def explained(self, residuals: Residuals, rows: Index, level: Array, noisy: bool) -> tuple[Residuals, Posterior]:
+        """What explains residuals of the entries ``rows``: between sizes the model is interpolated, and asked at those
         that are found, of a change by the engine itself; the residuals with those.
         """
         columns, exact = dict(residuals.columns), set[tuple[Candidate, float]]()
@@ -455,7 +454,7 @@ class Causes:
             more = _asked(evaluate, [c.at(0, a) for c, a in sizes.items()]) if last and sizes else []
             for (c, a), side in zip(sizes.items(), more, strict=False):
                 if side is not None:
-                    change = self.beside(level, side - self.predicted)[of]
+                    change = self.beside(level, side - self.predicted)[rows]
                     if c.labels:
                         exact.add((c, a))
                         columns[c] = np.where(np.arange(len(c.labels)) == a, change[:, None], columns[c])
@@ -492,7 +491,7 @@ def causes_of(model: ScenarioModel) -> Causes:
 
     Examples
     --------
-    What befalls two scenarios is looked for in each of them too; of four not, as each takes runs of its own.
+    Candidates of two scenarios are tried in each of them too; those of four are not, as each takes runs of its own.
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.errors import InputError
@@ -500,17 +499,17 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> from hyperval.products import PredictedProducts, SpectralEstimate
     >>> stated = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
     >>> world, lawn = read_world(stated), SpectralEstimate(np.full(360, 0.2), 1e-4 * np.eye(360))
-    >>> seen = PredictedProducts(world.stated.axis, reflectance={"lawn": lawn})
-    >>> predict = lambda scenarios, truths, budgeted: iter([seen] * len(truths))
+    >>> side = PredictedProducts(world.stated.axis, reflectance={"lawn": lawn})
+    >>> predict = lambda scenarios, truths, budgeted: iter([side] * len(truths))
     >>> def causes(lines):
     ...     scenarios = [stated.model_copy(update={"name": f"line {i}"}) for i in range(lines)]
-    ...     asked = predict, seen, seen, None
+    ...     asked = predict, side, side, None
     ...     return causes_of(ScenarioModel(scenarios, [world] * lines, *asked, looked_for={"green plank": 0.3}))
     >>> [[c.name for c in causes(n).rarer[2]() if c.name.startswith("wavelength shift in")] for n in (1, 2, 4)]
     [[], ['wavelength shift in line 0', 'wavelength shift in line 1'], []]
     >>> fraction = {"subject": stated.scene.classes[0].name, "absolute": 0.002}
     >>> tight = stated.with_values({"uncertainty.fractions": [fraction]})
-    >>> model = ScenarioModel([tight], [read_world(tight)], predict, seen, seen, None)
+    >>> model = ScenarioModel([tight], [read_world(tight)], predict, side, side, None)
     >>> (only,) = (c for c in causes_of(model).residuals.columns if c.budgeted)
     >>> [round(size) for size in only.sizes]  # of 0.002, at which 0.2 is asked where nothing is stated
     [10, -10, -50, 50]
@@ -520,9 +519,9 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> def moves(scenarios, truths, budgeted):
     ...     for (moved,) in truths:
     ...         off = sum(float(value.sum()) for path, value in moved.items() if path.startswith("fraction"))
-    ...         yield replace(seen, reflectance={"lawn": replace(lawn, mean=lawn.mean + off)})
-    >>> told = causes_of(replace(model, predict=moves)).residuals.covariance
-    >>> (1e6 * told[0, :2]).round(2), round(2e2 + 4.0 - 1e2 / len(told), 2), round(4.0 - 1e2 / len(told), 2)
+    ...         yield replace(side, reflectance={"lawn": replace(lawn, mean=lawn.mean + off)})
+    >>> budget = causes_of(replace(model, predict=moves)).residuals.covariance
+    >>> (1e6 * budget[0, :2]).round(2), round(2e2 + 4.0 - 1e2 / len(budget), 2), round(4.0 - 1e2 / len(budget), 2)
     (array([203.39,   3.39]), 203.39, 3.39)
     >>> [one.labels[0] for one in causes(1).of_files()]
     ['green plank: that looked for', 'asphalt: that of grass']
@@ -541,9 +540,9 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> lit = load_scenario("green-planks-grass")
     >>> def asked(scenarios, truths, budgeted):
     ...     for moved in truths:
-    ...         yield replace(seen, reflectance={"lawn": replace(lawn, mean=lawn.mean + 0.01 * sum(map(bool, moved)))})
+    ...         yield replace(side, reflectance={"lawn": replace(lawn, mean=lawn.mean + 0.01 * sum(map(bool, moved)))})
     >>> for n in (3, 4):
-    ...     made = causes_of(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, seen, seen, None))
+    ...     made = causes_of(ScenarioModel([lit] * n, [read_world(lit)] * n, asked, side, side, None))
     ...     air = {c.name: g[0].round(9).tolist() for c, g in made.residuals.columns.items() if c.kind == ATMOSPHERE}
     ...     [air.get(name) for name in ("aerosol optical depth", "sunlight", "aerosol type")]
     ...     [c.sizes for c in made.residuals.columns if "depth" in c.name], [len(more()) for more in made.rarer[:2]]
@@ -563,8 +562,8 @@ def causes_of(model: ScenarioModel) -> Causes:
     >>> limits = {-1.0: 0.5, 2.0: 0.9, "a for b": 0.7, "c": 0.9}
     >>> each = [(z, {"limit": x}) for z, x in limits.items()]
     >>> tried = {"limit": (dict(each[:2]), "0.05"), "entry": (dict(each[2:]), "")}
-    >>> seen = PredictedProducts(world.stated.axis, radiance={"lawn": lawn})
-    >>> found = causes_of(ScenarioModel([stated], [world], predict, seen, seen, observe, tried))
+    >>> side = PredictedProducts(world.stated.axis, radiance={"lawn": lawn})
+    >>> found = causes_of(ScenarioModel([stated], [world], predict, side, side, observe, tried))
     >>> for one, made in found.exchanged().items():
     ...     print(one.name, one.sizes[:2], one.labels, made[[0, -1], 0].round(9).tolist())
     limit (-1.0,) () [-0.5, -0.5]
@@ -583,16 +582,16 @@ def causes_of(model: ScenarioModel) -> Causes:
     def predictions(truths: Sequence[Truths], title: str, budgeted: bool = False) -> Iterable[Products]:
         return track(model.predict(model.scenarios, truths, budgeted), title, len(truths))
 
-    def evaluate(*asked: Any, **of: Any) -> list[Array]:
-        return [stack.predicted(p) for p in predictions(*asked, **of)]
+    def evaluate(*asked: Any, **options: Any) -> list[Array]:
+        return [stack.predicted(p) for p in predictions(*asked, **options)]
 
     further = further_candidates(worlds)
     moved = every_input(worlds, further)
     steps = {
-        of: [c.at(d, z) for c in moved if c.budgeted is of for d in range(c.size) for z in (1.0, -1.0)]
-        for of in (True, False)
+        stated: [c.at(d, z) for c in moved if c.budgeted is stated for d in range(c.size) for z in (1.0, -1.0)]
+        for stated in (True, False)
     }  # the order of the candidates
-    found = chain.from_iterable(predictions(some, "attribution: inputs", of) for of, some in steps.items())
+    found = chain.from_iterable(predictions(steps[stated], "attribution: inputs", stated) for stated in steps)
     units, ends, sides = dict[Candidate, Array](), dict[Candidate, tuple[Numbers, Numbers]](), Sides()
     for candidate in moved:
         both = [(next(found), next(found)) for _ in range(candidate.size)]
@@ -602,17 +601,17 @@ def causes_of(model: ScenarioModel) -> Causes:
         sides |= {(candidate, 1.0): up[:, 0], (candidate, -1.0): down[:, 0]}
     budget = sum((g @ g.T for c, g in units.items() if c.budgeted), np.zeros((predicted.size, predicted.size)))
     covariance = stack.covariance + budget + stack.stated_beyond(model.budgeted, budget)
-    # Each value of the atmosphere takes a run of the engine for each scenario: of many, each has one direction.
+    # Each atmospheric value takes an engine run per scenario: with many scenarios each input has one direction.
     many = len(worlds) > MOST_SCENARIOS
-    apart = [c for c in moved if many and c.of_engine and c.sizes]
+    by_engine = [c for c in moved if many and c.of_engine and c.sizes]
     rare = [c for c in further if many and c.kind == ATMOSPHERE]
-    by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *apart)}
-    every = [c for c in by_name.values() if c.sizes or c.labels]
-    columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(every, sides, predicted, evaluate)
-    for c in apart:
+    by_name = {c.name: c for c in (*further, *moved) if c not in (*rare, *by_engine)}
+    sampled = [c for c in by_name.values() if c.sizes or c.labels]
+    columns = {c: g for c, g in units.items() if not c.sizes} | _columns_at(sampled, sides, predicted, evaluate)
+    for c in by_engine:
         each = evaluate([c.alone(i, "").at(0, 1.0) for i in range(len(worlds))], "attribution: scenario by scenario")
         columns[replace(c, sizes=())] = np.column_stack([side - predicted for side in each])
-    for c in moved:  # of a field spectrum, each band by itself too
+    for c in moved:  # each band of a field spectrum by itself too
         if c.kind == "surface" and not c.sizes and (name := c.name.removeprefix("field spectrum of ")) != c.name:
             columns[c] = np.column_stack([columns[c], stack.of_subject(predicted, name)])
     fractions = {c.name: c.fraction for s in model.scenarios for c in s.scene.classes}
@@ -624,32 +623,32 @@ def causes_of(model: ScenarioModel) -> Causes:
     residuals = Residuals(stack.observed - predicted, covariance, columns, stack.unstructured(predicted))
     of_files = partial(_columns_at, exchanged_entries(worlds, model.looked_for), {}, predicted, evaluate)
     rarer = rarer_candidates(worlds)
-    if not many:  # what befalls several scenarios, in one of them
-        shared = [c for c in (*every, *rarer) if sum(map(bool, c.at(0, 0.0))) > 1]
+    if not many:  # candidates of several scenarios, in one of them
+        shared = [c for c in (*sampled, *rarer) if sum(map(bool, c.at(0, 0.0))) > 1]
         rarer += [c.alone(i, s.name) for i, s in enumerate(model.scenarios) for c in shared]
 
     def mistaken(mistake: Mapping[str, Any], settings: Mapping[str, Any] = {}) -> Array:
         try:
             return stack.since(stack_of(base, model.observe(settings, mistake)))
-        except HypervalError:  # nothing can be measured so, such as by panels that are no line, or in an empty region
+        except HypervalError:  # not measurable so: panels that make no line, an empty region
             return np.zeros(predicted.size)
 
     def exchanged() -> dict[Candidate, Array]:
         out = dict[Candidate, Array]()
-        for what, (of, step) in model.exchanges.items():
-            effects = {z: effect for z, settings in of.items() if np.any(effect := mistaken({}, settings))}
+        for name, (variants, step) in model.exchanges.items():
+            effects = {z: effect for z, settings in variants.items() if np.any(effect := mistaken({}, settings))}
             if effects:
                 sizes, labels = (tuple(effects), ()) if step else ((), tuple(effects))
-                one = Candidate(what, "scene", step, False, sizes=sizes, labels=labels)
+                one = Candidate(name, "scene", step, False, sizes=sizes, labels=labels)
                 out[one] = np.column_stack([*effects.values()])
-        for where, arm in arms.items():  # what noise there is stays, so that the SNR of what is dark moves too
+        for where, arm in arms.items():  # the noise stays, so that the SNR of dark pixels moves too
             one = Candidate(f"offset of {where}", "sensor", "0.01 of the mean", False, sizes=_OFFSETS)
             out[one] = np.column_stack([mistaken({"offset": 0.01 * z * arm}) for z in one.sizes])
         return out
 
     heights = [c for c in rarer if c.name in HEIGHTS and not many]
     parts = heights, rare, [c for c in rarer if c not in heights]
-    asked = [cache(partial(_columns_at, some, {}, predicted, evaluate)) for some in parts]
+    asked = [cache(partial(_columns_at, candidates, {}, predicted, evaluate)) for candidates in parts]
     return Causes(
         stack, predicted, quantities(base, observed), partial(of_spectra, arms=arms), of_files, asked,
         residuals, ends, evaluate, mistaken, exchanged,
@@ -666,8 +665,8 @@ def _columns_at(
     ...         raise MissingDataError("the solar spectrum 'kurucz' is not on this machine")
     ...     return [np.zeros(1) for _ in truths]
     >>> sun = Candidate("solar spectrum", "atmosphere", "", False, (lambda _, label: label,), labels=("kurucz", "tsis"))
-    >>> (there,) = _columns_at([sun], {}, np.zeros(1), evaluate)
-    >>> there.labels, there.at(0, 0.0)
+    >>> (candidate,) = _columns_at([sun], {}, np.zeros(1), evaluate)
+    >>> candidate.labels, candidate.at(0, 0.0)
     (('tsis',), ['tsis'])
     """
     places: dict[Candidate, Sequence[float]] = {c: c.sizes or range(len(c.labels)) for c in candidates}
@@ -714,7 +713,7 @@ def attribute(
         since = with_uncertainty(since, ranked[0].chi_square / ranked[0].dof, accepted[1])
         ranked.append(replace(since, group=SINCE, level=ranked[0].level))
     rows = [item for group in ranked for item in _posterior_rows(group)]
-    rows += _left_rows(causes, ranked[0])
+    rows += _rest_rows(causes, ranked[0])
     measured = quantities(model.observed, model.observed)
     for quantity, value in causes.numbers.items():
         shares = shares_of_variance(value, [(up[quantity], down[quantity]) for up, down in stated.values()])
@@ -752,7 +751,7 @@ def _of_spectra(
 ) -> dict[Candidate, Array]:
     """Errors that are linear in the spectra that are compared: of single bands, of a smooth gain, of stray light ..."""
     bands, mixed = stack.single_bands(level), stack.mixed(level, classes)
-    gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, alike=alike) for alike in (False, True))
+    gain, offset = (stack.pieces(level, centre_nm, KNOTS_NM, additive=additive) for additive in (False, True))
     gains, shared = gain.sum(axis=1), offset.sum(axis=1)
     scene = stack.of_scene(classes, area, shared)
     flat = np.where(gains != 0.0, np.mean(shared[gains != 0.0]), 0.0) if gains.any() else gains
@@ -832,10 +831,10 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
     """
     # The test of all products together concludes too, and informs.
     words = r.remark + UNCHANGED if r.group == SINCE and r.first == NOTHING else r.conclusion
-    whole = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
+    summary = row("reduced_chi_square", r.chi_square / r.dof, reason=words, n=r.dof)
     if r.group != SINCE and (r.too_wide or r.p_value < r.level):
-        whole = replace(whole, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
-    tests = [whole, row("p_value", r.p_value, n=r.dof)]
+        summary = replace(summary, outcome=Outcome.DISAGREES, cause=Cause.TOO_WIDE if r.too_wide else Cause.NONE)
+    tests = [summary, row("p_value", r.p_value, n=r.dof)]
     if r.best.causes:
         why = "with " + " and ".join(x.name for x in r.best.causes) + " freed"
         tests.append(row("p_value_explained", r.p_left, reason=why, n=r.dof))
@@ -853,15 +852,15 @@ def _posterior_rows(r: Posterior) -> Iterator[Result]:
         yield from named(out, "attribution", r.group, item.name)
 
 
-def _left_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
+def _rest_rows(causes: Causes, r: Posterior) -> Iterator[Result]:
     """Of each quantity the reduced chi-square before and after the cause that is named first.
 
     >>> from hyperval.attribute import ResidualBlock
     >>> one, gain = np.eye(20), Candidate("gain", "scene", "1 km", False)
     >>> stack = Stack((ResidualBlock("scores", "paint", "cem", np.zeros(20), one, len),))
-    >>> told = Residuals(30.0 * one[0] + 2.0 * one[1], one, {gain: one[:, :1]}, 0.1 * one[:, 4:])
-    >>> causes = Causes(stack, np.zeros(20), {}, dict, dict, [], told, {}, len, None, dict)
-    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in _left_rows(causes, told.posterior(ALL, True))]
+    >>> residuals = Residuals(30.0 * one[0] + 2.0 * one[1], one, {gain: one[:, :1]}, 0.1 * one[:, 4:])
+    >>> causes = Causes(stack, np.zeros(20), {}, dict, dict, [], residuals, {}, len, None, dict)
+    >>> [(r.subject, r.method, round(r.value, 1), r.reason) for r in _rest_rows(causes, residuals.posterior(ALL, True))]
     [('scores of paint cem', 'gain', 0.2, '45.2 before')]
     """
     if not r.best.causes or r.first == NONE:
@@ -926,12 +925,12 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     ...     light = SpectralEstimate(np.full(2, level), variance * np.eye(2))
     ...     curve = ExceedanceCurve(-level * np.log(p), p, p / 2.0, p, 5000)
     ...     return Products(axis, radiance={"lawn": light}, exceedance={("roof", "cem"): curve})
-    >>> def told(scenarios, truths, budgeted):
+    >>> def predict(scenarios, truths, budgeted):
     ...     return iter([side(scenarios[0].scene.classes[0].gain)])
-    >>> seen, stack = side(1.1, 0.01), stack_of(side(1.0), side(1.1, 0.01))
-    >>> known = Residuals(np.zeros(2), stack.covariance + 0.01 * np.eye(2), {}, np.eye(2))
-    >>> causes = Causes(stack, np.ones(2), quantities(side(1.0), seen), dict, dict, [], known, {}, len, None, dict)
-    >>> model = ScenarioModel([load_scenario("panels")], [], told, seen, seen, lambda settings, _: side(1.05, 0.04))
+    >>> data, stack = side(1.1, 0.01), stack_of(side(1.0), side(1.1, 0.01))
+    >>> residuals = Residuals(np.zeros(2), stack.covariance + 0.01 * np.eye(2), {}, np.eye(2))
+    >>> causes = Causes(stack, np.ones(2), quantities(side(1.0), data), dict, dict, [], residuals, {}, len, None, dict)
+    >>> model = ScenarioModel([load_scenario("panels")], [], predict, data, data, lambda settings, _: side(1.05, 0.04))
     >>> tried = [WhatIf(name="dark", question="darker?", scenario={"scene.classes.grass.gain": 0.9}),
     ...          WhatIf(name="again", question="better?", observe={"collection.cube.scale": 2.0})]
     >>> for r in _what_ifs(model, causes, tried):
@@ -948,7 +947,7 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
     """
     stack = causes.stack
 
-    def left(name: str, predicted: Products, other: Products) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
+    def misfit(name: str, predicted: Products, other: Products) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         """Residuals over their uncertainty, summary gaps, ratios of false alarms."""
         after = stack if other is model.observed else stack_of(predicted, other)
         now, before = ([b.observed.shape for b in side.blocks] for side in (after, stack))
@@ -962,11 +961,11 @@ def _what_ifs(model: ScenarioModel, causes: Causes, what_ifs: Sequence[WhatIf]) 
 
     def tried(item: WhatIf) -> tuple[Whitened, dict[str, float], dict[Key, Result]]:
         predicted = model.assuming(changed_scenarios(model.scenarios, item))
-        return left(item.name, predicted, model.observe(item.observe, {}) if item.observe else model.observed)
+        return misfit(item.name, predicted, model.observe(item.observe, {}) if item.observe else model.observed)
 
     if not what_ifs:
         return []
-    (start, gaps, alarms), rows = left("", model.assuming(model.scenarios), model.observed), list[Result]()
+    (start, gaps, alarms), rows = misfit("", model.assuming(model.scenarios), model.observed), list[Result]()
     outcomes = sorted(((w, *tried(w)) for w in track(what_ifs, "attribution: what-ifs")), key=lambda o: o[1].chi_square)
     n = start.residual.size
     was = start.chi_square / n
@@ -1018,12 +1017,12 @@ def gaps_of(numbers: Numbers, predicted: Products, observed: Products) -> dict[s
     ...     light = {name: SpectralEstimate(np.full(1, x), np.eye(1)) for name, x in each.items()}
     ...     curves = {(n, "cem", "pixel"): RocCurve(pfa, *3 * [x / 4.0 * pfa**0], -pfa) for n, x in each.items()}
     ...     return Products(SpectralAxis([500.0], 5.0), radiance=light, roc=curves)
-    >>> told, seen = side(1.1, 0.8, 2.0), side(1.0, 1.0, 1.0)
-    >>> known = quantities(told, seen)
-    >>> {name: round(gap, 9) for name, gap in gaps_of(known, told, seen).items()}
+    >>> predicted, measured = side(1.1, 0.8, 2.0), side(1.0, 1.0, 1.0)
+    >>> numbers = quantities(predicted, measured)
+    >>> {name: round(gap, 9) for name, gap in gaps_of(numbers, predicted, measured).items()}
     {'median |radiance difference ratio|': 0.2, 'mean |pd@1e-2 difference|': 0.108333333}
-    >>> fewer = {quantity: value for quantity, value in known.items() if quantity[1] != "c"}
-    >>> [round(gap, 9) for gap in gaps_of(fewer, told, seen).values()]
+    >>> fewer = {quantity: value for quantity, value in numbers.items() if quantity[1] != "c"}
+    >>> [round(gap, 9) for gap in gaps_of(fewer, predicted, measured).values()]
     [0.15, 0.0375]
     """
     parts, measured = defaultdict[str, list[float]](list), quantities(observed, observed)

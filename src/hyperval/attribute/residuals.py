@@ -40,15 +40,15 @@ LEAST_ALARMS = 20
 Quantity = tuple[str, str, str, str]  # a number of both sides: product, subject, method, metric in the results table
 
 
-def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
+def quantities(predicted: Products, observed: Products) -> dict[Quantity, float]:
     """Mean over the observed one in windows of radiance, reflectance and SNR; P_D at P_FA 1e-2 and 1e-3.
 
     >>> from hyperval.spectra import SpectralAxis
     >>> axis = SpectralAxis(np.array([500.0, 600.0, 700.0, 1400.0]), 10.0)  # the last absorbs
     >>> means = [2.0, 4.0, 9.0, 9.0], [1.0, 3.0, np.nan, 1.0]
-    >>> told, seen = ({"lawn": SpectralEstimate(np.array(mean), np.eye(4))} for mean in means)
+    >>> predicted, measured = ({"lawn": SpectralEstimate(np.array(mean), np.eye(4))} for mean in means)
     >>> kinds = "radiance", "reflectance", "snr", "toa_reflectance"
-    >>> found = quantities(*(Products(axis, **dict.fromkeys(kinds, side)) for side in (told, seen)))
+    >>> found = quantities(*(Products(axis, **dict.fromkeys(kinds, side)) for side in (predicted, measured)))
     >>> [product for product, *_ in found] == [*kinds], set(found.values())
     (True, {1.5})
 
@@ -66,17 +66,17 @@ def quantities(some: Products, observed: Products) -> dict[Quantity, float]:
     found = dict[Quantity, float]()
     for product in ("radiance", "reflectance", "snr", "toa_reflectance"):
         for subject, estimate in getattr(observed, product).items():
-            if (spectrum := getattr(some, product).get(subject)) is None:
+            if (spectrum := getattr(predicted, product).get(subject)) is None:
                 continue
             use = observed.axis.clear & np.isfinite(spectrum.mean) & np.isfinite(estimate.mean)
             level = float(np.mean(estimate.mean[use])) if use.any() else 0.0
             if level > 0:
                 found[product, subject, "", "ratio_windows"] = float(np.mean(spectrum.mean[use])) / level
     for key, curve in observed.roc.items():
-        for pfa in POINTS if key in some.roc and key[2] == "pixel" else ():
-            if pfa >= max(curve.pfa[0], some.roc[key].pfa[0]):
+        for pfa in POINTS if key in predicted.roc and key[2] == "pixel" else ():
+            if pfa >= max(curve.pfa[0], predicted.roc[key].pfa[0]):
                 method = f"{key[1]}/{key[2]}"
-                found["roc", key[0], method, f"pd@{scientific(pfa)}"] = float(detection_at(some.roc[key], pfa))
+                found["roc", key[0], method, f"pd@{scientific(pfa)}"] = float(detection_at(predicted.roc[key], pfa))
     return found
 
 
@@ -108,7 +108,7 @@ class ResidualBlock:
 
     @property
     def quantity(self) -> str:
-        """By which the same is found in another run."""
+        """Name of the quantity, the same in every run."""
         return f"{self.product} of {self.subject} {self.method}".strip()
 
 
@@ -143,7 +143,7 @@ class Stack:
         return out
 
     def since(self, other: Stack) -> Array:
-        """(n,) what is observed now, less what was in another measurement; 0 where that has no such entry.
+        """(n,) observed here less observed in another measurement; 0 where that has no such entry.
 
         >>> def stack(**observed):
         ...     return Stack(tuple(ResidualBlock("scores", n, "", np.array(x), np.eye(len(x)), len)
@@ -152,15 +152,15 @@ class Stack:
         [0.3, 0.0, 0.0]
         """
         out, places = np.zeros(self.observed.size), {block.quantity: part for block, part in other.placed()}
-        for name, here, index in self.shared_with({name: other.bands[part] for name, part in places.items()}):
-            out[here] = self.observed[here] - other.observed[places[name]][index]
+        for name, entries, index in self.shared_with({name: other.bands[part] for name, part in places.items()}):
+            out[entries] = self.observed[entries] - other.observed[places[name]][index]
         return out
 
     def shared_with(self, bands: Mapping[str, npt.ArrayLike]) -> list[tuple[str, Index, Index]]:
-        """Quantity, entries here and there of what another run has too, whose ``bands`` are as :attr:`bands`."""
+        """Quantity, entries in this run and in another, of what both have; ``bands`` of the other as :attr:`bands`."""
         same = [(block.quantity, i) for block, i in self.placed() if block.quantity in bands]
-        found = [(name, i, np.intersect1d(self.bands[i], bands[name], return_indices=True)) for name, i in same]
-        return [(name, i.start + here, other) for name, i, (_, here, other) in found if here.size]
+        common = [(name, i, np.intersect1d(self.bands[i], bands[name], return_indices=True)) for name, i in same]
+        return [(name, i.start + entries, other) for name, i, (_, entries, other) in common if entries.size]
 
     def predicted(self, prediction: Products) -> Array:
         """(n,) what a prediction says of the same quantities."""
@@ -176,8 +176,8 @@ class Stack:
         for block, place in self.placed():
             if block.bands is not None:
                 stated = getattr(prediction, block.product)[block.subject].error_covariance
-                beyond = np.nan_to_num(stated[np.ix_(block.bands, block.bands)]) - budget[place, place]
-                values, vectors = np.linalg.eigh(beyond)
+                excess = np.nan_to_num(stated[np.ix_(block.bands, block.bands)]) - budget[place, place]
+                values, vectors = np.linalg.eigh(excess)
                 out[place, place] = (vectors * np.clip(values, 0.0, None)) @ vectors.T
         return out
 
@@ -189,14 +189,14 @@ class Stack:
         """
         return np.asarray(level[:, None] * (self.bands[:, None] == np.unique(self.bands[self.bands >= 0])))
 
-    def pieces(self, level: Array, centre_nm: Array, knots_nm: Array, *, alike: bool) -> Array:
+    def pieces(self, level: Array, centre_nm: Array, knots_nm: Array, *, additive: bool) -> Array:
         """(n, K) radiance by smooth pieces over wavelength: column k is 1 at a knot and falls to 0 at its neighbours,
-        times what each subject shows in ``level`` (n,) (a gain) or, ``alike``, what all of them show on average in a
+        times what each subject shows in ``level`` (n,) (a gain) or, ``additive``, what all of them show on average in a
         band (an offset).
         """
         lit = np.isin(self.named("product"), LIT)
         sums, counts = (np.bincount(self.bands[lit], x, centre_nm.size) for x in (level[lit], None))
-        height = np.where(lit, (sums / np.maximum(counts, 1))[self.bands] if alike else level, 0.0)
+        height = np.where(lit, (sums / np.maximum(counts, 1))[self.bands] if additive else level, 0.0)
         hats = [np.interp(centre_nm, knots_nm, one)[self.bands] for one in np.eye(len(knots_nm))]
         return np.transpose(hats) * height[:, None]
 
@@ -273,7 +273,7 @@ class Stack:
         return rows, columns[np.ix_(rows, np.flatnonzero(shared))]
 
     def placed(self) -> list[tuple[ResidualBlock, slice]]:
-        """Each block with where it stands."""
+        """Each block with its entries in the vector."""
         ends = np.cumsum([b.observed.size for b in self.blocks])
         return [(b, slice(int(e) - b.observed.size, int(e))) for b, e in zip(self.blocks, ends, strict=True)]
 
@@ -293,8 +293,8 @@ def stack_of(predicted: Products, observed: Products) -> Stack:
 
     Of bands by number all count.
 
-    >>> told, seen = (PredictedProducts(SpectralAxis([1.0, 2.0], 1.0), reflectance={"lawn": side}) for side in sides)
-    >>> [block.observed.size for block in stack_of(told, seen).blocks], len(quantities(told, seen))
+    >>> pair = [PredictedProducts(SpectralAxis([1.0, 2.0], 1.0), reflectance={"lawn": side}) for side in sides]
+    >>> [block.observed.size for block in stack_of(*pair).blocks], len(quantities(*pair))
     ([2], 1)
     """
     return Stack(tuple(_blocks(predicted, observed)))
@@ -305,9 +305,9 @@ def _blocks(predicted: Products, observed: Products) -> Iterator[ResidualBlock]:
     mixed = {subject for subject, _ in predicted.scores}
     in_radiance = {name for name in observed.radiance if name in predicted.radiance}
     left_out = {"radiance": mixed, "reflectance": mixed | in_radiance, "toa_reflectance": set(observed.radiance)}
-    for product, others in left_out.items():
+    for product, left_out_names in left_out.items():
         for name, estimate in getattr(observed, product).items():
-            if name in getattr(predicted, product) and name not in others:
+            if name in getattr(predicted, product) and name not in left_out_names:
                 yield from _spectrum(product, name, predicted, estimate)
     for name, estimate in observed.snr.items():
         if name in predicted.snr:
@@ -347,10 +347,10 @@ def sampled_covariance(estimate: SpectralEstimate, use: Mask, floor: Array) -> A
     than bands, is known as these are and stays.
     """
     parts = (p.of_each(lambda c: np.nan_to_num(c[np.ix_(use, use)])) for p in estimate.estimated)
-    known = [(p.covariance if p.model is None else p.model, p) for p in parts if not p.dof > p.sample_dof]
+    modelled = [(p.covariance if p.model is None else p.model, p) for p in parts if not p.dof > p.sample_dof]
     out = np.nan_to_num(estimate.error_covariance[np.ix_(use, use)]) + floor
-    out = whole = out + sum((model - part.covariance for model, part in known), np.zeros_like(out))
-    for model, part in known:
+    out = whole = out + sum((model - part.covariance for model, part in modelled), np.zeros_like(out))
+    for model, part in modelled:
         share = linalg.solve(whole, model)
         trace, squares = float(np.trace(share)), float(np.sum(share * share.T))
         if trace > 0.0:

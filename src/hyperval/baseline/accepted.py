@@ -84,8 +84,8 @@ class Accepted(Model):
         low, high = metric_of(metric).low, metric_of(metric).high
         if math.isfinite(low) and self.range[0] <= low and self.range[1] >= high:
             return f"{metric} lies between {low:g} and {high:g}: a tolerance of {self.width:g} can never fail"
-        usual = default_tolerance(metric, self.half_width).width(self.accepted, self.half_width)
-        return "a tolerance above the default needs 'why'" if not self.why and self.width > usual * (1 + 1e-9) else None
+        limit = default_tolerance(metric, self.half_width).width(self.accepted, self.half_width)
+        return "a tolerance above the default needs 'why'" if not self.why and self.width > limit * (1 + 1e-9) else None
 
 
 class Baseline(Model):
@@ -135,15 +135,15 @@ def campaign_metrics(rows: Iterable[Result]) -> dict[str, Result]:
     methods of those what stands :attr:`~hyperval.metrics.Metric.behind` it, as what is planned is often an absolute
     value or a verdict.  Of a row that several gates cover the worst outcome counts.
     """
-    whole = [row for row in rows if not row.per_band]
-    planned = [row for row in whole if row.planned]
+    summary_rows = [row for row in rows if not row.per_band]
+    planned = [row for row in summary_rows if row.planned]
     names = {(r.product, s.strip(), r.method) for r in planned for s in (r.subject, *r.subject.split(","))}
 
     def is_named(row: Result) -> bool:
         names_of_row = row.product, row.subject, row.method
         return any(all(map(fnmatchcase, names_of_row, patterns)) for patterns in names)
 
-    derived = [row for row in whole if row.product in metric_of(row.metric).behind and is_named(row)]
+    derived = [row for row in summary_rows if row.product in metric_of(row.metric).behind and is_named(row)]
     metrics: dict[str, Result] = {}
     for new in [*planned, *derived]:
         old = metrics.setdefault(new.key, new)
@@ -198,9 +198,9 @@ def _noise(check: SensorCheck) -> Iterator[Result]:
         variances[f"bit_error_noise_at_rate_{BIT_ERROR_RATE:g}"] = wrong.bit_errors  # (3.19)
     spectra = {name: np.sqrt(np.abs(variance)) for name, variance in variances.items()}
     spectra["electrons_per_radiance"] = noise.electrons_per_radiance  # (3.13)
-    for region, here in suite.summary_regions(check.axis).items():
+    for region, bands in suite.summary_regions(check.axis).items():
         for metric, values in spectra.items():
-            yield _item("noise", region, f"median_{metric}", np.median(values[here]))
+            yield _item("noise", region, f"median_{metric}", np.median(values[bands]))
     for found in suite.median_snr(check):  # (3.20)
         yield _item("snr", found.subject, "median_snr", found.value)
 
@@ -246,15 +246,15 @@ def today() -> datetime.date:
     return (stated_time() or datetime.datetime.now(datetime.UTC)).date()
 
 
-def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Result]) -> list[Result]:
+def compare(owner: str, accepted: Mapping[str, Accepted], measured: Mapping[str, Result]) -> list[Result]:
     """One row for each number of either side, by name: its value now, and as limits the range that is tolerated.
 
     It disagrees: beyond the tolerance, no longer there, not accepted yet, a value where there was none or none
     where there was one, another outcome.  A number that was not accepted fails: until it is, nothing guards it.
     """
     rows = []
-    for key in sorted({*accepted, *now}):
-        old, new = accepted.get(key), now.get(key)
+    for key in sorted({*accepted, *measured}):
+        old, new = accepted.get(key), measured.get(key)
         low, high = old.range if old is not None else (math.nan, math.nan)
         value, unit = (new.value, new.unit) if new is not None else (math.nan, "1")
         words = _objection(split_key(key)[-1], old, new)
@@ -266,7 +266,7 @@ def compare(owner: str, accepted: Mapping[str, Accepted], now: Mapping[str, Resu
 
 
 def _objection(metric: str, old: Accepted | None, new: Result | None) -> str:
-    """What is wrong with a number, in words; none where it is as accepted."""
+    """What is wrong with a number, in words; empty where it is as accepted."""
     before = math.nan if old is None or old.accepted is None else old.accepted
     now = new.value if new is not None and math.isfinite(new.value) else math.nan
     none = math.isnan(before) and math.isnan(now)
@@ -335,8 +335,8 @@ class RunNumbers:
         if not path.is_file():
             return None
         found = load_baseline(path)
-        wanted, of = (self.kind, self.run.campaign), f"{found.kind} {found.name!r}"
-        refuse((found.kind, found.name) != wanted, "baseline.other", path, wanted=" ".join(wanted), of=of)
+        wanted, stated = (self.kind, self.run.campaign), f"{found.kind} {found.name!r}"
+        refuse((found.kind, found.name) != wanted, "baseline.other", path, wanted=" ".join(wanted), stated=stated)
         return found
 
     @property
@@ -465,8 +465,8 @@ def _against(run: RunNumbers, folder: Path) -> RunNumbers:
     else:
         candidate = run.path(folder, CANDIDATE)
         run.baseline(f"{FILL_IN}: why these numbers are right", {}).write(candidate)
-        how = f"to make them one: {run.acceptance(folder)}"
-        words = f"no baseline ({path}); the numbers of this run are in {candidate}; {how}"
+        instruction = f"to make them one: {run.acceptance(folder)}"
+        words = f"no baseline ({path}); the numbers of this run are in {candidate}; {instruction}"
     names = (run.owner, "baseline", run.run.campaign, run.kind, "baseline")
     return replace(run, rows=ResultTable([Result(*names, role=Role.GATE, outcome=outcome, cause=cause, reason=words)]))
 

@@ -98,17 +98,17 @@ def dry_run(paths: Sequence[Path], finished: Path | None = None) -> list[Item]:
 
 
 def overview(items: Sequence[Item]) -> list[Item]:
-    """The items on one screen: what several campaigns share once, files at hand and comparisons as their number.
+    """The items on one screen: those of several campaigns once, files at hand and comparisons as their number.
 
-    The words of a run stand in braces where an item is that of several campaigns.
+    Words that differ between these campaigns stand as names in braces.
     """
 
-    def alike(item: Item) -> tuple[str, ...]:
+    def key(item: Item) -> tuple[str, ...]:
         texts = {PLANNED: (item.campaign, ""), PRESENT: ("", "")}.get(item.state, (item.what, item.detail))
         return item.kind, item.state, *map(item.general, texts)
 
     rows = []
-    for (kind, state, what, detail), members in grouped(items, alike).items():
+    for (kind, state, what, detail), members in grouped(items, key).items():
         names = list(dict.fromkeys(i.campaign for i in members))
         general = {i.general(i.campaign) for i in members}
         one_file = f", {general.pop()}" if len(general) == 1 else ""
@@ -120,13 +120,13 @@ def overview(items: Sequence[Item]) -> list[Item]:
             what = f"{len(paths)} files"
         elif state == PRESENT or len(names) == 1:
             what, detail = members[0].what, members[0].detail
-        who = names[0] if len(names) == 1 else f"{len(names)} campaigns{one_file}"
-        rows.append(Item(who, kind, state, what, detail))
+        campaigns = names[0] if len(names) == 1 else f"{len(names)} campaigns{one_file}"
+        rows.append(Item(campaigns, kind, state, what, detail))
     return rows
 
 
 def summary(items: Sequence[Item]) -> list[str]:
-    """One sentence for each campaign, or for several that lack the same; who holds what is missing."""
+    """One sentence for each campaign, or for several that lack the same, and the holders of missing data."""
     states: dict[tuple[str, str], list[str]] = {}
     for name, rows in grouped(items, lambda item: item.campaign).items():
         files, values, wrong, never = (sum(i.state == s for i in rows) for s in (MISSING, TO_FILL_IN, WRONG, NEVER_MET))
@@ -134,8 +134,8 @@ def summary(items: Sequence[Item]) -> list[str]:
         words = [f"{count} {what.format('s' * (count > 1))}" for count, what in counts if count]
         ready = "ready" + f"; {never} acceptance criteria can never be met" * bool(never)
         states.setdefault((rows[0].general(name), ", ".join(words) or ready), []).append(name)
-    who = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
-    out = [f"{names}: {state}" for (_, state), names in who.items()]
+    head = {key: names[0] if len(names) == 1 else f"{key[0]} ({len(names)} campaigns)" for key, names in states.items()}
+    out = [f"{names}: {state}" for (_, state), names in head.items()]
     owners = {owner.name: owner for i in items if i.state == MISSING and (owner := owner_of(i.what)) is not None}
     out += [f"{o.name} is held by {o.holder}: {how_to_get(o)}" for o in owners.values() if not o.public]
     return out
@@ -217,19 +217,19 @@ class Lookup:
 
     file: Path
     lines: Mapping[Location, int]
-    at: Location
+    entry: Location
     find: Resolve  # what its references lead to
     mistakes: list[Item] = field(default_factory=list)
 
     def add(self, location: Location, what: str) -> None:
         """A mistake at an entry; the line is that of the entry or of the nearest one that holds it."""
-        whole = (*self.at, *location)
+        whole = (*self.entry, *location)
         line = next((self.lines[whole[:n]] for n in range(len(whole), -1, -1) if whole[:n] in self.lines), 1)
         key = ".".join(str(part) for part in whole)
         self.mistakes.append(Item("", NAME, WRONG, f"{self.file}:{line}: {key}", what))
 
     def tried(self, location: Location, read: Callable[..., T], *what: Any, **more: Any) -> T | None:
-        """What a function of the run gives; None where it refuses, which is a mistake at an entry."""
+        """The result of a function of the run; None where it refuses, which is a mistake at an entry."""
         try:
             return read(*what, **more)
         except HypervalError as error:
@@ -237,10 +237,10 @@ class Lookup:
             self.add(location, ": ".join(filter(None, (error.where, error.what + expected))))
             return None
 
-    def one(self, at: Location, name: str, names: Sequence[str], lacks: str, fits: Any = str.__eq__) -> None:
-        """A mistake where a name is none of ``known``, or fits none."""
+    def one(self, location: Location, name: str, names: Sequence[str], lacks: str, fits: Any = str.__eq__) -> None:
+        """Add a mistake where a name is none of ``names``, or fits none."""
         if not any(fits(one, name) for one in names):
-            self.add(at, f"{lacks} {name!r}; expected: one of {', '.join(names) or 'none'}")
+            self.add(location, f"{lacks} {name!r}; expected: one of {', '.join(names) or 'none'}")
 
     def spectra(
         self, location: Location, entry: Any, name: str, axis: SpectralAxis | None, regions: Sequence[str] = ()
@@ -271,7 +271,7 @@ def _scenarios(job: Job, lookup: Lookup) -> Iterator[tuple[Scenario, Lookup]]:
     """
     for i, source in enumerate(job.campaign.scenarios):
         for one, file, lines in scenarios_of(source, lookup.find, job.folder, job.words):
-            origin = {"file": file, "lines": lines} if file else {"at": ("scenarios", i)}
+            origin = {"file": file, "lines": lines} if file else {"entry": ("scenarios", i)}
             yield one, replace(lookup, find=partial(resolve, base=one.folder or job.folder), **origin)
 
 

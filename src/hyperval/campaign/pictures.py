@@ -115,7 +115,7 @@ def quicklook(observed: Observed) -> Quicklook | None:
         return None
     cube = observed.place.cube
     centre = cube.axis.centre_nm
-    bands = [int(np.argmin(np.abs(centre - at))) for at, _ in COLOURS]
+    bands = [int(np.argmin(np.abs(centre - nm))) for nm, _ in COLOURS]
     if cube.axis.numbered:  # from the long end to the short one, as red, green and blue stand
         bands = [cube.bands * quarter // 4 for quarter in (3, 2, 1)]
     step = max(1, math.ceil(math.sqrt(cube.lines * cube.samples / MOST_PIXELS)))
@@ -124,10 +124,10 @@ def quicklook(observed: Observed) -> Quicklook | None:
     # A few bands of a file of arrays are read without the others, and its blocks hold many lines.
     together = step * max(1, LINES_TOGETHER // step) if cube.raster.in_blocks else 1
     with cube.raster.kept_open():
-        for out, at in zip(picture, lines, strict=True):
-            if at % together == 0:
-                part = cube.read_some_bands(at, min(together, cube.lines - at), bands)
-            out[:] = part[at % together, ::step]
+        for out, start in zip(picture, lines, strict=True):
+            if start % together == 0:
+                part = cube.read_some_bands(start, min(together, cube.lines - start), bands)
+            out[:] = part[start % together, ::step]
     offset, gain = np.zeros(3), np.ones(3)
     line = observed.place.line
     if line is not None and np.all(line.usable[bands]):

@@ -68,7 +68,7 @@ class Injected(Model):
 
     @property
     def which(self) -> str:
-        """What sees it, some by name; or why it cannot be injected.
+        """What detects it, some by name; or why it cannot be injected.
 
         >>> Injected(gates=("radiance | lawn | sixs | p_value_shape",)).which
         'shape of the radiance, lawn'
@@ -78,7 +78,7 @@ class Injected(Model):
         more = len(self.gates) - _MOST_NAMED
         words = list(self.gates[:_MOST_NAMED])
         with suppress(UsageError):  # a metric of another version
-            words = [f"{plain_words(m, product)}, {of}" for product, of, _, m in map(split_key, words)]
+            words = [f"{plain_words(m, product)}, {subject}" for product, subject, _, m in map(split_key, words)]
         criteria = "; ".join(words) + f"; and {more} more" * (more > 0)
         return self.not_applicable or criteria or ", ".join(f"{product} {n}" for product, n in self.informing.items())
 
@@ -133,10 +133,10 @@ class PowerTable(Model):
         return sorted(name for name in {*now, *self.files} if now.get(name) != self.files.get(name))
 
     def moved_gates(self, rows: Iterable[Result]) -> list[str]:
-        """Gates of the model that have another value in a run than they had when the table was computed."""
+        """Model gates whose value in a run differs from that when the table was computed."""
         now = gate_values(rows)
-        values = {n: [of.get(n, math.nan) for of in (self.stated, now)] for n in dict.fromkeys((*self.stated, *now))}
-        # A number that one of both lacks is none within the tolerance.
+        values = {n: (self.stated.get(n, math.nan), now.get(n, math.nan)) for n in {**self.stated, **now}}
+        # A number that one side lacks is not within the tolerance.
         within = {n: default_tolerance(split_key(n)[3]).width(before) for n, (before, _) in values.items()}
         return [n for n, (before, value) in values.items() if not abs(value - before) <= within[n]]
 
@@ -150,13 +150,13 @@ class PowerTable(Model):
 
     @property
     def sentence(self) -> str:
-        """What a reader has to know before all."""
-        by = {sight: [name for name, one in self.errors.items() if one.sight is sight] for sight in Sight}
-        injected = len(self.errors) - len(by[Sight.NOT_APPLICABLE])
-        parts = [f"The criteria detect {len(by[Sight.GATES])} of {injected} injected model errors."]
+        """Which injected errors are detected, in words."""
+        by_sight = {sight: [name for name, one in self.errors.items() if one.sight is sight] for sight in Sight}
+        injected = len(self.errors) - len(by_sight[Sight.NOT_APPLICABLE])
+        parts = [f"The criteria detect {len(by_sight[Sight.GATES])} of {injected} injected model errors."]
         phrase = {Sight.INFORMING: "Informational comparisons alone detect"}
-        others = [sight for sight in Sight if sight is not Sight.GATES and by[sight]]
-        parts += [f"{phrase.get(s, s.capitalize())}: {', '.join(by[s])}." for s in others]
+        others = [sight for sight in Sight if sight is not Sight.GATES and by_sight[sight]]
+        parts += [f"{phrase.get(s, s.capitalize())}: {', '.join(by_sight[s])}." for s in others]
         if self.disagreeing:
             some = "criteria that are" if self.disagreeing > 1 else "criterion that is"
             parts.append(f"{self.disagreeing} {some} already not met cannot detect any.")
@@ -224,7 +224,7 @@ class Power(NamedTuple):
 
 
 def campaign_power(
-    paths: Sequence[Path], *, output: Path | None = None, accept: bool = False, own: Path | None = None
+    paths: Sequence[Path], *, output: Path | None = None, accept: bool = False, errors_file: Path | None = None
 ) -> list[Power]:
     """The power table of every campaign whose data are at hand; campaigns run side by side.
 
@@ -232,7 +232,7 @@ def campaign_power(
     ----------
     output : folder for the tables, NAME.yaml each, and power.csv with all of them
     accept : keep the tables in validation/power, where reports look for them
-    own : a file of errors to inject in place of the standard ones (:func:`hyperval.attribute.errors_of_file`)
+    errors_file : a file of errors to inject in place of the standard ones (:func:`hyperval.attribute.errors_of_file`)
 
     Raises
     ------
@@ -241,7 +241,7 @@ def campaign_power(
     jobs = jobs_of(*paths)
     with whole_folder(output, POWER) if output is not None else nullcontext() as folder:
         with workers(worker_count(len(jobs))) as where:
-            tables = list(track(in_order(where, partial(_power, own=own), jobs), "campaigns", len(jobs)))
+            tables = list(track(in_order(where, partial(_power, file=errors_file), jobs), "campaigns", len(jobs)))
         for place in filter(None, (folder, ACCEPTED if accept else None)):
             for table in (item.table for item in tables if item.table is not None):
                 write_power_table(place / f"{table.campaign}.yaml", table)
@@ -251,16 +251,16 @@ def campaign_power(
 
 
 @bars(False)
-def _power(job: Job, own: Path | None) -> Power:
-    errors, name = attribute.errors_of_file(own) if own else attribute.injected_errors(), job.outline.name
+def _power(job: Job, file: Path | None) -> Power:
+    errors, name = attribute.errors_of_file(file) if file else attribute.injected_errors(), job.outline.name
     if job.waits is not None:
         return Power(name, skipped=job.waits[0])
     try:
-        table, accepted = power_table(job, errors), None if own else accepted_table(name, job.folder)
+        table, accepted = power_table(job, errors), None if file else accepted_table(name, job.folder)
     except MissingDataError as error:
         return Power(name, skipped=str(error))
     now, before = ({n: one.sight for n, one in t.errors.items()} for t in (table, accepted or table))
-    pairs = {n: [of.get(n, "not in the table") for of in (now, before)] for n in dict.fromkeys((*now, *before))}
+    pairs = {n: [sights.get(n, "not in the table") for sights in (now, before)] for n in dict.fromkeys((*now, *before))}
     return Power(name, table, changes=[f"{n}: {a}, accepted: {b}" for n, (a, b) in pairs.items() if a != b])
 
 
@@ -272,18 +272,18 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
     MissingDataError : files of a registered data set that are not on this machine.
     HypervalError : anything else that the user can mend.
     """
-    with collected(job) as here:
-        origins = [here.origins(scenario) for scenario in here.scenarios]
-        stated = [predict(s, o, objects=True) for s, o in zip(here.scenarios, origins, strict=True)]
+    with collected(job) as collection:
+        origins = [collection.origins(scenario) for scenario in collection.scenarios]
+        stated = [predict(s, o, objects=True) for s, o in zip(collection.scenarios, origins, strict=True)]
 
         def injected(error: attribute.Family) -> Injected:
-            """What it turns, and what the attribution says of it when it came to what is measured.
+            """The comparisons that it changes, and the cause that the attribution finds for it.
 
-            Of a scenario that has nothing of the kind the prediction stays.
+            The prediction of a scenario that it does not apply to stays.
             """
             sides: list[tuple[PredictedProducts, Truth]] = [(plain, {}) for plain in stated]
             refused = []
-            for i, (scenario, origin) in enumerate(zip(here.scenarios, origins, strict=True)):
+            for i, (scenario, origin) in enumerate(zip(collection.scenarios, origins, strict=True)):
                 try:
                     sides[i] = attribute.injected_prediction(scenario, error, origin, objects=True)
                 except attribute.NotInjectable as why:
@@ -291,18 +291,18 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
             if len(refused) == len(sides):
                 return Injected(not_applicable=refused[0])
             predictions, truths = zip(*sides, strict=True)
-            found = turned(before, outcomes(here, predicted_side(here, predictions, truths)))
+            found = turned(before, outcomes(collection, predicted_side(collection, predictions, truths)))
             (with_it,), level = causes.evaluate([truths], "injected error"), causes.predicted
             cause = causes.or_rarer(with_it - level, np.arange(level.size), level, causes.of_inputs)
-            reason = " or ".join((cause.first, *cause.alike[:3])) + (", enough" if cause.enough else "")
+            reason = " or ".join((cause.first, *cause.confounded[:3])) + (", enough" if cause.enough else "")
             return found.model_copy(update={"reason": reason})
 
-        prediction = predicted_side(here, stated)
-        before = outcomes(here, prediction)
-        causes = attribute.causes_of(asked_again(here, prediction))
+        prediction = predicted_side(collection, stated)
+        before = outcomes(collection, prediction)
+        causes = attribute.causes_of(asked_again(collection, prediction))
         rows = {name: injected(error) for name, error in track(errors.items(), "injected errors", len(errors))}
         are_met = [r.outcome is not Outcome.DISAGREES for r in before if r.gates and r.evidence is Evidence.MODEL]
-        files, values, reasons = own_files(here.inputs.entries()), gate_values(before), _calibrated(causes)
+        files, values, reasons = own_files(collection.inputs.entries()), gate_values(before), _calibrated(causes)
         return PowerTable(
             schema=1, campaign=job.campaign.name, version=hyperval.__version__, files=files, gates=sum(are_met),
             disagreeing=len(are_met) - sum(are_met), stated=values, errors=rows, reasons=reasons,
@@ -314,7 +314,7 @@ def _calibrated(causes: attribute.Causes) -> Reasons:
     named, grouped = dict[str, Counter[str]](), Counter[str]()
     stated, wrong = list[tuple[float, bool]](), list[bool]()
     for kind, found in causes.residuals.whitened()[0].drawn(np.random.default_rng(SEED), WORLDS):
-        first, *group = (attribute.kind_of(name) for name in (found.first, *found.alike))
+        first, *group = (attribute.kind_of(name) for name in (found.first, *found.confounded))
         is_named = kind in (first, *group)
         named.setdefault(kind, Counter())[first] += 1
         grouped[kind] += is_named

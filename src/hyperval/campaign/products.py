@@ -165,8 +165,8 @@ def _of_model(side: Collected, scenario: Scenario) -> Iterator[str]:
     """Warnings where bands of the image are not as wide as the sensor's, or its filters look for another spectrum."""
     detected, detection, place = side.observed.detected, side.campaign.detection, side.observed.place
     stated, axis = model.read_world(scenario, side.origins(scenario)).stated, side.observed.observation.axis
-    own = stated.sensor.axis if stated.sensor is not None else axis
-    times = float(np.median(axis.fwhm_nm / np.interp(axis.centre_nm, own.centre_nm, own.fwhm_nm)))
+    sensor_axis = stated.sensor.axis if stated.sensor is not None else axis
+    times = float(np.median(axis.fwhm_nm / np.interp(axis.centre_nm, sensor_axis.centre_nm, sensor_axis.fwhm_nm)))
     if max(times, 1.0 / times) > 1.2:  # as much more of the signal
         yield f"warning: bands of the image are {times:.2g} times as wide as those of the sensor (collection.bands)"
     if detected is None or detection is None or place is None:
@@ -247,8 +247,8 @@ class Collected:
             parts = self._laws.parts(region)
             number = np.where(counted & (number < 0) & (parts >= 0), parts + first, number)
             first += len(without)
-        others = counted & (number < 0)
-        number[others] = first + compact_parts(*np.nonzero(others))
+        background = counted & (number < 0)
+        number[background] = first + compact_parts(*np.nonzero(background))
         return with_shared_pixels(law, scores, number)
 
     def with_shared_count(self, score: ScoreDistribution) -> ScoreDistribution:
@@ -290,8 +290,8 @@ def collected(
             inputs.simulated, seed = scratch, scene.seed
         if question is not None:
             campaign = question(scenarios, inputs)
-        of = campaign.collection, campaign.detection, inputs.resolve
-        observed = observe.observe(*of, classification=campaign.classification)
+        settings = campaign.collection, campaign.detection, inputs.resolve
+        observed = observe.observe(*settings, classification=campaign.classification)
         for path in observed.place.source_files if observed.place is not None else ():  # such as a cube's header
             inputs.add(path)
         scenarios = [completed_scenario(scenario, observed.place, campaign.detection) for scenario in scenarios]
@@ -301,9 +301,9 @@ def collected(
 def predicted_side(
     side: Collected, predictions: Sequence[PredictedProducts], truths: Sequence[model.Truth] | None = None
 ) -> PredictedProducts:
-    """What is compared: the predictions, and those that need to know how the campaign looks at its collection.
+    """The predicted side: the predictions, and those that depend on the settings of the campaign.
 
-    These are the errors of its classifier and the areas by its unmixing.
+    The latter are the errors of its classifier and the areas by its unmixing.
 
     Parameters
     ----------
@@ -312,21 +312,21 @@ def predicted_side(
     observed, detection, task = side.observed, side.campaign.detection, side.campaign.classification
     nominal = observed.detected.nominal_area_m2 if observed.detected is not None else {}
     areas = {k: Abundance(v, 0.0, modelled=False) for k, v in nominal.items()}
-    if (unmixed := observed.unmixed) and detection and (how := detection.unmixing):
+    if (unmixed := observed.unmixed) and detection and (unmixing := detection.unmixing):
         truths = truths or [{} for _ in side.scenarios]
         for scenario, prediction, truth in zip(side.scenarios, predictions, truths, strict=True):
             inputs = scenario, side.origins(scenario), truth, prediction
-            areas |= model.predicted_areas(*inputs, unmixed, seed=how.seed)
-    whole = joined_prediction(side, side.scenarios, predictions)
-    errors = whole.classification
+            areas |= model.predicted_areas(*inputs, unmixed, seed=unmixing.seed)
+    joined = joined_prediction(side, side.scenarios, predictions)
+    errors = joined.classification
     if task is not None:
         quantity = str(observed.observation.provenance.get("quantity", "radiance"))
         training = observe.training_pixels(task, observed.observation.distribution, observed.masks)
         sides = merged_predictions(predictions), observe.class_sets(task), task.features
         errors = model.predicted_classification(*sides, quantity, task.seed, training)
-    shared = {key: side.with_shared_pixels(key, law) for key, law in whole.exceedance.items()}
-    scores = {key: side.with_shared_count(score) for key, score in whole.scores.items()}
-    return replace(whole, classification=errors, scores=scores, exceedance=shared, abundance=areas)
+    shared = {key: side.with_shared_pixels(key, law) for key, law in joined.exceedance.items()}
+    scores = {key: side.with_shared_count(score) for key, score in joined.scores.items()}
+    return replace(joined, classification=errors, scores=scores, exceedance=shared, abundance=areas)
 
 
 def joined_prediction(
@@ -364,16 +364,16 @@ def merged_predictions(predictions: Sequence[PredictedProducts]) -> PredictedPro
 def without_circular_spectra(
     prediction: PredictedProducts, scenarios: Sequence[Scenario], place: observe.Place | None = None
 ) -> PredictedProducts:
-    """The prediction without what was taken from the collection it is compared with: that agrees whatever is wrong.
+    """The prediction without what was measured in the collection it is compared with: that always agrees.
 
     A covariance that was measured on other pixels than those of its subject stays: one part of the scene predicts
-    the other.  ``place`` tells the pixels; without it every measured covariance counts as the subject's own.
+    the other.  The pixels are those of ``place``; without it every measured covariance counts as the subject's own.
     """
     surfaces = [s for x in scenarios for s in (*x.scene.classes, *x.scene.panels, *x.scene.sites)]
     taken = {s.name for s in surfaces if s.spectrum.measured is not None}
     measured = [(s.name, s.covariance.measured) for s in surfaces if s.covariance and s.covariance.measured is not None]
     masks: Mapping[str, Mask] = place.regions if place is not None else {}
-    spread = {name for name, of in measured if not {name, of} <= masks.keys() or np.any(masks[name] & masks[of])}
+    spread = {s for s, region in measured if not {s, region} <= masks.keys() or np.any(masks[s] & masks[region])}
     radiance, reflectance = (
         {k: replace(v, pixel_covariance=None) if k in spread else v for k, v in spectra.items() if k not in taken}
         for spectra in (prediction.radiance, prediction.reflectance)
@@ -485,15 +485,15 @@ def asked_again(side: Collected, prediction: Products) -> ScenarioModel:
     return ScenarioModel(side.scenarios, worlds, predicted, *sides, measured_again, exchanges_of(side), looked_for)
 
 
-def spectra_of(items: Iterable[Any], by: str = "name") -> dict[str, Any]:
-    """Name -> the entry of its spectrum, as it stands in the file."""
-    return {getattr(one, by): one.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for one in items}
+def spectra_of(items: Iterable[Any], key: str = "name") -> dict[str, Any]:
+    """The entry of each spectrum as in the file, by name or another ``key``."""
+    return {getattr(one, key): one.spectrum.model_dump(exclude_none=True, exclude_defaults=True) for one in items}
 
 
 def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, Any]], str]]:
-    """What may stand in each other's place in a collection: the settings of each pair, and "".
+    """What may be exchanged in a collection: the settings of each pair, and "".
 
-    Of a limit of a rule, those of so many steps more, and the step.
+    For a limit of a rule: the settings by number of steps, and the step.
 
     >>> from types import SimpleNamespace as Of
     >>> truth = Of(rasters=Of(materials={"red": "red.hdr", "green": "green.hdr", "blue": "blue.hdr"}))
@@ -525,7 +525,7 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
     in_place = others_in_place(spectra_of(detection.targets if detection else ()), of_model, "of the model")
     looked_for = in_place if len(in_place) <= _MOST_TRIED else {}
     background = detection.background if detection and place else []
-    others = [name for name in (*place.regions, observe.SCENE) if [name] != background] if place and background else []
+    names = [name for name in (*place.regions, observe.SCENE) if [name] != background] if place and background else []
     steps: dict[float, dict[float, dict[str, float]]] = {}
     for region in collection.regions:
         rule = region.normalized_difference
@@ -534,16 +534,16 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
             for z, changes in steps.setdefault(limit, {z: {} for z in _STEPS}).items():
                 changes[f"collection.regions.[{region.name}].normalized_difference.{end}"] = limit + _STEP * z
 
-    def at(path: str, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-        return {words: {path.format(name): to for name, to in one.items()} for words, one in changes.items()}
+    def settings_at(path: str, changes: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+        return {words: {path.format(name): entry for name, entry in one.items()} for words, one in changes.items()}
 
     found = {
-        "exchanged panels of the empirical line": at("collection.empirical_line.panels.[{}].spectrum", panels),
-        "exchanged materials of the truth": at("collection.targets.rasters.materials.[{}]", materials),
-        "spectrum that detectors look for": at("detection.targets.[{}].spectrum", looked_for),
-        "pixels behind the filters": {name: {"detection.background": [name]} for name in others},
+        "exchanged panels of the empirical line": settings_at("collection.empirical_line.panels.[{}].spectrum", panels),
+        "exchanged materials of the truth": settings_at("collection.targets.rasters.materials.[{}]", materials),
+        "spectrum that detectors look for": settings_at("detection.targets.[{}].spectrum", looked_for),
+        "pixels behind the filters": {name: {"detection.background": [name]} for name in names},
         "bands of the detectors": {b: {"detection.bands": b} for b in _BANDS if detection and b != detection.bands},
     }
     words = f"{_STEP:g} of the index"
     limits = {f"limit {x:g} of the normalised difference": (steps[x], words) for x in sorted(steps)}
-    return limits | {what: (of, "") for what, of in found.items()}
+    return limits | {what: (settings, "") for what, settings in found.items()}

@@ -109,7 +109,7 @@ def _report(side: Collected, predicted: Sequence[PredictedProducts]) -> Run:
         provenance["engines"]["attribution"] = {"atmosphere": STEPS_OF_REASONS}
     return report_of(
         campaign, rows, kind="Campaign" if predicted else "Collection of campaign", provenance=provenance,
-        given={"predicted": prediction, "observed": observed.observation}, quicklook=quicklook(observed),
+        products={"predicted": prediction, "observed": observed.observation}, quicklook=quicklook(observed),
         score_maps=score_maps(observed, campaign.detection, prediction, rows), deciding=deciding,
         power=(power, power.stale(provenance["inputs"], rows)) if power else None,
         notes=list(dict.fromkeys(notes)), chosen_after=campaign.every_choice(),
@@ -239,7 +239,7 @@ class CampaignRun(NamedTuple):
                 record = {"made_of": made_of(self.job, files), "files": list(files), "outputs": outputs}
                 write_text(self.folder / RECORD, json.dumps(record, indent=1, sort_keys=True) + "\n")
         table = ResultTable(row for row in run.table if row.planned or not row.per_band)  # most are of single bands
-        return replace(run, table=table, given={}, score_maps={}, quicklook=None), code
+        return replace(run, table=table, products={}, score_maps={}, quicklook=None), code
 
 
 def unchanged_run(job: Job, folder: Path) -> Run | None:
@@ -254,16 +254,16 @@ def unchanged_run(job: Job, folder: Path) -> Run | None:
 
 
 def _run_all(pieces: Sequence[CampaignRun], scheduler: str | None, tell: Callable[[str], None]) -> list[Done]:
-    """Run what has changed; the result does not depend on how many run at once, or where."""
+    """Run what has changed; the result does not depend on the number or the place of the processes."""
     done: dict[int, Done] = {i: (run, None) for i, piece in enumerate(pieces) if (run := piece.unchanged())}
     for run, _ in done.values():
         tell(f"{run.campaign}: unchanged since the earlier run, whose results are kept (--again repeats it)")
     todo = [i for i in range(len(pieces)) if i not in done]
     with workers(worker_count(len(todo)), scheduler if todo else None) as where:
-        here = where.executor is None  # one after the other, each with its own bars
+        one_process = where.executor is None  # one after the other, each with its own bars
         results = in_order(where, CampaignRun.run, [pieces[i] for i in todo], ahead=max(1, len(todo)))
         try:
-            done |= zip(todo, track(results, "campaigns", len(todo), show=False if here else None), strict=False)
+            done |= zip(todo, track(results, "campaigns", len(todo), show=False if one_process else None), strict=False)
         except WorkersLostError as error:  # the campaigns whose results are not there yet
             done |= {i: pieces[i].failed(error) for i in todo if i not in done}
     return [done[i] for i in range(len(pieces))]
@@ -333,8 +333,8 @@ def observe(path: Path, output: Path, *, write_reflectance: Literal["envi", "cog
 
         def cube(observed: Observed) -> None:
             if observed.place is not None and write_reflectance:
-                of = folder / "reflectance", "reflectance", observed.place.cube, observed.place.line
-                notes.append(reflectance_cube(*of, write_reflectance)[1])
+                reflectance = folder / "reflectance", "reflectance", observed.place.cube, observed.place.line
+                notes.append(reflectance_cube(*reflectance, write_reflectance)[1])
 
         run = run_campaign(job, predicts=False, with_observed=cube)
         with step_of(run.campaign, "report", predicts=False), working("figures and report"):

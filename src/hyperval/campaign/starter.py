@@ -97,8 +97,8 @@ class RecordedSpectrum(NamedTuple):
 
     def is_again(self, other: RecordedSpectrum) -> bool:
         """Whether both are one spectrum of one name, to the rounding of a text."""
-        alike = _words(self.name) == _words(other.name) and self.record.values.size == other.record.values.size
-        return alike and np.allclose(self.record.values, other.record.values, rtol=1e-3, atol=1e-3)
+        same_name = _words(self.name) == _words(other.name) and self.record.values.size == other.record.values.size
+        return same_name and np.allclose(self.record.values, other.record.values, rtol=1e-3, atol=1e-3)
 
     @property
     def flat(self) -> bool:
@@ -190,8 +190,8 @@ class Draft:
         self._scale()
         if FILL_IN in str(cube):
             flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
-            wanted = {} if numbered else {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
-            further = ", ".join(option for name, option in wanted.items() if not getattr(sources, name))
+            options = {} if numbered else {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
+            further = ", ".join(option for name, option in options.items() if not getattr(sources, name))
             self.guess("no image", further=further or "nothing")
         elif numbered or (quantity == "counts" and sources.quantity is None):
             self._by_objects("no wavelengths" if numbered else "no quantity")
@@ -322,8 +322,8 @@ class Draft:
         for name in place.regions:
             if (match := self.matching(name)) is not None:
                 reflectance = np.interp(centre, match.record.wavelength_nm, match.record.values, np.nan, np.nan)
-                some = place.cube.spectra(drawn_pixels(place.region(name), _SOME, np.random.default_rng(0)))
-                ratio = (some.sum(axis=0) / (len(some) * reflectance))[good & np.isfinite(reflectance)]
+                spectra = place.cube.spectra(drawn_pixels(place.region(name), _SOME, np.random.default_rng(0)))
+                ratio = (spectra.sum(axis=0) / (len(spectra) * reflectance))[good & np.isfinite(reflectance)]
                 ratios += [float(np.median(ratio))] if ratio.size else []
         return ratios
 
@@ -359,11 +359,11 @@ class Draft:
             listed: Entry = {"csv": file}
             head = decoded(head_of(self.sources.targets, 4096)).partition("\n")[0].lower()
             if not (self.sources.targets.suffix.lower() == ".csv" and re.search("material|targets_type", head)):
-                every = {"material": "every region", "file": file}
-                whole = parts | {"targets": {"regions": [every], **truth}}
-                self._coordinates(every, **whole)
-                names = dict.fromkeys(target.attributes["region"] for target in self.opened(**whole).targets)
-                listed = {"regions": [{**every, "material": name, "regions": [escape(name)]} for name in names]}
+                entry = {"material": "every region", "file": file}
+                settings = parts | {"targets": {"regions": [entry], **truth}}
+                self._coordinates(entry, **settings)
+                names = dict.fromkeys(target.attributes["region"] for target in self.opened(**settings).targets)
+                listed = {"regions": [{**entry, "material": name, "regions": [escape(name)]} for name in names]}
             parts["targets"] = self.collection["targets"] = listed | truth
         return self.opened(**parts)
 
@@ -447,8 +447,8 @@ class Draft:
 
     def _flight(self, place: Place) -> Entry:
         """Atmosphere, sun, sensor, and what is known of them."""
-        sources, usual = self.sources, _templates()["flight"]
-        state, self.collection["calibration"] = {**usual["atmosphere"]}, usual["calibration"]
+        sources, template = self.sources, _templates()["flight"]
+        state, self.collection["calibration"] = {**template["atmosphere"]}, template["calibration"]
         for name in ("atmosphere", "state", "calibration"):
             self.guess(name)
         if (centre := centre_of(place)) is not None:
@@ -457,14 +457,14 @@ class Draft:
         if not sources.time_utc:
             time_text = place.cube.raster.description.entries.get("acquisition time", "")
             with suppress(UsageError):  # of no time, or in a form that is not clear
-                when, clock = parse_utc(time_text), re.search("[T ]([0-9].*)", time_text)
-                stated["time_utc"] = f"{when:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
+                time, clock = parse_utc(time_text), re.search("[T ]([0-9].*)", time_text)
+                stated["time_utc"] = f"{time:%Y-%m-%dT%H:%M:%SZ}" if clock else None  # a day has no sun
                 if clock and not re.search("[Zz+-]", clock[1]):
                     self.guess("time")
         state |= {key: value for key, value in stated.items() if value is not None}
         sensor_file = Path(sources.sensor or "")
         sensor = self.reference(sensor_file) if sensor_file.is_file() else sources.sensor or self._library_sensor(place)
-        return {"atmosphere": state, "sensor": sensor, "uncertainty": {**usual["uncertainty"]}}
+        return {"atmosphere": state, "sensor": sensor, "uncertainty": {**template["uncertainty"]}}
 
     def _library_sensor(self, place: Place) -> str:
         """The sensor of the library with the bands of the image."""
@@ -498,7 +498,7 @@ class Draft:
         entries = scenario["scene"]["targets"] = []
         for material, same in members.items():
             each = sizes[material].items() if all(sizes.values()) else ()
-            subjects = [{"name": f"{material} {m} m", "fill": _fill(place, some)} for m, some in each]
+            subjects = [{"name": f"{material} {m} m", "fill": _fill(place, same_size)} for m, same_size in each]
             fills = {"subjects": subjects} if subjects else {"fill": _fill(place, same)}
             spread = {"relative_sd": 0.03, "band_sd": 0.001}
             target = {"name": material, "spectrum": spectra[material].source, "covariance": spread}
@@ -524,8 +524,8 @@ class Draft:
             "TARGETS": [s["name"] for target in targets for s in target.get("subjects") or [target]],
             "BACKGROUNDS": [background_of(target["name"]) for target in targets],
         }
-        usual = [{**entry, "subjects": subjects[entry["subjects"]]} for entry in _templates()["comparisons"]]
-        self.content |= {"scenarios": [scenario], "comparisons": [entry for entry in usual if entry["subjects"]]}
+        comparisons = [{**entry, "subjects": subjects[entry["subjects"]]} for entry in _templates()["comparisons"]]
+        self.content |= {"scenarios": [scenario], "comparisons": [entry for entry in comparisons if entry["subjects"]]}
 
     # Counts, or an image without wavelengths: a map of objects, and what they stand before ----------------------------
 
@@ -549,14 +549,14 @@ class Draft:
         spectra = self.opened().cube.spectra(target_pixels)
         mean = "\n".join(map(repr, np.nan_to_num(spectra.mean(axis=0)).tolist()))
         write_text(self.folder / "target.txt", f"# mean of the known objects, one row a band\n{mean}\n")
-        usual, pixels = _templates()["objects"], int(np.sum(target_pixels))
-        left_out = [name for name in usual["collection"]["leave_out"] if marked[name].any()]
+        template, pixels = _templates()["objects"], int(np.sum(target_pixels))
+        left_out = [name for name in template["collection"]["leave_out"] if marked[name].any()]
         collection["regions"] += [{"name": name, "file": "objects.csv"} for name in left_out]
-        collection |= {**usual["collection"], "leave_out": left_out}
-        detection |= usual["detection"]
+        collection |= {**template["collection"], "leave_out": left_out}
+        detection |= template["detection"]
         few = {"covariance": {"relative_sd": 0.05}} if pixels < _FEW else {}
-        scene = {**usual["scene"], "targets": [{**target, **few} for target in usual["scene"]["targets"]]}
-        model = {"schema": 1, "name": self.name, "scene": scene, "processing": usual["processing"]}
+        scene = {**template["scene"], "targets": [{**target, **few} for target in template["scene"]["targets"]]}
+        model = {"schema": 1, "name": self.name, "scene": scene, "processing": template["processing"]}
         self.guess("objects", why=why, scored=len(scored), pixels=pixels)
         self.guess("objects filled")
         self._compare(model)
@@ -564,27 +564,27 @@ class Draft:
     def _object_masks(self) -> tuple[list[Mask], str, Mask]:
         """The objects of the map, the largest first, words on them, and pixels of other materials.
 
-        Of a map of several materials those of one with most groups of touching pixels; where each value marks one
-        group, values are numbers of objects.
+        In a map of several materials the objects are the connected groups of the material with most of them; where
+        each value marks one group, values are numbers of objects.
         """
         targets, none = self.sources.targets, "no map of objects is there (--targets)"
         nowhere = np.zeros(self.raster.size[:2], bool)
         if targets is None and " file" not in self.raster.description.product:  # none in the file of the image itself
             return [], none, nowhere
         try:
-            of, raster = targets or self.sources.cube, self.raster
-            regions = read_regions(of, raster.size[:2], transform=raster.transform, crs=raster.crs)
+            source, raster = targets or self.sources.cube, self.raster
+            regions = read_regions(source, raster.size[:2], transform=raster.transform, crs=raster.crs)
         except HypervalError as error:
             if targets is not None:
                 raise
             return [], f"{none}: {error.what}", nowhere
         groups = {name: objects(region.mask)[1] for name, region in regions.items()}
         most = max(groups, key=lambda name: groups[name])
-        every = np.logical_or.reduce([region.mask for region in regions.values()])
-        mask = every if groups[most] < 2 else regions[most].mask
+        materials = np.logical_or.reduce([region.mask for region in regions.values()])
+        mask = materials if groups[most] < 2 else regions[most].mask
         masks, why = groups_by_size(mask)
-        others = every & ~mask
-        return masks, why + f" of {most!r}; other materials of the map are left out" * bool(others.any()), others
+        rest = materials & ~mask
+        return masks, why + f" of {most!r}; other materials of the map are left out" * bool(rest.any()), rest
 
 
 def _words(name: str) -> frozenset[str]:
@@ -609,7 +609,7 @@ def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
 def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[RecordedSpectrum]:
     """The mean of spectra under one name, where they are as bright to a third; else the spectra as they are.
 
-    Those that are stated otherwise, by the record of a file or in another unit, are no replicates.
+    Spectra of other keys, such as records of a file, or in another unit are no replicates.
 
     >>> one = FieldSpectrum("lawn", np.array([500.0, 600.0]), np.array([0.2, 0.4]))
     >>> sources = {"file": "1.csv"}, {"file": "2.csv"}, {"file": "all.csv", "record": "lawn3"}
@@ -622,8 +622,8 @@ def _replicates(name: str, members: Sequence[RecordedSpectrum]) -> Sequence[Reco
     values = [np.interp(nm, one.record.wavelength_nm, one.record.values) for one in members]
     mean = np.mean(values, axis=0)
     unlike = max(float(np.median(np.abs(one - mean))) for one in values) > np.median(mean) / 3.0
-    told = {(*one.source, one.source.get("reflectance_unit")) for one in members}  # which keys, and what is the same
-    if len(members) < 2 or unlike or len(told) > 1:
+    origins = {(*one.source, one.source.get("reflectance_unit")) for one in members}  # keys, and unit
+    if len(members) < 2 or unlike or len(origins) > 1:
         return members
     files = {"files": list(dict.fromkeys(one.source["file"] for one in members))}
     records = {"records": [one.source["record"] for one in members]} if "record" in source else {}

@@ -35,9 +35,9 @@ app = typer.Typer(
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def command(*examples: str, of: typer.Typer = app, name: str | None = None) -> Callable[[F], F]:
+def command(*examples: str, group: typer.Typer = app, name: str | None = None) -> Callable[[F], F]:
     """A command whose help ends with examples."""
-    return of.command(name, epilog="\n".join(("\b", "Examples:", *(f"  hyperval {example}" for example in examples))))
+    return group.command(name, epilog="\n".join(("\b", "Examples:", *(f"  hyperval {line}" for line in examples))))
 
 
 settings = SimpleNamespace(quiet=False, debug=False)  # what the options before the command say
@@ -102,11 +102,11 @@ def say_reasons(rows: Sequence[hyperval.results.Result]) -> None:
     outcomes = hyperval.results.Outcome
     for outcome in (outcomes.ERROR, outcomes.SKIPPED):
         listed = (row for row in rows if row.outcome is outcome and row.reason)
-        # Those that differ in measured numbers alone are one.
-        for alike in hyperval.results.grouped(listed, lambda row: re.sub(r"(?<= )[\d.]+\b", "", row.reason)).values():
-            more = len({row.reason for row in alike}) - 1
-            names = ", ".join(dict.fromkeys(row.campaign for row in alike))
-            line = f"{names}: {outcome}: {alike[0].reason}" + (f" (and {more} more like it)" if more else "")
+        # Reasons that differ only in measured numbers are printed once.
+        for similar in hyperval.results.grouped(listed, lambda row: re.sub(r"(?<= )[\d.]+\b", "", row.reason)).values():
+            more = len({row.reason for row in similar}) - 1
+            names = ", ".join(dict.fromkeys(row.campaign for row in similar))
+            line = f"{names}: {outcome}: {similar[0].reason}" + (f" (and {more} more like it)" if more else "")
             print(line, file=sys.stderr) if outcome is outcomes.ERROR else note(line)
 
 
@@ -163,9 +163,9 @@ def check(
     print_table(header, list(map(_cells, compared)))
     for run in runs:
         _tell(run, folder)
-    for reason, alike in hyperval.results.grouped(runs, lambda run: run.skipped).items():
+    for reason, skipped in hyperval.results.grouped(runs, lambda run: run.skipped).items():
         if reason is not None:
-            note(f"{', '.join(run.owner for run in alike)}: skipped: {reason}")
+            note(f"{', '.join(run.owner for run in skipped)}: skipped: {reason}")
     return finished(baseline.rows_of(runs).exit_code(), output)
 
 
@@ -177,7 +177,7 @@ def _cells(row: hyperval.results.Result) -> tuple[str, ...]:
 
 
 def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
-    """One line of summary; what was not compared, and is in no table, says why."""
+    """A line of summary; with the reason where nothing was compared."""
     wrong = [row for row in run.rows if row.outcome is hyperval.results.Outcome.DISAGREES]
     if run.before is None:
         for row in wrong:
@@ -185,12 +185,12 @@ def _tell(run: baseline.RunNumbers, baselines: Path) -> None:
     elif not wrong:
         note(f"{run.owner}: {len(run.rows)} numbers as accepted")
     else:
-        then = run.before.versions
-        changed = [f"{k} {then[k]} is now {v}" for k, v in run.versions.items() if k in then and then[k] != v]
-        of = "the code or the sensor file" if run.kind == "sensor" else "the code, the campaign's files or its data"
-        alike = f"{of}: the versions of all packages are as accepted"
+        before = run.before.versions
+        changed = [f"{k} {before[k]} is now {v}" for k, v in run.versions.items() if k in before and before[k] != v]
+        causes = "the code or the sensor file" if run.kind == "sensor" else "the code, the campaign's files or its data"
+        unchanged = f"{causes}: the versions of all packages are as accepted"
         note(f"{run.owner}: {len(wrong)} of {len(run.rows)} numbers are not as accepted")
-        note(f"  likely cause: {'; '.join(changed) or alike}")
+        note(f"  likely cause: {'; '.join(changed) or unchanged}")
         note(f"  if the change is meant: {run.acceptance(baselines)}")
 
 
@@ -201,7 +201,7 @@ app.add_typer(baseline_app, name="baseline")
 @command(
     "baseline accept campaign.yaml --reason 'another atmosphere engine'",
     "baseline accept --sensors mine.yaml --reason 'first numbers'",
-    of=baseline_app,
+    group=baseline_app,
     name="accept",
 )
 def baseline_accept(
@@ -237,7 +237,7 @@ data_app = typer.Typer(help="Public data sets: list, fetch, verify.", no_args_is
 app.add_typer(data_app, name="data")
 
 
-@command("data list", of=data_app, name="list")
+@command("data list", group=data_app, name="list")
 def data_list() -> int:
     """List the registered data sets and whether they are on this machine."""
     rows = []
@@ -254,7 +254,7 @@ def data_list() -> int:
     return 0
 
 
-@command("data fetch hysu", of=data_app, name="fetch")
+@command("data fetch hysu", group=data_app, name="fetch")
 def data_fetch(names: Annotated[list[str], Argument(help="Names of data sets.")]) -> int:
     """Bring data sets into the user's cache; every file is checked against its digest."""
     for entry in [hyperval.datasets.dataset(name) for name in names]:
@@ -264,7 +264,7 @@ def data_fetch(names: Annotated[list[str], Argument(help="Names of data sets.")]
     return 0
 
 
-@command("data verify hysu", of=data_app, name="verify")
+@command("data verify hysu", group=data_app, name="verify")
 def data_verify(
     names: Annotated[list[str] | None, Argument(help="Names of data sets; all when none is named.")] = None,
 ) -> int:
@@ -390,10 +390,10 @@ def init(
     for one in asked:
         note(f"to fill in: {one.key}: {one.what}")
     drafted = ("validate", "--dry-run", path) if asked or "comparisons" in data else ("observe", path, "-o", "seen")
-    again = bool(asked) and "scenarios" not in data
-    then = "hyperval init again, with these options, into another folder" if again else as_typed(*drafted)
+    is_draft = bool(asked) and "scenarios" not in data
+    proposal = "hyperval init again, with these options, into another folder" if is_draft else as_typed(*drafted)
     count = f"{len(asked)} value{'s' if len(asked) > 1 else ''} to fill in, then"
-    note(f"{path}: {count if asked else 'now'}: {then}")
+    note(f"{path}: {count if asked else 'now'}: {proposal}")
     return 0
 
 
@@ -450,10 +450,10 @@ def power(
     errors: Annotated[Path | None, Option(help="Errors of your own: NAME: {path: value}.")] = None,
 ) -> int:
     """Inject standard errors into the model, one at a time: which criteria detect them?"""
-    tables = campaign.campaign_power(campaigns, output=output, accept=accept, own=errors)
+    tables = campaign.campaign_power(campaigns, output=output, accept=accept, errors_file=errors)
     done = [item.table for item in tables if item.table is not None]
-    every = {name: [table.errors[name] for table in done] for table in done[:1] for name in table.errors}
-    rows = [(n, *(": ".join(filter(None, (e.words, e.not_applicable))) for e in each)) for n, each in every.items()]
+    sights = {name: [table.errors[name] for table in done] for table in done[:1] for name in table.errors}
+    rows = [(n, *(": ".join(filter(None, (e.words, e.not_applicable))) for e in each)) for n, each in sights.items()]
     print_table(("injected error", *(table.campaign for table in done)), rows)
     for item in tables:
         if item.skipped:
@@ -530,7 +530,7 @@ sensor_app = typer.Typer(help="Sensors: those of the package, and new ones.", no
 app.add_typer(sensor_app, name="sensor")
 
 
-@command("sensor list", of=sensor_app, name="list")
+@command("sensor list", group=sensor_app, name="list")
 def sensor_list() -> int:
     """List the sensors that come with the package."""
     rows = []
@@ -541,7 +541,7 @@ def sensor_list() -> int:
     return 0
 
 
-@command("sensor show prospectir-vs", of=sensor_app, name="show")
+@command("sensor show prospectir-vs", group=sensor_app, name="show")
 def sensor_show(name: Annotated[str, Argument(help="A sensor of the list, or a sensor file.")]) -> int:
     """Print a sensor's specification as YAML: every number with its source."""
     import yaml
@@ -551,7 +551,7 @@ def sensor_show(name: Annotated[str, Argument(help="A sensor of the list, or a s
     return 0
 
 
-@command("sensor check mine.yaml -o mine-check", of=sensor_app, name="check")
+@command("sensor check mine.yaml -o mine-check", group=sensor_app, name="check")
 def sensor_check(
     name: Annotated[str, Argument(help="A sensor of the list, or a sensor file.")],
     output: AnyOutput = None,
@@ -571,7 +571,7 @@ def sensor_check(
     return finished(check.table.exit_code(), output)
 
 
-@command("sensor new mine --arms VNIR,SWIR", of=sensor_app, name="new")
+@command("sensor new mine --arms VNIR,SWIR", group=sensor_app, name="new")
 def sensor_new(
     name: Annotated[str, Argument(help="Short name of the sensor.")],
     output: Draft = None,

@@ -77,9 +77,9 @@ def compare_covariance(predicted: Products, observed: Products, subject: str, qu
     Examples
     --------
     >>> axis = SpectralAxis(np.arange(500.0, 900.0, 50.0), 10.0)
-    >>> own = np.exp(-np.abs(np.subtract.outer(np.arange(8.0), np.arange(8.0))) / 4.0)
-    >>> predicted = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.012 * own)
-    >>> observed = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.010 * own, n=400)
+    >>> texture = np.exp(-np.abs(np.subtract.outer(np.arange(8.0), np.arange(8.0))) / 4.0)
+    >>> predicted = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.012 * texture)
+    >>> observed = SpectralEstimate(np.ones(8), 1e-4 * np.eye(8), 0.010 * texture, n=400)
     >>> sides = (Products(axis, radiance={"grass": side}) for side in (predicted, observed))
     >>> rows = list(compare_covariance(*sides, "grass", "radiance"))
     >>> [(r.metric, round(r.value, 2)) for r in rows if not r.metric.endswith(("@2", "@3", "@4", "@5"))]
@@ -92,15 +92,15 @@ def compare_covariance(predicted: Products, observed: Products, subject: str, qu
     The excess is known the worse the heavier the tails that are predicted, and the fewer pixels are independent.
 
     >>> from dataclasses import replace
-    >>> def width(tail_dof=np.inf, n=400, **own):
-    ...     seen = {"grass": PixelDistribution(n=n, effective_n=np.full(20, 399.0), **own)}
+    >>> def width(tail_dof=np.inf, n=400, **stated):
+    ...     pixels = {"grass": PixelDistribution(n=n, effective_n=np.full(20, 399.0), **stated)}
     ...     law = {"grass": PixelDistribution(tail_dof=tail_dof)}
     ...     sides = Products(axis, radiance={"grass": predicted}, distribution=law), Products(
-    ...         axis, radiance={"grass": replace(observed, n=n)}, distribution=seen)
+    ...         axis, radiance={"grass": replace(observed, n=n)}, distribution=pixels)
     ...     (found,) = (r for r in compare_covariance(*sides, "grass", "radiance") if r.metric.endswith("excess"))
     ...     return found.upper - found.value, found.value - found.lower, found.upper
-    >>> (normal, tails, alike) = (width(**law) for law in ({}, {"tail_dof": 6.0}, {"n": 4000}))
-    >>> [bool(a > 1.02 * b) for a, b in zip(tails[:2] + alike[:2], normal[:2] * 2)]
+    >>> (normal, tails, larger) = (width(**law) for law in ({}, {"tail_dof": 6.0}, {"n": 4000}))
+    >>> [bool(a > 1.02 * b) for a, b in zip(tails[:2] + larger[:2], normal[:2] * 2)]
     [True, True, True, True]
     >>> tails[2] == normal[2]  # at least as much is due to sampling as of normal pixels
     True
@@ -297,10 +297,10 @@ def _noise_rows(sample: Sampled, sources: Mapping[str, Array], samples: int) -> 
     block = np.ix_(bands, bands)
     texture = np.asarray(predicted.pixel_covariance)[block] - np.diag(total[bands])
     calibration = sources.get("calibration", np.zeros_like(total))[bands]
-    beyond = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
-    noise = total[bands] + beyond + _rounding(observed)[bands]
+    common = calibration * np.diag(texture) / predicted.mean[bands] ** 2  # (3.17) of L^2 + var L
+    noise = total[bands] + common + _rounding(observed)[bands]
     first, second = texture + np.diag(noise), np.asarray(observed.pixel_covariance)[block]
-    columns = {"calibration": calibration + beyond, "samples": samples, "errors": _errors(sample.sides, bands)}
+    columns = {"calibration": calibration + common, "samples": samples, "errors": _errors(sample.sides, bands)}
     factor, uncertainty = pixels.noise_part(second, first, noise, sample.independent, sample.kurtosis, **columns)
     low, high = (factor + sign * Z95 * uncertainty for sign in (-1.0, 1.0))
     if low <= 0.0:

@@ -85,9 +85,9 @@ def compare_exceedance(predicted: ExceedanceCurve, observed: ExceedanceCurve) ->
             yield from without("beyond_curve.ties", f"pfa_ratio@{label}", n=observed.n, share=measured, label=label)
             continue
         ratio = false_alarm_ratio(predicted, observed, k)
-        beyond = threshold > predicted.threshold[predicted.probability > 0][-1]
+        extrapolated = threshold > predicted.threshold[predicted.probability > 0][-1]
         halves = math.nan if observed.half_image is None else float(observed.half_image[k])
-        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=beyond, observed=observed, at=k)
+        words = said("pfa_ratio", ratio=ratio, threshold=threshold, beyond=extrapolated, observed=observed, at=k)
         yield row(f"pfa_ratio@{label}", ratio.value, (ratio.lower, ratio.upper), n=observed.n, reason=words)
         yield from _without_part(f"pfa_ratio_without@{label}", ratio.value, threshold, predicted)
         if np.isfinite(halves):
@@ -101,14 +101,14 @@ def _without_part(metric: str, ratio: float, threshold: float, predicted: Exceed
         return
     number, alarms = parts.number, parts.alarms[:, np.argmin(np.abs(parts.threshold - threshold))]
     pixels = np.bincount(number[number >= 0], minlength=alarms.size)
-    others = np.where(pixels > 0, parts.at(threshold), np.inf)
-    part = int(np.argmin(np.abs(np.log(others))))
-    far, rest = abs(math.log(ratio)), abs(math.log(others[part]))
+    ratios = np.where(pixels > 0, parts.at(threshold), np.inf)
+    part = int(np.argmin(np.abs(np.log(ratios))))
+    far, rest = abs(math.log(ratio)), abs(math.log(ratios[part]))
     responsible = far > 2.0 * rest or far < math.log(1.25)
     places, held = np.nonzero(number == part), 100.0 * alarms[part] / max(alarms.sum(), 1)
-    numbers = {"places": places, "pixels": pixels, "held": held, "without": others[part], "ratio": ratio}
+    numbers = {"places": places, "pixels": pixels, "held": held, "without": ratios[part], "ratio": ratio}
     words = said("pfa_ratio_without", part=part, responsible=responsible, **numbers)
-    yield row(metric, float(others[part]), n=int(pixels[part]), reason=words)
+    yield row(metric, float(ratios[part]), n=int(pixels[part]), reason=words)
 
 
 def compare_classification(p: ClassificationError, o: ClassificationError) -> Iterator[Result]:
@@ -536,7 +536,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
         return
     detected = round(float(observed.pd[i[-1]]) * m)
     both, level = (counted, (detected, m)), math.sqrt(0.95)
-    span, (least, most) = (tuple(map(float, clopper_pearson(k, of, level))) for k, of in both)
+    span, (least, most) = (tuple(map(float, clopper_pearson(k, total, level))) for k, total in both)
     why = f"{detected} of {m} {observed.unit}s and {alarms} of {n} background samples; joint coverage 95 %"
     yield row(f"joint_pfa@{label}", alarms / n, span, n=n, reason=why)
     yield row(f"joint_pd@{label}", detected / m, (least, most), n=m, reason=why)
@@ -550,7 +550,7 @@ def alarm_rows(predicted: RocCurve | None, observed: RocCurve, pfa: float) -> It
     lo, hi = (read_at(predicted, x) if first <= x <= last else (float(x > last), (math.nan, math.nan)) for x in span)
     bands = np.nan_to_num([hi[1][1] - hi[0], lo[0] - lo[1][0]])
     below, above = np.hypot([detected / m - least, most - detected / m], bands)
-    # A curve that rises passes the rectangle unless it is below it at its right end or above it at its left.
+    # A rising curve crosses the rectangle unless it lies below it at the right end or above it at the left end.
     yield row(name, hi[0] >= detected / m - below and lo[0] <= detected / m + above, n=m)
 
 
@@ -666,10 +666,10 @@ def equivalence(interval: Interval, margin: float) -> tuple[float, str]:
     lies wholly beyond 0: with many targets a difference may be certain and yet within the margin, which is then
     equivalent for the purpose, and the word says both.
     """
-    apart = interval[0] > 0.0 or interval[1] < 0.0
+    significant = interval[0] > 0.0 or interval[1] < 0.0
     if -margin < interval[0] and interval[1] < margin:
-        return 1.0, "equivalent, though significantly different" if apart else "equivalent"
-    return (-1.0, "different") if apart else (0.0, "undecided")
+        return 1.0, "equivalent, though significantly different" if significant else "equivalent"
+    return (-1.0, "different") if significant else (0.0, "undecided")
 
 
 def compare_roc(predicted: RocCurve, observed: RocCurve, equivalence_margin: float | None = None) -> Iterator[Result]:
@@ -706,7 +706,7 @@ def compare_roc(predicted: RocCurve, observed: RocCurve, equivalence_margin: flo
     """
     rare = [x for x in IF_BACKGROUND_ALLOWS if x * (observed.n_background or 0) >= LEAST_EXPECTED_ALARMS]
     for level in (*ALWAYS, *rare):
-        yield from _at(predicted, observed, level, equivalence_margin)
+        yield from _point_rows(predicted, observed, level, equivalence_margin)
         yield from alarm_rows(predicted, observed, level)
     yield from whole_curve_rows(predicted, observed)
 
@@ -729,7 +729,7 @@ def whole_curve_rows(predicted: RocCurve | None, observed: RocCurve) -> Iterator
     yield from area_rows(predicted, observed)
 
 
-def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
+def _point_rows(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | None) -> Iterator[Result]:
     label = scientific(pfa)
     names = [f"{m}@{label}" for m in (*METRICS, *(["pd_equivalence"] if margin is not None else []))]
     n, background = observed.n_target, observed.n_background
@@ -747,7 +747,7 @@ def _at(predicted: RocCurve, observed: RocCurve, pfa: float, margin: float | Non
         return
     difference = rows[-1]
     yield _inside_row(names[3], difference, right)
-    # An unknown measured interval must not read as "outside": the verdict itself is unknown.
+    # With an unknown measured interval the verdict is unknown, not "outside".
     valid = math.nan if math.isnan(low + high) else 1.0
     yield row(names[4], valid * (low <= p <= high), n=n)
     if margin is not None:

@@ -84,9 +84,9 @@ class Gate(Model):
             refuse(ends is not None and not ends[0] < ends[1], "gate.empty", name=name, ends=ends)
         refuse(self.chosen_after != bool(self.before), "gate.before")
         metric, limit, (floor, ceiling) = metric_of(self.metric), self.limit_text, self.limits
-        whole, bounded = floor <= metric.low and ceiling >= metric.high, math.isfinite(metric.low)
+        unlimited, bounded = floor <= metric.low and ceiling >= metric.high, math.isfinite(metric.low)
         ends = (metric.low, metric.high)
-        refuse(whole, "gate.all" if bounded else "gate.ever", metric=self.metric, ends=ends, limit=limit)
+        refuse(unlimited, "gate.all" if bounded else "gate.ever", metric=self.metric, ends=ends, limit=limit)
         # A ratio to the collected value may be larger than 1, but a limit of 100 % or more is a slip of the pen.
         relative = (metric.agreement == 0.0 and "difference_ratio" in metric.name) or metric.name == "bias_ratio"
         refuse(relative and max(abs(x) for x in self.limits if math.isfinite(x)) >= 1.0, "gate.percent", limit=limit)
@@ -355,8 +355,8 @@ def told_as_effect(row: Result, level: float = math.nan) -> Result:
         return row
     tested = metric.kind is not Kind.TEST or math.isfinite(level)
     low, high = about.accepted(level) if about.accepted and tested else (math.nan, math.nan)
-    beyond = about.decides and (about.lower < low or about.upper > high)
-    if beyond and row.outcome is Outcome.AGREES:
+    outside = about.decides and (about.lower < low or about.upper > high)
+    if outside and row.outcome is Outcome.AGREES:
         row = replace(row, outcome=Outcome.UNDECIDED, cause=Cause.WIDE_INTERVAL)
     effect, lower, upper, below, above = map(unit, (about.value, about.lower, about.upper, *about.detectable))
     ideal = metric.agreement if unit.ideal is None else unit.ideal
@@ -438,12 +438,12 @@ def _nearest(rows: Sequence[Result], gate: Gate) -> dict[str, list[str]]:
 def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     """The row of a pooled gate of the rows it covers; none where there are none, as :func:`_unmet` reports that.
 
-    Rows that cannot tell widen the interval: they count as amiss in its lower end, as met in its upper one.
+    Inconclusive rows widen the interval: they count as not met at its lower end, as met at its upper end.
     """
     if not matched or gate.fraction_at_least is None:
         return []
     judgements = [outcome_of(row, *gate.limits) for row in matched]
-    # Of 1 or 0 by an interval the value counts: their share is the coverage of these intervals.
+    # Of rows that are 1 or 0 by an interval the value counts: their fraction is the coverage of the intervals.
     good = sum(outcome is Outcome.AGREES or cause is Cause.COVERAGE for outcome, cause in judgements)
     amiss = (Outcome.DISAGREES, Outcome.ERROR)
     bad = [row for row, (outcome, _) in zip(matched, judgements, strict=True) if outcome in amiss]
@@ -451,8 +451,8 @@ def _pooled(matched: Sequence[Result], gate: Gate) -> list[Result]:
     lower, upper = float(clopper_pearson(good, n)[0]), float(clopper_pearson(n - len(bad), n)[1])
     what = said("pooled", good=good, n=n, limit=gate.limit_text, undecided=undecided, bad=bad, whole=COMPARISON)
     names = "", gate.product, ", ".join(gate.subjects), gate.method, f"{gate.metric}_fraction"
-    how: dict[str, Any] = {"evidence": metric_of(gate.metric).evidence, "set_after": gate.chosen_after, "reason": what}
-    row, least = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, **how), gate.fraction_at_least
+    more: dict[str, Any] = {"evidence": metric_of(gate.metric).evidence, "set_after": gate.chosen_after, "reason": what}
+    row, least = Result(*names, good / n, lower=lower, upper=upper, n=n, role=gate.role, **more), gate.fraction_at_least
     out = _concluded(row, (least, math.inf), gate.reason)
     if out.outcome is Outcome.UNDECIDED and float(clopper_pearson(n, n)[0]) < least:
         out = replace(out, cause=Cause.NEVER)

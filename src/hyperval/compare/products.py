@@ -50,10 +50,10 @@ def product_rows(products: Products, side: str) -> Iterator[Result]:
             yield from named(rows, product, subject, side)
     for key, score in products.scores.items():
         yield from named([row(metric, getattr(score, metric), n=score.n) for metric in ("mean", "sd")], "scores", *key)
-    for (subject, detector, by), curve in products.roc.items():
-        yield from named(_of_curve(curve), "roc", subject, f"{detector}/{by}")
+    for (subject, detector, counted), curve in products.roc.items():
+        yield from named(_of_curve(curve), "roc", subject, f"{detector}/{counted}")
     for (subject, detector), exceedance in products.exceedance.items():
-        if subject == ANOMALIES and exceedance.n is not None:  # no target is looked for
+        if subject == ANOMALIES and exceedance.n is not None:  # detectors without a target spectrum
             yield from named(_thresholds(exceedance, exceedance.n), "scores", subject, detector)
     for key, area in products.abundance.items():
         yield from named([row("area", area.area_m2, half=Z95 * area.standard_uncertainty, n=area.n)], "abundance", *key)
@@ -126,32 +126,32 @@ def compare_products(
     axis = observed.axis
     refuse(not predicted.axis.matches(axis), "compare.axes", predicted=len(predicted.axis), observed=len(axis))
 
-    def of(compare: Callable[..., Iterable[Result]], field: str, **options: Any) -> Iterator[Result]:
-        """Rows of every key of one field; a key is a subject, or a subject with a method and what it counts."""
+    def rows_of(compare: Callable[..., Iterable[Result]], field: str, **options: Any) -> Iterator[Result]:
+        """Rows of every key of one field: a subject, or a subject with a method and the unit that it counts."""
         for key, p, o in _pairs(getattr(predicted, field), getattr(observed, field)):
             subject, name = (key, method) if isinstance(key, str) else (key[0], "/".join(key[1:]))
             part = 1.0
             if field == "snr" and o is not None:
-                beside = spectra.snr_beside_texture(predicted, subject)
-                # What texture takes of the estimate, as the model has it, takes it in all bands at once.
-                part, taken = float(np.median(beside)), (1.0 - beside) * np.nan_to_num(o.mean)
+                noise_part = spectra.snr_beside_texture(predicted, subject)
+                # The part of the estimate that is texture, by the model, is common to all bands.
+                part, taken = float(np.median(noise_part)), (1.0 - noise_part) * np.nan_to_num(o.mean)
                 o = replace(o, error_covariance=o.error_covariance + np.outer(taken, taken))
             rows = compare(p, o, **options) if p is not None and o is not None else absent(field, subject, p, o)
             textured = part < spectra.LEAST_OF_NOISE
             yield from named(without("texture.snr", part=part) if textured else rows, field, subject, name)
 
     def absent(product: str, subject: str, p: Any, o: Any) -> list[Result]:
-        """The row of what a side lacks; of a curve with what that side has in its place: detectors, else subjects."""
+        """The row of what a side lacks; for a curve with the detectors, else the subjects, that this side has."""
         curves = (predicted if p is None else observed).roc
         detectors = list(dict.fromkeys(detector for s, detector, _ in curves if s == subject))
-        others = list(dict.fromkeys(repr(s) for s, *_ in curves))
+        subjects = list(dict.fromkeys(repr(s) for s, *_ in curves))
         sides = {"missing": [n for n, side in (("prediction", p), ("observation", o)) if side is None]}
-        why = said("absent", product=product, subject=subject, detectors=detectors, others=others, **sides)
+        why = said("absent", product=product, subject=subject, detectors=detectors, others=subjects, **sides)
         return skipped(Cause.NO_PREDICTION if p is None else Cause.NO_OBSERVATION, why)
 
     rows: list[Result] = []
     for product in SPECTRA:
-        rows += of(spectra.compare_spectra, product, product=product, axis=axis)
+        rows += rows_of(spectra.compare_spectra, product, product=product, axis=axis)
     for subject, side in spectra.groups(observed, fitted_on).items():
         rows += named(spectra.compare_jointly(predicted, side), "radiance", subject, method)
     shown = "radiance" if observed.radiance else "reflectance"
@@ -162,8 +162,8 @@ def compare_products(
             rows += named(spread, "covariance", subject, quantity)
     for subject, p, o in _pairs(predicted.distribution, observed.distribution):
         rows += named(covariance.compare_distribution(p, o), "covariance", subject, "pixels")
-    rows += of(detection.compare_classification, "classification")
-    rows += of(detection.compare_scores, "scores")
+    rows += rows_of(detection.compare_classification, "classification")
+    rows += rows_of(detection.compare_scores, "scores")
     for detector in dict.fromkeys(detector for _, detector in predicted.object_scores):
         sides = ({s: v for (s, d), v in p.object_scores.items() if d == detector} for p in (predicted, observed))
         rows += detection.compare_object_scores(*sides, method=detector)
@@ -171,8 +171,8 @@ def compare_products(
         subject, o = background_of(name), observed.exceedance.get((name, detector))
         found = absent("scores", subject, p, o) if o is None else detection.compare_exceedance(p, o)
         rows += named(found, "scores", subject, detector)
-    rows += of(detection.compare_roc, "roc", equivalence_margin=equivalence_margin)
-    rows += of(detection.compare_abundance, "abundance")
+    rows += rows_of(detection.compare_roc, "roc", equivalence_margin=equivalence_margin)
+    rows += rows_of(detection.compare_abundance, "abundance")
     return [*rows, *detection.compare_area_errors(predicted.abundance, observed.abundance)]
 
 

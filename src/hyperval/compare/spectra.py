@@ -345,16 +345,16 @@ def whitening(covariance: npt.ArrayLike, estimated: Sequence[EstimatedPart] = ()
     stated = np.asarray(covariance, dtype=float)
     fixed = stated - sum((p.covariance for p in estimated), np.zeros_like(stated))
     parts = [(p, p.covariance if p.model is None else p.model) for p in estimated]
-    some, whiten = _unit_directions(fixed + sum((m for _, m in parts), np.zeros_like(stated)))
-    bands = np.ix_(some, some)
+    kept, whiten = _unit_directions(fixed + sum((m for _, m in parts), np.zeros_like(stated)))
+    bands = np.ix_(kept, kept)
     nu = covariance_dof([(whiten.T @ m[bands] @ whiten, p.dof) for p, m in parts])
     if nu < DOF_PER_DIRECTION * whiten.shape[1]:
         samples = [(m, p.dof) if p.sample is None else (p.sample, p.sample_dof) for p, m in parts]
         whiten, nu = _smooth(fixed[bands], [(s[bands], v) for s, v in samples])
     else:
         nu = covariance_dof([_with_factors(p.of_each(lambda c: c[bands]), m[bands], whiten) for p, m in parts])
-    transform = np.zeros((whiten.shape[1], some.size))
-    transform[:, some] = whiten.T
+    transform = np.zeros((whiten.shape[1], kept.size))
+    transform[:, kept] = whiten.T
     return Whitening(transform, nu)
 
 
@@ -373,7 +373,7 @@ def _with_factors(part: EstimatedPart, model: Array, whiten: Array) -> tuple[Arr
 
 
 def _smooth(fixed: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array, float]:
-    """Cosines over the bands, half a wave more in each, with three degrees of freedom for each."""
+    """Cosines over the bands, each with half a wave more, as many as have three degrees of freedom each."""
     total = fixed + sum((s for s, _ in samples), np.zeros_like(fixed))
     scale = np.sqrt(np.diag(total))
     size = scale.size
@@ -383,10 +383,10 @@ def _smooth(fixed: Array, samples: Sequence[tuple[Array, float]]) -> tuple[Array
     kept = size
     while True:
         _, whiten = _unit_directions(within[:kept, :kept])
-        here = [(whiten.T @ s[:kept, :kept] @ whiten, v) for s, v in parts]
-        nu = covariance_dof(here)
-        # Directions that no sample reaches have the known part alone: too little where samples count.
-        nu = min([nu, *(v for s, v in here if v < kept and np.linalg.eigvalsh(s)[-1] > UNSEEN_PART)])
+        whitened = [(whiten.T @ s[:kept, :kept] @ whiten, v) for s, v in parts]
+        nu = covariance_dof(whitened)
+        # Directions outside the span of a sample hold the fixed part alone, which is too small.
+        nu = min([nu, *(v for s, v in whitened if v < kept and np.linalg.eigvalsh(s)[-1] > UNSEEN_PART)])
         if kept == 1 or (whiten.shape[1] == kept and nu >= DOF_PER_DIRECTION * kept - DOF_ROUNDING):
             return waves[:, :kept] @ whiten, nu
         kept = max(min(kept - 1, int((nu + DOF_ROUNDING) / DOF_PER_DIRECTION)), 1)
@@ -518,12 +518,12 @@ def shifted_rows(predicted: Products, observed: Products) -> Iterator[Result]:
     --------
     >>> from hyperval.products import ObservedProducts
     >>> w = np.arange(600.0, 900.0, 5.0)
-    >>> def seen(shift):
+    >>> def side(shift):
     ...     plant = SpectralEstimate(0.05 + 0.4 / (1.0 + np.exp((717.0 + shift - w) / 8.0)), np.eye(w.size))
     ...     return ObservedProducts(SpectralAxis(w, 5.0), reflectance={"grass": plant})
-    >>> [(r.metric, round(r.value)) for shift in (0.0, 14.0) for r in shifted_rows(seen(0.0), seen(shift))]
+    >>> [(r.metric, round(r.value)) for shift in (0.0, 14.0) for r in shifted_rows(side(0.0), side(shift))]
     [('wavelength_shift@red-edge-of-plants', 14)]
-    >>> list(shifted_rows(seen(15.0), seen(14.0)))
+    >>> list(shifted_rows(side(15.0), side(14.0)))
     []
     """
     spectra = dict(observed.radiance or observed.reflectance)
@@ -635,12 +635,12 @@ def shares(predicted: SpectralEstimate, measured: SpectralEstimate, bands: Mask)
     p, o = predicted.mean[bands], measured.mean[bands]
     found: dict[str, float] = {}
     for side, slope in ((predicted, 1.0 / o), (measured, p / o**2)):
-        whole = float(slope @ side.error_covariance[np.ix_(bands, bands)] @ slope)
+        variance = float(slope @ side.error_covariance[np.ix_(bands, bands)] @ slope)
         by_source = {name: float(np.nansum((slope * u[bands]) ** 2)) for name, u in side.budget.items()}
         for name, errors in side.errors.items():
             by_source[name] = float(np.sum((np.nan_to_num(errors.rows[:, bands]) @ slope) ** 2))
         for name, part in by_source.items():
-            found[name] = found.get(name, 0.0) + whole * part / max(sum(by_source.values()), 1e-300)
+            found[name] = found.get(name, 0.0) + variance * part / max(sum(by_source.values()), 1e-300)
     total = sum(found.values())
     return sorted(((name, part / total) for name, part in found.items()), key=lambda item: -item[1])
 
@@ -650,7 +650,7 @@ _SUMMARIES = ("median_difference_ratio", "median_abs_difference_ratio", "max_abs
 
 
 def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterator[Result]:
-    """Rows of a region; none where more than a tenth of its bands have no ratio, as a model may be wrong in these.
+    """Rows of a region; none where more than a tenth of its bands have no ratio, as the model may be wrong there.
 
     >>> ratio, one = np.array([0.01, 0.0, 0.02, np.nan]), np.ones(4, dtype=bool)
     >>> [(r.value, r.reason[:6]) for r in _summary("windows", ratio, np.eye(4), one)][0]
@@ -661,8 +661,8 @@ def _summary(name: str, ratio: Array, covariance: Array, bands: Mask) -> Iterato
     if lost["lost"] > MOST_WITHOUT_RATIO * lost["count"] or not use.any():
         yield from without("no_bands.positive" if use.any() else "no_bands.region", *names, region=name, **lost)
         return
-    why, r, here = said("no_bands.positive", **lost) if lost["lost"] else "", ratio[use], covariance[np.ix_(use, use)]
-    values, intervals = (np.median(r), np.median(np.abs(r)), np.max(np.abs(r))), summary_intervals(r, here)
+    why, r, spread = said("no_bands.positive", **lost) if lost["lost"] else "", ratio[use], covariance[np.ix_(use, use)]
+    values, intervals = (np.median(r), np.median(np.abs(r)), np.max(np.abs(r))), summary_intervals(r, spread)
     for metric, value, interval in zip(names, values, intervals, strict=True):
         yield row(metric, value, interval, n=r.size, reason=why)
 
@@ -680,28 +680,28 @@ def _consistency(
 
     ``ratio``, ``errors`` : (B,) differences and their covariance
     """
-    here, count = np.ix_(window, window), int(window.sum())
+    block, count = np.ix_(window, window), int(window.sum())
     p, o = predicted.mean[window], observed.mean[window]
-    r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[here]
+    r, cov = p - o, (predicted.error_covariance + observed.error_covariance)[block]
     if not np.all(np.diag(cov) > (NUMERICAL * o) ** 2):
         yield from without("no_uncertainty.bands", *_TESTS)
-    elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):  # such as a panel that a line of two panels goes through
+    elif np.max(np.abs(r)) <= ROUNDING * np.max(np.abs(o)):  # as of a panel on an empirical line of two panels
         yield from without("circular.equal", *_TESTS)
     else:
-        tested = whitening(cov, [e.of_each(lambda c: c[here]) for e in (*predicted.estimated, *observed.estimated)])
+        tested = whitening(cov, [e.of_each(lambda c: c[block]) for e in (*predicted.estimated, *observed.estimated)])
         tilts, full = detectable_tilts(o, centre_nm[window], tested), chi_square_full(r, tested)
-        # A mixed pixel whose host varies more than the target shows tests the host.
+        # A mixed pixel whose host varies by more than the signal of the target tests the host.
         largest = [(name, 100.0 * part) for name, part in shares(predicted, observed, window) if part > 0.5]
         why = said("test", test=full, count=count, largest=largest).removesuffix("; ")
         yield from _test_rows("diagonal", chi_square_diagonal(r, cov))
         yield from _test_rows("full", full, tilts[0], why)
-        # A mean by the inverse covariance lies outside of all its data where shapes differ (Chiba & Smith 1991).
+        # A mean weighted by the inverse covariance may lie outside all data where shapes differ (Chiba & Smith 1991).
         use = np.flatnonzero(window & np.isfinite(ratio))
         bias, half = float(ratio[use].sum()) / (use.size or math.nan), half_of_mean(errors[np.ix_(use, use)])
         yield row("bias_ratio", bias, half=half, n=use.size)
         yield from _test_rows("shape", chi_square_shape(r, o, tested), tilts[1])
-        inside, limits = share_inside(r, cov)
-        yield row("fraction_inside_95", inside, limits, n=count)
+        fraction, limits = share_inside(r, cov)
+        yield row("fraction_inside_95", fraction, limits, n=count)
     yield row("spectral_angle", spectral_angle_degrees(p, o), n=count)
 
 
@@ -717,11 +717,11 @@ EDGES_NM = (
     400, 430, *range(450, 690, 30), *range(700, 1000, 30), *range(1000, 1701, 100), 1760, 2050, *range(2200, 2501, 100),
 )  # fmt: skip
 PIECES_NM = tuple(itertools.pairwise(EDGES_NM))
-OWN = "field spectrum"  # each subject's own draw
+FIELD = "field spectrum"  # each subject's own draw
 CALIBRATION, REST = "calibration", "noise and the rest"
 UNSTATED = "differences that no source states"
 _FEWEST_BANDS = 2
-_APART = 0.05  # of the brightest: subjects alike tell no gain from an offset
+_LEAST_CONTRAST = 0.05  # of the brightest: equally bright subjects do not separate gain and offset
 # Standard deviations of what no source states, from what interpolation and rounding of the model leave; the median of
 # its prior, as AVIRIS-NG's spectra differ from band to band.
 UNSTATED_RATIOS, USUAL_RATIO = np.geomspace(1e-4, 0.1, 13), 0.01
@@ -780,19 +780,19 @@ class JointDifference:
     def in_common(self, columns: Array) -> InCommon:
         """Coefficients of ``columns`` (N, k) that all subjects share."""
         fits, middle = [], np.mean(PIECES_NM, axis=1)[self.piece]
-        apart = np.where(self.subject[:, None] == self.subject, np.abs(middle[:, None] - middle), np.inf)
+        spacing = np.where(self.subject[:, None] == self.subject, np.abs(middle[:, None] - middle), np.inf)
         for unstated, length in itertools.product(UNSTATED_RATIOS, UNSTATED_NM):
-            whole = self.covariance + unstated**2 * np.exp(-apart / length)
-            solved = np.linalg.solve(whole, np.column_stack([columns, self.difference]))
+            total = self.covariance + unstated**2 * np.exp(-spacing / length)
+            solved = np.linalg.solve(total, np.column_stack([columns, self.difference]))
             information = columns.T @ solved[:, :-1]
             covariance = np.linalg.inv(information)
             weights = covariance @ solved[:, :-1].T
             value = weights @ self.difference
             errors = solved[:, -1] - solved[:, :-1] @ value
-            size = np.linalg.slogdet(whole)[1] + np.linalg.slogdet(information)[1]
+            size = np.linalg.slogdet(total)[1] + np.linalg.slogdet(information)[1]
             fits.append((value, covariance, weights, errors, -0.5 * (self.difference @ errors + size)))
         values, covariances, weights, errors, evidence = map(np.stack, zip(*fits, strict=True))
-        # The prior of the logarithm, in even steps of which the standard deviations are.
+        # The prior of the logarithm; the standard deviations are evenly spaced in it.
         sizes = np.repeat(UNSTATED_RATIOS, len(UNSTATED_NM))
         share = scipy.special.softmax(evidence + np.log(sizes / (1.0 + (sizes / USUAL_RATIO) ** 2)))
         value = share @ values
@@ -821,16 +821,16 @@ def joint_difference(pairs: Mapping[str, tuple[SpectralEstimate, SpectralEstimat
         difference[n] = np.log(p.mean[part] / m.mean[part]).mean()
     directions: dict[tuple[str, str, int], Array] = {}  # source, draw and their number
     for i, (name, (p, m)) in enumerate(pairs.items()):
-        mine, single = subject == i, np.nan_to_num(m.error_covariance)
+        entries, single = subject == i, np.nan_to_num(m.error_covariance)
         for source, errors in p.errors.items():
-            key = source, name if source == OWN else errors.draw, len(errors.rows)
+            key = source, name if source == FIELD else errors.draw, len(errors.rows)
             rows = directions.setdefault(key, np.zeros((len(errors.rows), count)))
-            rows[:, mine] = np.nan_to_num(errors.rows) @ by_predicted[mine].T
+            rows[:, entries] = np.nan_to_num(errors.rows) @ by_predicted[entries].T
         if m.calibration is not None:  # a relative error that all spectra of a sensor share
             level, common = np.where(m.mean > 0.0, m.mean, np.inf), np.nan_to_num(m.calibration)
-            of_sensor[mine], relative = by_measured[mine] * np.nan_to_num(m.mean), common / np.outer(level, level)
+            of_sensor[entries], relative = by_measured[entries] * np.nan_to_num(m.mean), common / np.outer(level, level)
             single = single - common
-        noise[np.ix_(mine, mine)] = by_measured[mine] @ single @ by_measured[mine].T
+        noise[np.ix_(entries, entries)] = by_measured[entries] @ single @ by_measured[entries].T
     sources = {REST: noise}
     for (source, *_), rows in directions.items():
         sources[source] = sources.get(source, 0.0) + rows.T @ rows
@@ -841,9 +841,9 @@ def joint_difference(pairs: Mapping[str, tuple[SpectralEstimate, SpectralEstimat
 
 def joint_pieces(predicted: Products, observed: Products) -> JointDifference | None:
     """Differences of the radiance by subject and piece, where two subjects and more show it on both sides."""
-    here, axis = observed.radiance, observed.axis
+    light, axis = observed.radiance, observed.axis
     mixed = {subject for subject, _ in predicted.scores}
-    pairs = {s: (p, here[s]) for s, p in predicted.radiance.items() if s in here and s not in mixed and p.errors}
+    pairs = {s: (p, light[s]) for s, p in predicted.radiance.items() if s in light and s not in mixed and p.errors}
     pieces = [(axis.centre_nm >= low) & (axis.centre_nm < high) & axis.in_windows for low, high in PIECES_NM]
     good = [comparable_bands(p, m, axis) & (p.mean > 0) & (m.mean > 0) for p, m in pairs.values()]
     use = np.reshape(good, (-1, 1, len(axis))).astype(bool) & np.array(pieces)
@@ -863,8 +863,8 @@ def _regions(joint: JointDifference) -> Iterator[tuple[str, Array, Array]]:
             yield f"{low}-{high}", pieces / pieces.sum(), each / each.sum(axis=1, keepdims=True)
 
 
-def _left(covariance: Array, difference: Array, column: Array) -> float:
-    """Chi-square of what no multiple of a column makes of differences."""
+def _unexplained(covariance: Array, difference: Array, column: Array) -> float:
+    """Chi-square of the differences that remains after the best multiple of a column."""
     c = covariance + UNSTATED_RATIOS[0] ** 2 * np.eye(column.size)
     both = np.stack([column, difference])
     (of_column, mixed), (_, whole) = both @ np.linalg.solve(c, both.T)
@@ -891,8 +891,8 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
     >>> axis, one = SpectralAxis([410.0, 420.0, 430.0], 10.0), np.ones(3)
     >>> errors = {"aerosol": Errors(0.03 * one[None])}
     >>> sites = {name: SpectralEstimate(1.1 * one, errors["aerosol"].covariance, errors=errors) for name in "ab"}
-    >>> seen = {name: SpectralEstimate(one, 0.0001 * np.eye(3)) for name in "ab"}
-    >>> level, between, *gains = compare_jointly(Products(axis, radiance=sites), Products(axis, radiance=seen))
+    >>> measured = {name: SpectralEstimate(one, 0.0001 * np.eye(3)) for name in "ab"}
+    >>> level, between, *gains = compare_jointly(Products(axis, radiance=sites), Products(axis, radiance=measured))
     >>> level.metric, round(level.value, 6), round(level.upper - level.value, 3), round(between.value, 6)
     ('joint_difference_ratio@400-450', 0.1, 0.065, 1.0)
     """
@@ -908,7 +908,7 @@ def compare_jointly(predicted: Products, observed: Products) -> list[Result]:
         number, *ends = np.expm1([value, value - half, value + half]).tolist()
         rows.append(row(f"joint_difference_ratio@{label}", number, ends, n=n, reason=why))
         levels = np.ones(n), mean @ joint.inverse_level
-        gain, offset = (_left(mean @ joint.covariance @ mean.T, d, column) for column in levels)
+        gain, offset = (_unexplained(mean @ joint.covariance @ mean.T, d, column) for column in levels)
         why = f"chi-square {gain:.3g} of {n - 1} as a gain, {offset:.3g} as an offset"
         rows.append(row(f"p_value_between@{label}", float(scipy.stats.chi2.sf(gain, n - 1)), n=n, reason=why))
     middle, *ends = found.unstated.tolist()
@@ -926,16 +926,16 @@ def _moved(joint: JointDifference, found: InCommon) -> str:
 def _sensor_rows(joint: JointDifference, found: InCommon) -> Iterator[Result]:
     """Gain of the sensor by pieces, and gain and offset together where subjects are not equally bright.
 
-    Its own stated uncertainty, which says what the gain might be, is no error of it here.
+    The stated calibration uncertainty is not part of their errors: they estimate the calibration error itself.
     """
     count, numbers = joint.of_piece.sum(axis=0).astype(int), np.unique(joint.piece)
     common = np.exp(joint.difference @ joint.of_piece / count)
     by_level = joint.inverse_level[:, None] * joint.of_piece * common  # 1 / measured without its noise
     dark = np.where(by_level > 0.0, by_level, np.inf).min(axis=0)
-    apart = np.flatnonzero(by_level.max(axis=0) * (1.0 - _APART) > dark).tolist()
-    both = joint.in_common(np.hstack([joint.of_piece, -by_level[:, apart]]))
+    separable = np.flatnonzero(by_level.max(axis=0) * (1.0 - _LEAST_CONTRAST) > dark).tolist()
+    both = joint.in_common(np.hstack([joint.of_piece, -by_level[:, separable]]))
     of_calibration = joint.sources.get(CALIBRATION, np.zeros(joint.covariance.shape))
-    for name, fit, some in (("sensor_gain", found, range(count.size)), ("sensor_gain_beside_offset", both, apart)):
+    for name, fit, some in (("sensor_gain", found, range(count.size)), ("sensor_gain_beside_offset", both, separable)):
         halves = Z95 * np.sqrt(np.diag(fit.covariance - fit.weights @ of_calibration @ fit.weights.T))
         for k, q in enumerate(some):
             nm, n, (x, half) = sum(PIECES_NM[numbers[q]]) // 2, count[q], (fit.value[q], halves[q])
@@ -986,18 +986,18 @@ def would_decide(item: Result, predicted: Products, observed: Products, fitted_o
     ends = [way(end) for end in (item.limit_low, item.limit_high) if item.lower < end < item.upper]
     if not ends:
         return ""
-    wanted = min((end - value) / ((high if end > value else low) - value) for end in ends)
-    if wanted <= 0.0:
+    part = min((end - value) / ((high if end > value else low) - value) for end in ends)
+    if part <= 0.0:
         return "another collection: the value is at the limit of its range"
     if not budget:
         counted = "objects" if "/object" in item.method or item.metric.startswith("pit_") else "pixels"
         narrows = item.n and item.product in ("scores", "roc", "covariance", "classification")
-        more = f"{math.ceil((item.n or 0) / wanted**2)} {counted} in place of {item.n}; or " if narrows else ""
-        return f"{more}an interval {1.0 / wanted:.3g} times narrower"
+        more = f"{math.ceil((item.n or 0) / part**2)} {counted} in place of {item.n}; or " if narrows else ""
+        return f"{more}an interval {1.0 / part:.3g} times narrower"
     same = [p for s, p in getattr(predicted, item.product).items() if side or s == item.subject]
     # Field spectra of several subjects have no one uncertainty.
-    scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items() if not side or name != OWN}
-    return deciding(budget, wanted, scales, subjects)
+    scales = {name: (e.size, e.unit) for p in same for name, e in p.errors.items() if not side or name != FIELD}
+    return deciding(budget, part, scales, subjects)
 
 
 def _of_region(item: Result, predicted: Products, observed: Products) -> tuple[dict[str, float], int]:
@@ -1020,9 +1020,9 @@ def _of_level(item: Result, predicted: Products, observed: Products) -> dict[str
 
 
 def deciding(
-    budget: Mapping[str, float], wanted: float, scales: Mapping[str, tuple[float, str]], subjects: int = 1
+    budget: Mapping[str, float], fraction: float, scales: Mapping[str, tuple[float, str]], subjects: int = 1
 ) -> str:
-    """What makes a half width as small a part ``wanted`` of itself: each source alone, the cheapest pair, or subjects.
+    """What reduces a half width to a ``fraction`` of it: each source alone, the fewest largest, more subjects.
 
     Parameters
     ----------
@@ -1039,19 +1039,19 @@ def deciding(
     total = sum(x**2 for x in budget.values())
     largest = sorted((name for name, x in budget.items() if x > 0.0), key=lambda name: -budget[name])
 
-    def left(names: Sequence[str]) -> float:
-        """The part of these sources' uncertainty that may be left of it; 0 where none would do."""
+    def allowed_part(names: Sequence[str]) -> float:
+        """The fraction of the uncertainty of these sources that may remain; 0 where no reduction suffices."""
         share = sum(budget[name] ** 2 for name in names)
-        return math.sqrt(max(wanted**2 * total - (total - share), 0.0) / share)
+        return math.sqrt(max(fraction**2 * total - (total - share), 0.0) / share)
 
-    def known(names: Sequence[str]) -> str:
+    def sentence(names: Sequence[str]) -> str:
         sources = [(name, *scales.get(name, (math.nan, ""))) for name in names]
-        return said("known", sources=sources, part=left(names))
+        return said("known", sources=sources, part=allowed_part(names))
 
-    out = [known([name]) for name in largest if left([name]) > _LEAST_LEFT][:3]
-    some = [largest[:k] for k in range(2, len(largest) + 1) if left(largest[:k]) > _LEAST_LEFT]
-    out = out or [known(names) for names in some[:1]]
-    own = sum(budget.get(name, 0.0) ** 2 for name in (OWN, REST, UNSTATED))
-    if subjects > 1 and wanted**2 * total > total - own:
-        out.append(f"{math.ceil(subjects * own / (wanted**2 * total - (total - own)))} subjects in place of {subjects}")
+    out = [sentence([name]) for name in largest if allowed_part([name]) > _LEAST_LEFT][:3]
+    pairs = [largest[:k] for k in range(2, len(largest) + 1) if allowed_part(largest[:k]) > _LEAST_LEFT]
+    out = out or [sentence(names) for names in pairs[:1]]
+    single, goal = sum(budget.get(name, 0.0) ** 2 for name in (FIELD, REST, UNSTATED)), fraction**2 * total
+    if subjects > 1 and goal > total - single:
+        out.append(f"{math.ceil(subjects * single / (goal - (total - single)))} subjects in place of {subjects}")
     return " or ".join(out) or "more than this collection can provide: every source would need a smaller uncertainty"

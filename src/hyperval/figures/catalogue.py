@@ -94,17 +94,17 @@ def a_row_each(
     kind: str, keys: Sequence[Any], both: Sequence[Mapping[Any, Entry]], x: Axis, *, under: Sequence[Mark] = (),
     **values: Any,
 ) -> Figure | None:  # fmt: skip
-    """A figure with a row for each of the first keys: dots of the sides that have it, a part of a row apart."""
+    """A figure with a row for each of the first keys: dots of the sides that have it, slightly offset."""
     shown = keys[:_MOST_ROWS]
     if not shown:
         return None
-    marks, looks = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
+    marks, styles = list(under), ((predicted_mark, "circle", -0.14), (measured_mark, "square", 0.14))
     names = [", ".join(key) for key in shown]
-    for side, (make, marker, shift) in zip(both, looks, strict=True):
-        here = [(i, side[key]) for i, key in enumerate(shown) if key in side]
-        if here:
-            columns = columns_of([(i + shift, *entry[:3]) for i, entry in here], ("y", "x", "low", "high"))
-            words = tuple(f"{names[i]}: {entry[3]}" for i, entry in here)
+    for side, (make, marker, shift) in zip(both, styles, strict=True):
+        entries = [(i, side[key]) for i, key in enumerate(shown) if key in side]
+        if entries:
+            columns = columns_of([(i + shift, *entry[:3]) for i, entry in entries], ("y", "x", "low", "high"))
+            words = tuple(f"{names[i]}: {entry[3]}" for i, entry in entries)
             marks.append(make("dots", columns, marker=marker, words=words, along="x"))
     return of_rows(kind, x, Axis.named(names), marks, more=left_out(len(shown), len(keys)), **values)
 
@@ -146,7 +146,7 @@ def spectra_figure(
     identical = bool(pairs) and all(np.array_equal(p, m, equal_nan=True) for p, m in pairs)
     about = look_of(sides, product)
     views = tuple(_view(axis, s, [each.get(s) for each in aligned], about, not identical, names) for s in shown)
-    title = f"{about[1]}: {_there(both, names)}" + ", which are identical" * identical
+    title = f"{about[1]}: {_present(both, names)}" + ", which are identical" * identical
     return Figure(product, product, title + left_out(len(shown), len({*both[0], *both[1]})), views, together="offered")
 
 
@@ -264,7 +264,7 @@ def eigenvalue_figure(sides: Sides, quantity: str) -> Figure | None:
         below = Part(Axis("predicted / measured"), (Mark("line", ratio, colour=DIFFERENCE),), (("y", 1.0),))
         words = f"{np.sum((measured >= low) & (measured <= high))} of {measured.size} measured inside"
         x, name = Axis(_EIGENVALUE, ends=(0.0, measured.size + 1.0)), f"{subject} (n = {count_text(spread.n)})"
-        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, at=1.0)
+        return Panels(x, (Part(Axis(_EIGENVALUES[quantity], "log"), above), below), name, words=words, reference=1.0)
 
     return a_view_each("eigenvalues", list(spreads), view, name=f"{quantity}-eigenvalues", quantity=quantity)
 
@@ -371,7 +371,7 @@ def roc_figure(sides: Sides, names: tuple[str, str] = SIDES) -> Figure | None:
         views += [_roc_view(key, [curves.get(key) for curves in both], max(lowest, least), names) for key in keys]
     if not views:
         return None
-    title = f"ROC: {_there(both, names)}".replace(" and ", " (dashed) and ")
+    title = f"ROC: {_present(both, names)}".replace(" and ", " (dashed) and ")
     title += " (dotted: 1 / background samples)" if any(curve.n_background for curve in measured.values()) else ""
     title += left_out(len(views), len({*both[0], *measured}))
     return Figure("roc", "roc", title, tuple(views), together="first")
@@ -390,7 +390,7 @@ def _roc_view(key: Key, curves: Sequence[RocCurve | None], low: float, names: tu
         note = ", ".join(f"{count_text(number)} {what}" for number, what in counted if number is not None)
     part = Part(Axis("P_D", ends=(-0.02, 1.04)), tuple(marks), (("x", 1.0 / background),) if background else ())
     x, tab = Axis(_PFA, "log", ends=(low, 1.0)), f"{key[1]}, by {key[2]}"
-    return Panels(x, (part,), key[0], tab, note, at=1e-3)
+    return Panels(x, (part,), key[0], tab, note, reference=1e-3)
 
 
 def _roc_columns(curve: RocCurve, low: float) -> dict[str, Array]:
@@ -414,7 +414,7 @@ def roc_difference_figure(sides: Sides, margin: float | None) -> Figure | None:
         columns = {"x": pfa, "y": d, "low": d - below, "high": d + above}
         line = Mark("line", columns, "predicted minus measured, 95 % interval", DIFFERENCE)
         x, y = Axis(_PFA, "log", ends=tuple(pfa[[0, -1]])), Axis("difference of P_D", ends=(-1.05, 1.05))
-        return single(x, y, [line], f"{key[0]}, {key[1]}, by {key[2]}", at=1e-2, rules=rules)
+        return single(x, y, [line], f"{key[0]}, {key[1]}, by {key[2]}", reference=1e-2, rules=rules)
 
     # Objects are independent and pixels of one object are not: curves by object first, where there are several.
     counts = {key: measured[key].n_target or 0 for key in predicted if key in measured}
@@ -440,7 +440,7 @@ def exceedance_figure(sides: Sides) -> Figure | None:
             floor, span = 0.3 * float(p.min()), (1.05 * x[0] - 0.05 * x[-1], 1.35 * x[-1] - 0.35 * x[0])
             rule = x[np.argmin(np.abs(np.log(p) - math.log(1e-2)))]
         y = Axis("fraction of the background above", "log", ends=(floor, 1.0))
-        return single(Axis("score", ends=span), y, marks, ", ".join(key), at=rule)
+        return single(Axis("score", ends=span), y, marks, ", ".join(key), reference=rule)
 
     keys = sorted(predicted, key=lambda key: key not in measured)
     intervals = "measured with its 95 % interval, by blocks of the image; predicted with that of its fitted law"
@@ -457,7 +457,7 @@ def _thinned(columns: dict[str, Any]) -> dict[str, Any]:
 def score_figure(sides: Sides) -> Figure | None:
     """Mean and 95 % range of each population's score."""
     both = [{key: _entry(s.mean, s.sd, s.n) for key, s in of_side.items()} for of_side in both_of(sides, "scores")]
-    return a_row_each("scores", both_first(*both), both, Axis("score"), rules=(0.0, 1.0), sides=_there(both))
+    return a_row_each("scores", both_first(*both), both, Axis("score"), rules=(0.0, 1.0), sides=_present(both))
 
 
 def abundance_figure(sides: Sides) -> Figure | None:
@@ -470,7 +470,7 @@ def abundance_figure(sides: Sides) -> Figure | None:
     areas = areas[np.isfinite(areas)]
     scattered = areas.size > 0 and areas.min() > 0 and areas.max() > 30 * areas.min()
     x = Axis("area [m²]", "log", ends=(areas.min() / 4, areas.max() * 2.5)) if scattered else Axis("area [m²]")
-    return a_row_each("abundance", both_first(*both), both, x, rules=() if scattered else (0.0,), sides=_there(both))
+    return a_row_each("abundance", both_first(*both), both, x, rules=() if scattered else (0.0,), sides=_present(both))
 
 
 def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
@@ -480,8 +480,8 @@ def _entry(value: float, spread: float, n: int | None, unit: str = "") -> Entry:
     return value, value - reach, value + reach, f"{value:.3g} ± {half:.2g}{unit}{count}"
 
 
-def _there(both: Sequence[Mapping[Any, Any]], names: tuple[str, str] = SIDES) -> str:
-    """The sides that have anything."""
+def _present(both: Sequence[Mapping[Any, Any]], names: tuple[str, str] = SIDES) -> str:
+    """The names of the sides that have data."""
     return " and ".join(word for word, of_side in zip(names, both, strict=True) if of_side)
 
 
@@ -496,11 +496,11 @@ def unmixing_figure(sides: Sides, rows: Sequence[Result]) -> Figure | None:
         for area, keys in sized.items():
             place |= zip(keys, area * 10.0 ** np.linspace(-0.13, 0.13, len(keys) + 2)[1:-1], strict=True)
         above, below = list[Mark](), list[Mark]()
-        looks = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
-        for of_side, (make, marker, name, shift) in zip(both, looks, strict=True):
+        styles = ((predicted_mark, "circle", "predicted", 0.97), (measured_mark, "square", "observed", 1.03))
+        for of_side, (make, marker, name, shift) in zip(both, styles, strict=True):
             each = {key: of_side[key] for key in place if key in of_side}
-            every = [(place[key], a.nominal_m2, a.area_m2, a.standard_uncertainty) for key, a in each.items()]
-            rank, nominal, area, u = np.array(every).reshape(-1, 4).T
+            values = [(place[key], a.nominal_m2, a.area_m2, a.standard_uncertainty) for key, a in each.items()]
+            rank, nominal, area, u = np.array(values).reshape(-1, 4).T
             columns = {"x": rank * shift, "y": area / nominal, "half": np.nan_to_num(Z95 * u / nominal)}
             labels = tuple(f"{key[0]}, {a.nominal_m2:g} m²" for key, a in each.items())
             above.append(make("dots", columns, marker=marker, words=labels))
@@ -538,7 +538,7 @@ def transform_figure(sides: Sides) -> Figure | None:
     objects = _objects(sides)
 
     def view(detector: str) -> Panels:
-        pairs = [(draws, [score for _, score in scores]) for (_, by), draws, scores in objects if by == detector]
+        pairs = [(draws, [score for _, score in scores]) for (_, name), draws, scores in objects if name == detector]
         u = np.sort(np.concatenate([probability_integral_transform(scores, draws) for draws, scores in pairs]))
         n, rank = u.size, np.arange(1, u.size + 1)
         expected = (rank - 0.5) / n
@@ -573,9 +573,9 @@ def many_objects_figure(maps: Mapping[str, ScoreMap], sides: Sides) -> Figure | 
 def _map_objects(name: str, score_map: ScoreMap, sides: Sides) -> Panels | None:
     found, laws = list[tuple[str, float, float]](), list[tuple[int, Array]]()
     for (_, detector), draws, scores in _objects(sides):
-        inside = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
-        found += [(*one, float(np.median(draws))) for one in inside]
-        laws += [(len(inside), draws)] if inside else []
+        outlined = [one for one in scores if one[0] in score_map.outlines and name.endswith(f"-{detector}")]
+        found += [(*one, float(np.median(draws))) for one in outlined]
+        laws += [(len(outlined), draws)] if outlined else []
     if min(len(found), len(score_map.outlines)) <= _MOST_ROWS:  # each has its place in a list
         return None
     names, measured, median = zip(*found, strict=True)
@@ -625,7 +625,7 @@ def densities_figure(sides: Sequence[tuple[str, Products]]) -> Figure | None:
     def view(detector: str) -> Panels:
         curves = []
         for number, (label, side) in enumerate(sides):
-            drawn = [(subject, one) for (subject, by), one in side.scores.items() if by == detector and one.sd > 0]
+            drawn = [(subject, one) for (subject, name), one in side.scores.items() if name == detector and one.sd > 0]
             curves += [(label, number, subject, *density_of(one)) for subject, one in drawn[:_MOST_POPULATIONS]]
         subjects = list(dict.fromkeys(subject for _, _, subject, *_ in curves))
         top = max((float(np.nanmax(y)) for *_, y in curves), default=1.0)
@@ -667,14 +667,14 @@ _TELLING = 10.8
 def reason_figures(table: ResultTable) -> list[Figure | None]:
     """Bars of all residuals together, a matrix of single subjects, effects of inputs, what-ifs."""
     gains = table.where(product="attribution", metric="likelihood_gain")
-    whole = sorted(gains.where(subject="all"), key=lambda r: -r.value)
+    common = sorted(gains.where(subject="all"), key=lambda r: -r.value)
     moved = ResultTable(r for r in table if math.isfinite(r.before))  # older tables say it in words alone
     tests, moves = moved.where(metric="reduced_chi_square"), moved.where(product="sensitivity")
     residuals = sorted(tests.where(product="attribution"), key=lambda r: -r.before)[:_MOST_QUANTITIES]
     outcomes = tests.where(product="what-if")
     return [
         _before_and_after("residuals", residuals, [r.subject for r in residuals]),
-        _inputs(whole[:_MOST_INPUTS], table) if whole and whole[0].value >= 1.0 else None,
+        _inputs(common[:_MOST_INPUTS], table) if common and common[0].value >= 1.0 else None,
         _gain(table),
         _by_subject([r for r in gains if r.subject != "all"]),
         _effects(moves) if moves else None,
@@ -721,19 +721,19 @@ def _gain(table: ResultTable) -> Figure | None:
 
 
 def _by_subject(rows: Sequence[Result]) -> Figure | None:
-    """A matrix of subjects by inputs: the area of a dot is the part of the greatest gain of its row."""
-    by = {(r.subject, r.method): r.value for r in rows}
-    # A gain below 1 explains nothing; subjects without any greater one have nothing to explain.
+    """A matrix of subjects by inputs: the area of a dot is its gain relative to the greatest of its row."""
+    gain_of = {(r.subject, r.method): r.value for r in rows}
+    # A gain below 1 explains nothing: subjects without a greater one are left out.
     telling = list(dict.fromkeys(r.subject for r in rows if r.value >= 1.0))
     if not telling:
         return None
     subjects = telling[:_MOST_QUANTITIES]
     best = {n: max(r.value for r in rows if r.method == n) for n in dict.fromkeys(r.method for r in rows)}
-    # The input that says most of a subject has its column, however little it says of the others.
-    top = {s: max(best, key=lambda n: by.get((s, n), 0.0)) for s in subjects}
+    # The best input of a subject has its column, however small its gain elsewhere.
+    top = {s: max(best, key=lambda n: gain_of.get((s, n), 0.0)) for s in subjects}
     inputs = sorted((n for n in best if best[n] > 0.0), key=lambda n: (n not in top.values(), -best[n]))[:_MOST_INPUTS]
-    gains = np.array([[by.get((s, n), 0.0) for n in inputs] for s in subjects])
-    part = gains / np.array([[by[s, n]] for s, n in top.items()])
+    gains = np.array([[gain_of.get((s, n), 0.0) for n in inputs] for s in subjects])
+    part = gains / np.array([[gain_of[s, n]] for s, n in top.items()])
     cells = np.nonzero(gains > 0.0)
     columns = {"x": cells[1].astype(float), "y": cells[0].astype(float), "size": 14.0 * np.sqrt(part[cells])}
     words = tuple(f"{gain:.0f}" if gain >= 10.0 else f"{gain:.2g}" for gain in gains[cells])
@@ -756,19 +756,19 @@ def _effects(rows: Sequence[Result]) -> Figure:
 
     gaps = {label(r): r.before for r in rows}
     shown = sorted(gaps, key=lambda q: -abs(gaps[q]))[:_MOST_QUANTITIES]
-    by = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
-    names = sorted(dict.fromkeys(n for _, n in by), key=lambda n: -max(abs(by.get((q, n), 0.0)) for q in shown))
+    change = {(label(r), r.method.partition(" / ")[0]): r.value for r in rows}
+    names = sorted(dict.fromkeys(n for _, n in change), key=lambda n: -max(abs(change.get((q, n), 0.0)) for q in shown))
     names = names[:_MOST_INPUTS]
     y, x = (place.ravel().astype(float) for place in np.mgrid[: len(shown), : len(names)])
-    values = np.array([by.get((q, n), math.nan) for q in shown for n in names])
+    values = np.array([change.get((q, n), math.nan) for q in shown for n in names])
     words = tuple(f"{v:+.{1 + (abs(v) >= 0.001)}g}" if abs(v) >= 0.0005 else "" for v in values)
-    # Colours end where nearly all values lie: one that is far out takes them from all others.
+    # The colour scale ends at the 97th percentile: an outlier would leave little of it for the others.
     finite = np.abs(values[np.isfinite(values)])
     reach = max(float(np.percentile(finite, 97)) if finite.size else 0.0, 1e-6)
     columns = {"left": x - 0.5, "right": x + 0.5, "bottom": y - 0.5, "top": y + 0.5, "value": values}
     scale = ColourScale("signed", -reach, reach, "change per unit")
     cells = Mark("cells", columns, words=words, beside="centre", scale=scale)
-    largest = max(((abs(v), q, n) for (q, n), v in by.items() if q in shown), default=(0.0, "", ""))
+    largest = max(((abs(v), q, n) for (q, n), v in change.items() if q in shown), default=(0.0, "", ""))
     text = f"the largest, {largest[0]:.2g}, is that of {largest[1]} by {largest[2]}"
     ways = Axis.named(names, _LONGEST), Axis.named([f"{q} (gap {gaps[q]:+.2g})" for q in shown], 64)
     return of_rows("attribution-effects", *ways, [cells], text)

@@ -26,11 +26,11 @@ _PER_CSS = 200 / 96  # points of the picture to a pixel of the page
 _MOST_MAPS = 6
 _MOST_NUMBERED = 40  # outlines; more are drawn without numbers, and counted
 _LONGEST_STRIP = 2.5  # ratio of the sides beyond which an image is cut to its regions
-_OWN = 240  # colours of the picture itself
+_COLOURS = 240  # colours of the picture itself
 _TONES = 120  # of them for scores: a page has room for 3 MB
 _LINES = ("#FFFFFF", "#000000", "#444444", "#FFD700", "#00E5FF", "#FF4FD8", "#7CFC00", "#FF8C00")
-_WHITE, _BLACK, _GREY = _OWN, _OWN + 1, _OWN + 2
-_OUTLINES = (_OWN + 3, _OWN + 4, _OWN + 5, _OWN + 6, _OWN + 7, _WHITE)
+_WHITE, _BLACK, _GREY = _COLOURS, _COLOURS + 1, _COLOURS + 2
+_OUTLINES = (_COLOURS + 3, _COLOURS + 4, _COLOURS + 5, _COLOURS + 6, _COLOURS + 7, _WHITE)
 _LETTER, _SMALL, _TITLE = 25, 21, 28  # heights
 _LEFT, _TOP, _FOOT, _RIGHT, _BAR, _BAR_ROOM = 96, 80, 76, 40, 32, 190  # room about the picture
 Indices = npt.NDArray[np.uint8]
@@ -50,7 +50,7 @@ def quicklook_figure(quicklook: Quicklook, *, simulated: bool) -> Drawing:
     view = shown_window(rgb.shape[:2], quicklook.regions)
     step = max(1, math.ceil(max(_size(view)) / _MOST_PIXELS))
     whole = Image.fromarray(np.ascontiguousarray(rgb[view][::step, ::step]))
-    few = whole.quantize(_OWN, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    few = whole.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     title = f"Scene with its regions of interest{f' (red, green, blue: {quicklook.bands})' if quicklook.bands else ''}"
     title += _cut(rgb.shape, view)
     canvas = _Canvas("Scene", np.asarray(few), few.getpalette() or [], view, step, simulated=simulated)
@@ -109,7 +109,7 @@ class _Canvas:
         self._end = _LEFT + width, _TOP + height
         right = _BAR_ROOM if limits else _RIGHT
         self._image = Image.new("P", (self._end[0] + right, max(self._end[1] + _FOOT, 330)), _WHITE)
-        palette = [*colours, *[0] * (3 * _OWN - len(colours))][: 3 * _OWN]  # of the picture, then of lines and letters
+        palette = [*colours, *[0] * (3 * _COLOURS - len(colours))][: 3 * _COLOURS]  # of the picture, lines and letters
         self._image.putpalette(palette + [int(colour[k : k + 2], 16) for colour in _LINES for k in (1, 3, 5)])
         self._image.paste(Image.fromarray(picture).resize((width, height), Image.Resampling.NEAREST), (_LEFT, _TOP))
         self._pen = ImageDraw.Draw(self._image)
@@ -127,7 +127,7 @@ class _Canvas:
         """The finished picture with the outlines of regions, their numbers, and a scale."""
         labels = []
         for number, (mask, colour) in enumerate(zip(regions.values(), cycle(_OUTLINES)), start=1):
-            ends = self._at(outline_segments(mask)).reshape(-1, 4)
+            ends = self._drawn_at(outline_segments(mask)).reshape(-1, 4)
             for tone, width in ((_BLACK, 5), (colour, 3)):
                 for one in ends.tolist():
                     self._pen.line(one, tone, width)
@@ -150,7 +150,7 @@ class _Canvas:
         alt = f"{title}: {lines} lines by {samples} samples; outlined: {named or 'nothing'}."
         return Drawing(name, section, title, alt, out.getvalue(), "png", width_px, named)
 
-    def _at(self, places: npt.ArrayLike) -> Array:
+    def _drawn_at(self, places: npt.ArrayLike) -> Array:
         """Where (..., 2) samples and lines of the image lie in the picture."""
         lines, samples = self._view
         return np.asarray((np.asarray(places) - (samples.start, lines.start)) * self._per_pixel + (_LEFT, _TOP))
@@ -162,11 +162,11 @@ class _Canvas:
         self._pen.text(((_LEFT + right) / 2, bottom + 44), "sample [pixel]", _BLACK, _font(_LETTER), anchor="ma")
         lines, samples = self._view
         for sample in _ticks(samples):
-            x, _ = self._at((sample, 0.0))
+            x, _ = self._drawn_at((sample, 0.0))
             self._pen.line((x, bottom, x, bottom + 9), _GREY, 2)
             self._pen.text((x, bottom + 14), f"{sample:g}", _BLACK, _font(_SMALL), anchor="ma")
         for line in _ticks(lines):
-            _, y = self._at((0.0, line))
+            _, y = self._drawn_at((0.0, line))
             self._pen.line((_LEFT - 11, y, _LEFT - 2, y), _GREY, 2)
             self._pen.text((_LEFT - 16, y), f"{line:g}", _BLACK, _font(_SMALL), anchor="rm")
 

@@ -166,8 +166,8 @@ def _mark(axes: Axes, mark: Mark) -> None:
     if mark.marker:
         ticks = mark.marker == "tick"
         size = columns.get("size", np.full(x.shape, 9.0 if ticks else 5.0))
-        inside = "none" if mark.hollow else colour
-        fill: Any = {"color": colour} if ticks else {"facecolors": inside, "edgecolors": colour}
+        face = "none" if mark.hollow else colour
+        fill: Any = {"color": colour} if ticks else {"facecolors": face, "edgecolors": colour}
         if mark.scale is not None:
             fill = {"facecolors": _colours(axes, mark.scale, columns["value"]), "edgecolors": GREY}
         shape = "_" if ticks and mark.along == "y" else LOOKS["markers"][mark.marker]
@@ -186,8 +186,8 @@ def _mark(axes: Axes, mark: Mark) -> None:
 
 
 def _words(axes: Axes, mark: Mark, x: Any, y: Any) -> None:
-    away = 9 if "size" in mark.columns else 5
-    shift, side = {"left": (-away, "right"), "right": (away, "left"), "centre": (0, "center")}[mark.beside]
+    distance = 9 if "size" in mark.columns else 5
+    shift, side = {"left": (-distance, "right"), "right": (distance, "left"), "centre": (0, "center")}[mark.beside]
     shades = mark.shades if mark.scale is not None else ["black"] * len(mark.words)
     for a, b, words, shade in zip(x, y, mark.words, shades, strict=True):
         axes.annotate(plain(words), (a, b), xytext=(shift, 0), textcoords="offset points", ha=side, va="center",

@@ -25,8 +25,8 @@ _REGIONS["absorption"] = "absorption bands"
 _SHORT = {"%": " %", "nm": " nm", "percentage points": " pp", "difference / stated": " ×", "standard dev": " sd"}
 
 
-def told(row: Result) -> Result:
-    """A row with an effect: its value against its limits where it has no size in units of the field."""
+def with_effect(row: Result) -> Result:
+    """A row with an effect: its value against its limits where it has no physical unit."""
     if math.isfinite(row.effect):
         return row
     unit = _P_VALUE if metric_of(row.metric).kind is Kind.TEST else "" if row.unit == "1" else row.unit
@@ -116,7 +116,7 @@ def short_text(value: float, sign: str = "", limits: Iterable[float] = ()) -> st
 
 def ranked(rows: Sequence[Result]) -> list[Result]:
     """Rows with their effects, the worst first."""
-    return sorted(map(told, rows), key=lambda row: (WORST_FIRST.index(row.outcome), -excess(row)))
+    return sorted(map(with_effect, rows), key=lambda row: (WORST_FIRST.index(row.outcome), -excess(row)))
 
 
 def criteria_of(rows: Sequence[Result]) -> list[Result]:
@@ -153,24 +153,24 @@ def outcome_words(rows: Iterable[Result]) -> str:
 
 
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
-    """Criteria as effects: a plot for each product and unit, the worst first; what is alike is folded into one row."""
-    every = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
-    groups = grouped(every, lambda row: (row.product, row.effect_unit or _words(row)))
+    """Criteria as effects: a plot for each product and unit, the worst first; similar ones are folded into one row."""
+    criteria_rows = [row for row in ranked(criteria_of(rows)) if row.outcome is not Outcome.SKIPPED]
+    groups = grouped(criteria_rows, lambda row: (row.product, row.effect_unit or _words(row)))
     if not groups:
         return None
-    apart = [some for some in groups.values() if some[0].outcome is not Outcome.AGREES] or list(groups.values())
-    shown = apart[:_MOST_PARTS]
-    room = [min(1 + sum(row.outcome is not Outcome.AGREES for row in some), len(some)) for some in shown]
+    unmet = [group for group in groups.values() if group[0].outcome is not Outcome.AGREES] or list(groups.values())
+    shown = unmet[:_MOST_PARTS]
+    room = [min(1 + sum(row.outcome is not Outcome.AGREES for row in group), len(group)) for group in shown]
     while sum(room) > _MOST_ROWS - len(shown) and max(room) > 1:
         room[room.index(max(room))] -= 1
-    parts = [_part(some, most) for some, most in zip(shown, room, strict=True)]
+    parts = [_part(group, most) for group, most in zip(shown, room, strict=True)]
     # One legend for all: marks of the first plot without a number.
     names = {mark.label: mark for part in parts for mark in part.marks}
     legend = [replace(mark, columns=dict.fromkeys(mark.columns, (math.nan,)), words=()) for mark in names.values()]
     parts = [replace(part, marks=tuple(replace(mark, label="") for mark in part.marks)) for part in parts]
     parts[0] = replace(parts[0], marks=(*legend, *parts[0].marks))
-    criteria = "Acceptance criteria" if any(row.gates for row in every) else "Informational comparisons"
-    more = left_out(sum(map(len, shown)), len(every), "summary.csv")
+    criteria = "Acceptance criteria" if any(row.gates for row in criteria_rows) else "Informational comparisons"
+    more = left_out(sum(map(len, shown)), len(criteria_rows), "summary.csv")
     return captioned("criteria", [Panels(Axis(), tuple(parts))], more, criteria=criteria)
 
 

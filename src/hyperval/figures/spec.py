@@ -58,7 +58,7 @@ class Axis:
         return cls("", "names", tuple(shortened(name, length) for name in names))
 
     @property
-    def told(self) -> str:
+    def in_words(self) -> str:
         """What it is, in words."""
         return self.label + " (logarithmic)" * (self.scale == "log")
 
@@ -184,7 +184,7 @@ class Panels:
     ----------
     note : what it rests on
     words : its numbers, for those who cannot see it; without any, what is said of the points of its marks
-    at : where along x the numbers of its lines are told besides
+    reference : x at which the text states the values of its lines
     """
 
     x: Axis
@@ -193,7 +193,7 @@ class Panels:
     tab: str = ""
     note: str = ""
     words: str = ""
-    at: float | None = None
+    reference: float | None = None
 
     @property
     def name(self) -> str:
@@ -211,9 +211,9 @@ class Panels:
         return any(mark.kind in ("line", "steps") and "low" in mark.numbers for mark in self.marks)
 
     @property
-    def told(self) -> str:
+    def in_words(self) -> str:
         """Name and numbers in words."""
-        numbers = [mark.told_at(self.at) for mark in self.marks if mark.label and self.at is not None]
+        numbers = [mark.told_at(self.reference) for mark in self.marks if mark.label and self.reference is not None]
         points = [": ".join(filter(None, (m.label, "; ".join(m.words)))) for m in self.marks if any(m.words)]
         texts = list(filter(None, [*numbers, self.words])) or points
         return ": ".join(filter(None, (self.name, "; ".join(texts))))
@@ -228,11 +228,11 @@ class Panels:
         parts = self.parts if way == "x" and part.x is None else (part,)
         reach = {along: _REACH[way] | ({"low", "high"} if way == along else set()) for along in _REACH}
         columns = (v for p in parts for m in p.marks for name, v in m.numbers.items() if name in reach[m.along])
-        every = np.concatenate([np.empty(0), *columns])
-        every = every[np.isfinite(every) & ((every > 0.0) | (axis.scale != "log"))]
-        if not every.size:
+        values = np.concatenate([np.empty(0), *columns])
+        values = values[np.isfinite(values) & ((values > 0.0) | (axis.scale != "log"))]
+        if not values.size:
             return (0.1, 1.0) if axis.scale == "log" else (0.0, 1.0)
-        low, high = float(every.min()), float(every.max())
+        low, high = float(values.min()), float(values.max())
         places = [place for p in parts for along, place in p.rules if along == way]
         if axis.scale == "log":
             near = [place for place in places if low**2 / high <= place <= high**2 / low]
@@ -280,9 +280,9 @@ class Figure:
     def alt(self) -> str:
         """Text for those who cannot see it: title, axes, what is shown, and each view in words."""
         shared = [part for part in self.views[0].parts if part.x is None]
-        axes = [" over ".join(filter(None, (part.y.told, self.views[0].x.told))) for part in shared]
+        axes = [" over ".join(filter(None, (part.y.in_words, self.views[0].x.in_words))) for part in shared]
         names = dict.fromkeys(mark.label for view in self.views for mark in view.marks)
-        texts = ["; ".join(filter(None, each)) for each in (axes, names, (view.told for view in self.views))]
+        texts = ["; ".join(filter(None, each)) for each in (axes, names, (view.in_words for view in self.views))]
         parts = [f"{what}{words}" for what, words in zip(("Axes: ", "Shown: ", ""), texts, strict=True) if words]
         return f"{'. '.join([self.title, *parts])}."
 
@@ -343,15 +343,15 @@ def statement(figure: Figure) -> str:
     def said(what: Any, **more: Any) -> dict[str, Any]:
         return {name: value for name, value in {**vars(what), **more}.items() if value}
 
-    def axis(own: Axis, ends: tuple[float, float]) -> dict[str, Any]:
-        return said(own, ends=ends, absorption=bool(own.absorption))
+    def axis(item: Axis, ends: tuple[float, float]) -> dict[str, Any]:
+        return said(item, ends=ends, absorption=bool(item.absorption))
 
-    def mark(own: Mark) -> dict[str, Any]:
-        more: dict[str, Any] = {"columns": {name: place(values) for name, values in own.columns.items()}}
-        if own.scale is not None:
-            more["scale"] = {**vars(own.scale), "palette": tones(own.scale.palette, _TONES)}
-            more["shades"] = own.shades if own.beside == "centre" else None
-        return said(own, **more)
+    def mark(item: Mark) -> dict[str, Any]:
+        more: dict[str, Any] = {"columns": {name: place(values) for name, values in item.columns.items()}}
+        if item.scale is not None:
+            more["scale"] = {**vars(item.scale), "palette": tones(item.scale.palette, _TONES)}
+            more["shades"] = item.shades if item.beside == "centre" else None
+        return said(item, **more)
 
     views = [
         {"subject": view.subject, "tab": view.tab, "parts": [
@@ -361,11 +361,11 @@ def statement(figure: Figure) -> str:
         ], "note": ": ".join(filter(None, (view.subject * (len(figure.views) == 1), view.note)))}
         for view in figure.views
     ]  # fmt: skip
-    whole: dict[str, Any] = {"views": views, "columns": list(columns)}
-    whole |= {key: getattr(figure, key) for key in ("name", "section", "together", "legend_title")}
+    data: dict[str, Any] = {"views": views, "columns": list(columns)}
+    data |= {key: getattr(figure, key) for key in ("name", "section", "together", "legend_title")}
     if bands := next((view.x.absorption for view in figure.views if view.x.absorption), None):
-        whole["absorption"] = bands
-    return json.dumps(whole, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
+        data["absorption"] = bands
+    return json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
 
 
 def columns_of(rows: Sequence[Sequence[float]], names: Sequence[str] = ("x", "y", "low", "high")) -> dict[str, Array]:

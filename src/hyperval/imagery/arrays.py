@@ -261,16 +261,16 @@ class ArrayRaster(Raster):
         next call of the same thread: in memory where they fit into ``SLAB_BYTES``, else unpacked into a file, so
         that no block is unpacked twice and few are in memory.  Lines far from those before are read alone.
         """
-        here = self.store.held
-        held = getattr(here, "slab", None)
+        cache = self.store.held
+        held = getattr(cache, "slab", None)
         if held is None or first < held[0] or first + count > held[0] + held[1]:
-            here.slab = held = None  # the memory of the one before is given back first
+            cache.slab = held = None  # the memory of the one before is given back first
             block = max(self._block(piece, "l", 1) for piece in self.pieces)
             lines = count
-            if first == 0 or 0 <= first - getattr(here, "end", -block) <= block:  # one after the other
+            if first == 0 or 0 <= first - getattr(cache, "end", -block) <= block:  # one after the other
                 lines = max(count, min((first // block + 1) * block - first, self.lines - first))
-            here.slab = held = self._slab(first, count, lines)
-        here.end = first + count
+            cache.slab = held = self._slab(first, count, lines)
+        cache.end = first + count
         return held[2](first - held[0], count)
 
     def _slab(self, first: int, count: int, lines: int) -> tuple[int, int, Callable[[int, int], Numbers]]:
@@ -493,11 +493,11 @@ def _bands(array: xr.DataArray, sources: Iterable[xr.Dataset]) -> tuple[xr.Datas
 def _labelled_raster(chosen: LabelledArray, store: Store) -> ArrayRaster:
     array, data = chosen.array, chosen.data
     assert chosen.bands is not None  # noqa: S101 - chosen by them
-    beside, wave = chosen.bands
+    dataset, wave = chosen.bands
     axes = _axes(array, str(wave.dims[0]))
     piece = Piece((Term(chosen.path),), axes, array.shape, array.dtype.newbyteorder("="))
     quantity, unit, notes = quantity_of(_stated_unit(array), str(array.name), str(array.attrs.get("long_name", "")))
-    good, width = (_beside(beside, wave, name) for name in (_GOOD, _WIDTH))
+    good, width = (_along_bands(dataset, wave, name) for name in (_GOOD, _WIDTH))
     centre, flags = np.asarray(wave.values, float), None if good is None else good != 0
     about = Description(
         product=f"array {str(array.name)!r}",
@@ -554,13 +554,13 @@ def quantity_of(unit: str | None, name: str, title: str) -> tuple[str | None, st
     return ("reflectance", factor, ()) if says else (None, None, ())
 
 
-def _beside(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
+def _along_bands(data: xr.Dataset, wave: xr.DataArray, name: re.Pattern[str]) -> Array | None:
     """Another array along the axis of the wavelengths, by its name; lengths in the unit of those.
 
     >>> import xarray as xr
     >>> wave = xr.DataArray([0.5, 0.6], dims="band", attrs={"units": "um"})
     >>> width = xr.DataArray([6.0, 7.0], dims="band", attrs={"units": "nm"})
-    >>> _beside(xr.Dataset({"wavelength": wave, "fwhm": width}), wave, _WIDTH).round(9).tolist()
+    >>> _along_bands(xr.Dataset({"wavelength": wave, "fwhm": width}), wave, _WIDTH).round(9).tolist()
     [0.006, 0.007]
     """
     fits = [v for n, v in data.variables.items() if v.dims == wave.dims and name.search(str(n))]
@@ -736,14 +736,14 @@ def open_matrix(
     axes = axes if plane else _matrix_axes(shapes[name], waves, set(shapes.values()))
     axes, shape = axes[::turn], shapes[name][::turn]
     sizes = dict(zip(axes, shape, strict=True))
-    beside = [[n for n, size in vectors.items() if p.search(n) and size == sizes.get(axis)] for p, axis in _BESIDE]
-    store = Store(path, hdf5) if tree else Store(path, _matrix, kind, name, *chain(*beside))
+    axis_arrays = [[n for n, size in vectors.items() if p.search(n) and size == sizes.get(axis)] for p, axis in _BESIDE]
+    store = Store(path, hdf5) if tree else Store(path, _matrix, kind, name, *chain(*axis_arrays))
     dtype = store.read(name, (slice(0, 1),) * len(shape)).dtype
     refuse(dtype.kind not in "iufb", "array.type", path, name=name, dtype=dtype)
     piece = Piece((Term(name),), axes, shape, dtype.newbyteorder("="))
 
     wave, width, east, north = (
-        store.read(names[0], (slice(None),)).astype(float).ravel() if len(names) == 1 else None for names in beside
+        store.read(names[0], (slice(None),)).astype(float).ravel() if len(names) == 1 else None for names in axis_arrays
     )
     keys = (*_FILLS, "scale_factor", "add_offset", "units", "long_name") if tree else ()
     with store.kept_open() as file:
@@ -754,8 +754,8 @@ def open_matrix(
     unit, title = (" ".join(texts_of(held.get(key))) for key in ("units", "long_name"))
     quantity, scaled, notes = quantity_of(unit, name.rpartition("/")[2], title)
     maps = [part in shapes.values() for part in (shapes[name][:2], shapes[name][1:])]
-    told = plane or waves & {*shape} or maps[0] != maps[1]
-    notes += () if told else ("axes are taken as lines, samples, bands: neither wavelengths nor a map tell them",)
+    certain = plane or waves & {*shape} or maps[0] != maps[1]
+    notes += () if certain else ("axes are taken as lines, samples, bands: neither wavelengths nor a map tell them",)
     scale = Scale(*packing(held), f"scale of the array {name!r}")
     about = Description(f"array {name!r} of a {kind} file", bands, scale, quantity, scaled, stated(held), notes=notes)
     place = None if east is None or north is None else _even_grid(east, north), crs_of(header)

@@ -303,11 +303,11 @@ class Cube:
         return lost if self.ignore_value is None else lost | equals(stored, self.ignore_value)
 
 
-def _checked(cube: Cube, scale: float | None, by: str) -> Cube:
+def _checked(cube: Cube, scale: float | None, source: str) -> Cube:
     """The cube without the bands that hold no number in any pixel seen, and the bad ones that lack some where good ones
     do not; those that hold the same number everywhere are bad.
 
-    ``scale`` is what the caller states, ``by`` what the file scales by.
+    ``scale`` is what the caller states, ``source`` what the file scales by.
 
     >>> import xarray as xr
     >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
@@ -318,10 +318,10 @@ def _checked(cube: Cube, scale: float | None, by: str) -> Cube:
     >>> from tempfile import TemporaryDirectory
     >>> from hyperval.imagery import write_cube
     >>> axis = SpectralAxis(np.array([500.0, 600.0, 700.0]), 10.0, np.array([True, True, False]))
-    >>> seen = np.linspace(0.1, 0.4, 3072).reshape(32, 32, 3)
-    >>> seen[:5, :, 2] = np.nan  # as bands of water vapour often are
+    >>> values = np.linspace(0.1, 0.4, 3072).reshape(32, 32, 3)
+    >>> values[:5, :, 2] = np.nan  # as bands of water vapour often are
     >>> with TemporaryDirectory() as folder:
-    ...     cube = open_cube(write_cube(f"{folder}/x.img", seen, axis=axis), quantity="reflectance")
+    ...     cube = open_cube(write_cube(f"{folder}/x.img", values, axis=axis), quantity="reflectance")
     ...     (cube.bands, cube.marked_pixels(np.ones((32, 32), bool))[1].all().item())
     (2, True)
 
@@ -335,19 +335,19 @@ def _checked(cube: Cube, scale: float | None, by: str) -> Cube:
     values = values[np.nan_to_num(values).any(axis=1) & ~filled(stored.T, cube.ignore_value)]
     cube = replace(cube, notes=(*cube.notes, *fill_notes(stored, cube.ignore_value)))
     valid = np.isfinite(values)
-    some = np.asarray(valid.any(axis=0)) & (cube.axis.good | valid[valid[:, cube.axis.good].all(axis=1)].all(axis=0))
+    usable = np.asarray(valid.any(axis=0)) & (cube.axis.good | valid[valid[:, cube.axis.good].all(axis=1)].all(axis=0))
     highest = np.max(values, axis=0, where=valid, initial=-np.inf)
     varies = highest > np.min(values, axis=0, where=valid, initial=np.inf)
-    if len(values) >= _FEWEST_CHECKED and varies.any() and not np.all((varies | ~cube.axis.good) & some):
+    if len(values) >= _FEWEST_CHECKED and varies.any() and not np.all((varies | ~cube.axis.good) & usable):
         axis = SpectralAxis(cube.axis.centre_nm, cube.axis.fwhm_nm, cube.axis.good & varies)
-        numbers = ", ".join(str(n + 1) for n in cube.stored_band[~(varies & some)][:_MOST_LISTED])
+        numbers = ", ".join(str(n + 1) for n in cube.stored_band[~(varies & usable)][:_MOST_LISTED])
         none = ~valid.any(axis=0)
-        what = f"{np.sum(some & ~varies)} bands hold one number in all pixels seen, {np.sum(none)} none"
-        what += f", {np.sum(~some & ~none)} bad ones not in all" * bool(np.any(~some & ~none))
+        what = f"{np.sum(usable & ~varies)} bands hold one number in all pixels seen, {np.sum(none)} none"
+        what += f", {np.sum(~usable & ~none)} bad ones not in all" * bool(np.any(~usable & ~none))
         notes = (*cube.notes, f"warning: {what} (the first: {numbers}): those are bad, these left out")
-        arrays = {name: getattr(cube, name)[some] for name in ("stored_band", "gain", "offset")}
-        cube = replace(cube, axis=axis.select(some), notes=notes, **arrays)
-        values = values[:, some]
+        arrays = {name: getattr(cube, name)[usable] for name in ("stored_band", "gain", "offset")}
+        cube = replace(cube, axis=axis.select(usable), notes=notes, **arrays)
+        values = values[:, usable]
     limit = PLAUSIBLE.get(cube.quantity, np.inf)
     judged = values[:, cube.axis.good]
     judged = judged[np.isfinite(judged).all(axis=1)]
@@ -356,7 +356,7 @@ def _checked(cube: Cube, scale: float | None, by: str) -> Cube:
     refuse(high > limit, "scale.implausible", cube.raster.path, high=high, limit=limit, **names)
     refuse(middle < (least := _LOWEST * limit), "scale.low", cube.raster.path, middle=middle, least=least, **names)
     if scale is None and cube.quantity == "reflectance" and _is_twice(judged, gain := cube.gain[cube.axis.good]):
-        raise refusal("scale.twice", cube.raster.path, by=by or "its unit", most=judged.max(), gain=gain[0])
+        raise refusal("scale.twice", cube.raster.path, by=source or "its unit", most=judged.max(), gain=gain[0])
     return cube
 
 
@@ -422,15 +422,15 @@ def open_raster(
             with suppress(HypervalError):
                 return arrays.open_matrix(data, HDF5, variable)
             raise
-    beside = Path(header) if header is not None else header_beside(data)
+    sidecar = Path(header) if header is not None else header_beside(data)
     matrix: Raster | None = None
     if kind in MATRICES:
-        with suppress(*([] if beside is None else [InputError])):  # else numbers that the header describes
+        with suppress(*([] if sidecar is None else [InputError])):  # else numbers that the header describes
             matrix = arrays.open_matrix(data, str(kind), variable)
     if matrix is not None:
-        return matrix if beside is None else described_by(matrix, beside)
-    if beside is not None:
-        return open_envi(data, beside)
+        return matrix if sidecar is None else described_by(matrix, sidecar)
+    if sidecar is not None:
+        return open_envi(data, sidecar)
     refuse(kind is not None, "image.kind", data, kind=kind)
     raise refusal("image.no_header", data, first=f"{data.name}.hdr", second=data.with_suffix(".hdr").name)
 
@@ -499,10 +499,10 @@ def open_cube(
     about, where = raster.description, str(raster.path)
     axis, stored_band, remarks = about.band_table(wavelength_unit, where, sort_bands, axis, raster.bands)
     scaling = about.scaling(quantity, unit, scale, raster.bands, where)
-    by = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
-    notes: tuple[str, ...] = (f"read as {about.product}{by}",) if about.product else ()
+    origin = f" of {about.sensor}" if about.sensor and about.sensor.lower() not in about.product.lower() else ""
+    notes: tuple[str, ...] = (f"read as {about.product}{origin}",) if about.product else ()
     notes += about.notes + remarks + ((scaling.source,) if scaling.source else ())
-    if raster.transform is not None and raster.crs is None:  # one that is not understood is refused here
+    if raster.transform is not None and raster.crs is None:  # an unreadable one is refused here
         notes += ("the coordinate system is not known: map coordinates are taken as the cube's own",)
     cube = Cube(
         raster=raster,
@@ -541,8 +541,8 @@ def _lazy_cube(cube: Any) -> Any:
 
         def _read(self, key: tuple[Any, ...]) -> npt.NDArray[Any]:
             lines = np.arange(self.cube.lines)[key[0]]
-            apart = np.flatnonzero(np.abs(np.diff(np.ravel(lines))) > 4) + 1  # what lies between is not read
-            parts = [part for part in np.split(np.ravel(lines), apart) if part.size]
+            breaks = np.flatnonzero(np.abs(np.diff(np.ravel(lines))) > 4) + 1  # lines between are not read
+            parts = [part for part in np.split(np.ravel(lines), breaks) if part.size]
             read = [self.cube.handed_out(int(part.min()), int(np.ptp(part)) + 1)[part - part.min()] for part in parts]
             values = np.concatenate([np.empty((0, *self.shape[1:])), *read])
             return np.asarray(values.reshape(*lines.shape, *self.shape[1:])[..., key[1], key[2]])

@@ -178,7 +178,7 @@ class Description:
         ----------
         given_unit : the unit where the file states none; must agree with the file otherwise
         sort_bands : sort bands whose wavelengths do not increase (two detectors that overlap)
-        given : the bands of a file of ``count``, or "numbers": those count from 1 in place of wavelengths
+        stated : the bands of a file of ``count``, or "numbers": those count from 1 in place of wavelengths
 
         >>> Description(bands=ListedBands(np.array([8.0, 8.1]), np.full(2, 0.1), "um")).band_table(None, "x")[2]
         ('warning: no band below 8000 nm: the model has reflected sunlight, no emission',)
@@ -229,8 +229,8 @@ class Description:
             notes.append(f"warning: no band below {centre.min():g} nm: the model has reflected sunlight, no emission")
         if width is None:
             refuse(centre.size < 2, "axis.single", places["wavelength"])
-            width, apart = _spacing_by_detector(centre)
-            notes.append(spacing_note("the file lists no fwhm", np.sort(centre[apart])))
+            width, beside_gap = _spacing_by_detector(centre)
+            notes.append(spacing_note("the file lists no fwhm", np.sort(centre[beside_gap])))
         return SpectralAxis(centre[order], width[order], good[order]), has[order], tuple(notes)
 
     def scaling(self, quantity: str, unit: str | None, scale: float | None, bands: int, where: str) -> Scale:
@@ -272,7 +272,7 @@ def _scales_of(header: EnviHeader, quantity: str) -> list[Scale]:
     """What an ENVI header states as a scale of a quantity."""
     of_reflectance = quantity == "reflectance" and "data reflectance gain values" in header.entries
     kind = "data reflectance" if of_reflectance else "data"
-    gain, offset = (header.numbers(f"{kind} {of} values", header.bands, each=False) for of in ("gain", "offset"))
+    gain, offset = (header.numbers(f"{kind} {term} values", header.bands, each=False) for term in ("gain", "offset"))
     factor = header.number(key := "reflectance scale factor")
     refuse(gain is not None and np.any(gain == 0), "scale.zero", header.where(f"{kind} gain values"))
     refuse(factor is not None and not 0.0 < factor < np.inf, "scale.factor", header.where(key), factor=factor)
@@ -302,15 +302,15 @@ def wavelengths_in_names(names: Sequence[str]) -> tuple[Array, str | None] | Non
 def _spacing_by_detector(centre: Array) -> tuple[Array, Mask]:
     """Spacing (B,) of bands [nm] in the order of the file, and which stand beside gaps.
 
-    A detector ends where the wavelength jumps back.  Once sorted, the bands of two detectors that overlap lie closer to
-    each other than either's own.
+    A detector ends where the wavelength jumps back.  Once sorted, the bands of two overlapping detectors lie closer
+    together than those of either.
     """
     detectors = np.split(centre, np.flatnonzero(np.diff(centre) <= 0) + 1)
     rank = np.arange(centre.size)
     if min(d.size for d in detectors) < 2:
         rank, detectors = np.argsort(np.argsort(centre, kind="stable")), [np.sort(centre)]
-    width, apart = (np.concatenate(each)[rank] for each in zip(*map(fwhm_from_spacing, detectors), strict=True))
-    return width, apart
+    width, beside_gap = (np.concatenate(each)[rank] for each in zip(*map(fwhm_from_spacing, detectors), strict=True))
+    return width, beside_gap
 
 
 def _unit_factor(quantity: str, unit: str | None) -> tuple[float, str]:
@@ -397,13 +397,13 @@ class Raster:
         return self.read_bands(first, count)[list(bands)]
 
     def read_pixels(self, rows: Index, cols: Index) -> npt.NDArray[Any]:
-        """(n, bands) stored numbers of single pixels; those that lie close are read at once."""
+        """(n, bands) stored numbers of single pixels; neighbouring ones are read at once."""
         out = np.empty((rows.size, self.bands), self.dtype)
         with self.kept_open():
-            for here in self._together(rows, cols):
-                top, first = int(rows[here].min()), int(cols[here].min())
-                window = slice(top, int(rows[here].max()) + 1), slice(first, int(cols[here].max()) + 1)
-                out[here] = self._box(slice(0, self.bands), *window)[:, rows[here] - top, cols[here] - first].T
+            for cluster in self._together(rows, cols):
+                top, first = int(rows[cluster].min()), int(cols[cluster].min())
+                window = slice(top, int(rows[cluster].max()) + 1), slice(first, int(cols[cluster].max()) + 1)
+                out[cluster] = self._box(slice(0, self.bands), *window)[:, rows[cluster] - top, cols[cluster] - first].T
         return out
 
     def some_pixels(self) -> npt.NDArray[Any]:
@@ -474,14 +474,14 @@ def filled(stored: npt.NDArray[Any], ignore: float | None = None) -> Mask:
 
 
 def fill_notes(stored: npt.NDArray[Any], ignore: float | None) -> list[str]:
-    """What is to be said of the fill that nothing states among pixels (n, B): how many pixels hold which number.
+    """Notes on an unstated fill value among pixels (n, B): how many pixels hold which number.
 
     >>> fill_notes(np.full((4, 8), -50) * [[1], [1], [0], [1]], -9999.0)
     ['warning: 3 of 4 pixels seen hold -50 in every band: taken for no data, which nothing states']
     """
     found = stored[filled(stored.T, ignore), -1]
     found = found[~np.isin(found, (0, np.nan if ignore is None else ignore))]
-    listed = [f"{of:g}" for of in np.unique(found)]
+    listed = [f"{value:g}" for value in np.unique(found)]
     which = " or ".join(listed[:_MOST_FILLS]) + ", ..." * (len(listed) > _MOST_FILLS)
     warning = f"warning: {found.size} of {len(stored)} pixels seen hold {which} in every band"
     return [f"{warning}: taken for no data, which nothing states"] * bool(listed)
@@ -512,8 +512,8 @@ def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: 
     quantity : what the campaign takes the cube for
 
     >>> axis = SpectralAxis(np.array([500.0, 2010.0]), 10.0)
-    >>> told = {"spectir smoothing": "Savitsky-Golay", "calculated co2 shift": "3.65 Expected CO2 position=2036.94"}
-    >>> [note[17:60] for note in acquisition_notes(told, axis, "reflectance")]
+    >>> entries = {"spectir smoothing": "Savitsky-Golay", "calculated co2 shift": "3.65 Expected CO2 position=2036.94"}
+    >>> [note[17:60] for note in acquisition_notes(entries, axis, "reflectance")]
     ["'spectir smoothing = Savitsky-Golay': where", "CO2 shift 3.65 nm found ('calculated co2 sh"]
     >>> [len(acquisition_notes({"spectir smoothing": of}, axis, "reflectance")) for of in ("none", "0", "0.5 nm")]
     [0, 0, 1]
@@ -536,17 +536,17 @@ def acquisition_notes(entries: Mapping[str, str], axis: SpectralAxis, quantity: 
     return tuple(notes)
 
 
-def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[str, ...]:
+def time_notes(entries: Mapping[str, str], overflight: datetime, name: str) -> tuple[str, ...]:
     """Warnings where a time of the header is not that of a scenario: another day, or more than ten minutes apart.
 
     Parameters
     ----------
-    when : time of the scenario, with its offset from UTC
+    overflight : time of the scenario, with its offset from UTC
     name : of the scenario
 
-    GPS time runs ahead of UTC by less than 20 s, which is left aside; a header in local time is found too.
+    GPS time runs ahead of UTC by less than 20 s, which is ignored; a header in local time is found too.
     """
-    utc, notes = when.astimezone(UTC), []
+    utc, notes = overflight.astimezone(UTC), []
     for key, text in _matching(entries, _TIMES):
         # Days in the form 2012-09-20 or 2012/09/20: other orders are not clear.
         day = _first(date, r"(?<![0-9])([0-9]{4})[-/]([0-9]{1,2})[-/]([0-9]{1,2})(?![0-9])", text)
@@ -555,10 +555,10 @@ def time_notes(entries: Mapping[str, str], when: datetime, name: str) -> tuple[s
         if day is not None and day != utc.date():
             notes.append(_said("day", text, **common))
         elif clock is not None:
-            apart = (datetime.combine(utc, clock, UTC) - utc).total_seconds() / 60.0
-            apart = (apart + 720.0) % 1440.0 - 720.0
-            if abs(apart) > MINUTES_APART:
-                notes.append(_said("time", text, minutes=abs(apart), side="after" if apart > 0 else "before", **common))
+            delay = (datetime.combine(utc, clock, UTC) - utc).total_seconds() / 60.0
+            delay = (delay + 720.0) % 1440.0 - 720.0
+            if abs(delay) > MINUTES_APART:
+                notes.append(_said("time", text, minutes=abs(delay), side="after" if delay > 0 else "before", **common))
     return tuple(notes)
 
 

@@ -122,7 +122,7 @@ def pixel_area_m2(transform: Affine | None, crs: CRS | None, entries: Mapping[st
     counts where there is no position.
 
     >>> header, placed = {"pixel size": "2.0, 2.0, units=Meters"}, Affine.scale(2.0, -2.0)
-    >>> infos = [f"{known}, 1, 1, 5, 5, 2, 2" for known in ("Arbitrary", "UTM", "Custom, units=Feet")]
+    >>> infos = [f"{projection}, 1, 1, 5, 5, 2, 2" for projection in ("Arbitrary", "UTM", "Custom, units=Feet")]
     >>> pixel_area_m2(None, None, header), *(pixel_area_m2(placed, None, header | {"map info": i}) for i in infos)
     (4.0, None, 4.0, 0.37161216)
     """
@@ -181,12 +181,12 @@ def open_envi(data: Path, header: Path) -> EnviRaster:
     files = [] if scaled or parsed.dtype.kind == "f" else sorted(data.parent.glob("*.[gG][aA][iI][nN]"))
     named = [p for p in files if data.name.lower().startswith(p.stem.lower())]
     gains = max(named, key=lambda p: len(p.stem), default=None)
-    others = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
+    companions = (parsed.path,) if gains is None else (parsed.path, checked_file(gains, what="gain file"))
     about = Description(
         entries=parsed.entries, notes=parsed.notes, header=parsed, gains=gains, band_names=parsed.band_names
     )
     image_size, place = (parsed.lines, parsed.samples, parsed.bands), (transform_of(parsed), crs_of(parsed))
-    return EnviRaster(data, *image_size, parsed.dtype, about, *place, others)
+    return EnviRaster(data, *image_size, parsed.dtype, about, *place, companions)
 
 
 @dataclass(eq=False)
@@ -237,9 +237,9 @@ def described_by(raster: Raster, header: Path) -> Raster:
     stated = (parsed.lines, parsed.samples, parsed.bands)
     refuse(raster.size != stated, "image.described", parsed.path, size=raster.size, stated=stated)
     transform, crs = raster.transform or transform_of(parsed), raster.crs or crs_of(parsed)
-    notes = (*raster.description.notes, *parsed.notes)
-    own = replace(raster.description, header=parsed, entries=parsed.entries, notes=notes, band_names=parsed.band_names)
-    return replace(raster, description=own, transform=transform, crs=crs, other_files=(parsed.path,))
+    about, notes = raster.description, (*raster.description.notes, *parsed.notes)
+    about = replace(about, header=parsed, entries=parsed.entries, notes=notes, band_names=parsed.band_names)
+    return replace(raster, description=about, transform=transform, crs=crs, other_files=(parsed.path,))
 
 
 @contextmanager

@@ -70,8 +70,8 @@ class LocationTable:
     ...     table = open_lookup_table(write_cube(f"{folder}/igm", uneven, data_type=5), (20, 20))
     ...     offsets = rng.uniform(3.0, 16.0, (400, 2))
     ...     found = table.to_pixel([500.0, 500.0] + offsets * [1, -1], where="")
-    ...     away = table.to_pixel([[480.0, 490.0]], where="", beyond=True)
-    >>> bool(np.abs(found - offsets).max() < 0.5), bool(np.abs(away - [-20.0, 10.0]).max() < 3.0)
+    ...     outside = table.to_pixel([[480.0, 490.0]], where="", beyond=True)
+    >>> bool(np.abs(found - offsets).max() < 0.5), bool(np.abs(outside - [-20.0, 10.0]).max() < 3.0)
     (True, True)
     >>> line, sample = np.indices((60, 30)) + 0.5
     >>> turning = (40.0 + sample + 6.0 * np.sin(line / 2.0)) * np.exp(1j * line / 40.0)
@@ -361,17 +361,17 @@ def table_of(raster: Raster) -> tuple[LocationTable | None, tuple[str, ...]]:
 
 
 def image_record(raster: Raster) -> list[tuple[str, str, str]]:
-    """What is known of an image: thing, value, and where the value comes from, or what would mend its lack.
+    """What is known of an image: property, value, and the source of the value, or how to state it.
 
-    It is what the reader itself goes by: a file and line of a header, an entry of a product, a convention, a guess.
+    The sources are those of the reader: a file and line of a header, an entry of a product, a convention, a guess.
 
     >>> import xarray as xr
     >>> from hyperval.imagery.arrays import labelled_array
     >>> packed = {"units": "percent", "scale_factor": 0.1, "_FillValue": -9}
     >>> nm = {"wavelength": ("b", [500.0, 600.0], {"units": "nm"})}
     >>> array = xr.DataArray(np.ones((1, 1, 2), "i2"), nm, ("y", "x", "b"), "reflectance", packed)
-    >>> told = {what: (value, origin) for what, value, origin in image_record(labelled_array(array))}
-    >>> told["scale of reflectance"], told["no data"][0]
+    >>> record = {what: (value, origin) for what, value, origin in image_record(labelled_array(array))}
+    >>> record["scale of reflectance"], record["no data"][0]
     (('x 0.1; x 0.01', "array 'reflectance': as it is packed; array 'reflectance': unit percent"), '-9')
     >>> from hyperval.imagery.description import Description
     >>> of_map = Description("ENVI", None, entries={"class names": "none, lawn, lot"})
@@ -379,24 +379,24 @@ def image_record(raster: Raster) -> list[tuple[str, str, str]]:
     [('quantity', 'classes: none, lawn, lot'), ('no data', 'none')]
     """
     about, where, files = raster.description, str(raster.path), ", ".join(p.name for p in raster.other_files)
-    by, header = about.product or raster.kind, about.header
+    product, header = about.product or raster.kind, about.header
     rows: list[tuple[str, str, str]] = []
     notes = list(about.notes)
 
     def origin(*keys: str) -> str:
         stated = [key for key in keys if header is not None and key in header.entries]
-        return f"{header.where(stated[0])} '{stated[0]}'" if header is not None and stated else by
+        return f"{header.where(stated[0])} '{stated[0]}'" if header is not None and stated else product
 
-    def row(what: str, value: str | None, stated: str = by, lacking: str = "") -> None:
+    def row(what: str, value: str | None, stated: str = product, lacking: str = "") -> None:
         rows.append((what, value, stated) if value is not None else (what, "not known", lacking))
 
     lines, samples, bands = raster.size
-    row("is", by, "its first bytes" + (f", and {files} beside it" if files else ""))
+    row("is", product, "its first bytes" + (f", and {files} beside it" if files else ""))
     row("size", f"{lines} lines, {samples} samples, {bands} bands of {raster.dtype}", origin("samples"))
     try:
         (axis, _, more), listed = about.band_table(None, where, sort_bands=True), needed(about.listed(), "bands.none")
         centre, width = axis.centre_nm, axis.fwhm_nm
-        stated = listed.where.get("wavelength", by)
+        stated = listed.where.get("wavelength", product)
         row("wavelengths", f"{len(centre)}, {centre[0]:g} to {centre[-1]:g} nm", stated)
         listed_nm = listed.wavelength[np.isfinite(listed.wavelength)]
         _, unit, guessed = wavelengths_in_nm(listed_nm, listed.unit, None, where)
@@ -411,13 +411,13 @@ def image_record(raster: Raster) -> list[tuple[str, str, str]]:
     if about.quantity != "reflectance" and names is None:
         key, written = about.unit_in_entries()
         known_unit = about.unit if is_radiance(about.unit) else None
-        by_init = by if known_unit else f"{origin(key)}: init takes it; a campaign states unit:"
+        by_init = product if known_unit else f"{origin(key)}: init takes it; a campaign states unit:"
         row("unit of radiance", known_unit or written, by_init, "state unit: (init: --unit)")
     for quantity in [about.quantity] if about.quantity else ["radiance", "reflectance"] if names is None else []:
         try:
-            stages = [*about.scales(quantity), Scale(*about.packing, f"{by}: as it is packed")]
+            stages = [*about.scales(quantity), Scale(*about.packing, f"{product}: as it is packed")]
             if quantity == "reflectance":
-                stages.append(Scale(reflectance_factor(about.unit or "fraction"), 0.0, f"{by}: unit {about.unit}"))
+                stages.append(Scale(reflectance_factor(about.unit or "fraction"), 0.0, f"{product}: unit {about.unit}"))
             stages = [stage for stage in stages if stage.changes]
             value = "; ".join(f"x {_span(s.gain)}" + f", + {_span(s.offset)}" * bool(np.any(s.offset)) for s in stages)
             none = "nothing states another; state scale: where the numbers are scaled"
@@ -435,8 +435,8 @@ def image_record(raster: Raster) -> list[tuple[str, str, str]]:
     notes += more
     if places is not None:
         what, path = places.raster.description.product or "coordinates", places.raster.path
-        row("position", f"of every pixel, by its {what}", by if path == raster.path else path.name)
-        row("coordinate system", str(places.crs or "not known"), by if path == raster.path else path.name)
+        row("position", f"of every pixel, by its {what}", product if path == raster.path else path.name)
+        row("coordinate system", str(places.crs or "not known"), product if path == raster.path else path.name)
     elif a is None:
         row("position", "none", "targets.pixel_size_m states the size of a pixel; cube.glt places them")
         if (area := pixel_area_m2(None, None, about.entries)) is not None:
@@ -445,8 +445,8 @@ def image_record(raster: Raster) -> list[tuple[str, str, str]]:
         place = f"x = {a.c:.10g}, y = {a.f:.10g} at the corner; steps {_steps(a)}"
         row("position", place, origin("map info"))
         row("coordinate system", str(raster.crs or "not known"), origin("coordinate system string", "map info"))
-    if when := about.entries.get("acquisition time"):
-        row("acquisition time", when, origin("acquisition time"))
+    if acquired := about.entries.get("acquisition time"):
+        row("acquisition time", acquired, origin("acquisition time"))
     if (sun := sun_zenith_deg(raster)) is not None:
         row("zenith angle of the sun", f"{sun[0]:.4g} deg", sun[1])
     return rows + [("assumed", note, "reader") for note in notes]

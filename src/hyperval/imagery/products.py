@@ -97,8 +97,8 @@ class ProductTree:
     def numbers(self, reference: str, count: int, what: str) -> Array:
         """(count,) numbers; InputError when the file does not have as many."""
         out = self.floats(reference)
-        told = {"what": what, "reference": reference, "count": count}
-        refuse(out.size != count, "product.numbers", self.path, size=out.size, **told)
+        fields = {"what": what, "reference": reference, "count": count}
+        refuse(out.size != count, "product.numbers", self.path, size=out.size, **fields)
         return out
 
     def floats(self, reference: str | None) -> Array:
@@ -295,9 +295,9 @@ def _crs(tree: ProductTree) -> CRS | None:
     """The system of a product by its WKT, its code, or the UTM zone of HDF-EOS5's StructMetadata.
 
     >>> from types import SimpleNamespace as Of
-    >>> def told(**texts):
+    >>> def system(**texts):
     ...     return str(_crs(Of(text=texts.get, layout=ProductLayout(struct_metadata="grid", epsg="code"))))
-    >>> [told(grid=f"Projection=HE5_GCTP_UTM\\n\\tZoneCode={zone}") for zone in (32, -33)], told(code="EPSG:32654")
+    >>> [system(grid=f"Projection=HE5_GCTP_UTM\\n\\tZoneCode={zone}") for zone in (32, -33)], system(code="EPSG:32654")
     (['EPSG:32632', 'EPSG:32733'], 'EPSG:32654')
     """
     wkt, code = tree.text(tree.layout.crs), tree.text(tree.layout.epsg)
@@ -314,10 +314,10 @@ def _time(tree: ProductTree) -> str:
     """When the image was taken, as the file says it: in words, in seconds since 1970, or a day and a clock.
 
     >>> from types import SimpleNamespace as Of
-    >>> def told(**held):
+    >>> def utc(**held):
     ...     layout = ProductLayout(seconds="s", time="t", day_and_clock=("day", "clock"))
     ...     return _time(Of(layout=layout, text=held.get, floats=lambda name: np.array(held.get(name, []))))
-    >>> told(s=[-9999.0, 1744134271.5]), told(day="20120924", clock="131511"), told(t="2024-06-15T10:57:42Z", day="x")
+    >>> utc(s=[-9999.0, 1744134271.5]), utc(day="20120924", clock="131511"), utc(t="2024-06-15T10:57:42Z", day="x")
     ('2025-04-08T17:44:31.500000+00:00', '20120924T131511', '2024-06-15T10:57:42Z')
     """
     seconds = tree.floats(tree.layout.seconds)
@@ -422,7 +422,7 @@ def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> De
     ignore = root.findtext(sidecar.ignore) if sidecar.ignore is not None else None
     zenith, elevation = _angle(root, sidecar.sun_zenith), _angle(root, sidecar.sun_elevation)
     rectified = level is None or not level.startswith("L1") or level == "L1C"
-    when = (root.findtext(sidecar.time) or "").strip() if sidecar.time is not None else ""
+    acquired = (root.findtext(sidecar.time) or "").strip() if sidecar.time is not None else ""
     product = f"{sidecar.sensor} {level or 'image'}"
     return Description(
         product=product,
@@ -434,7 +434,7 @@ def _from_xml(sidecar: ProductLayout, path: Path, image: Path, bands: int) -> De
         sensor=sidecar.sensor,
         sun_zenith_deg=90.0 - elevation if zenith is None and elevation is not None else zenith,
         sorts=True,
-        entries={"sensor": sidecar.sensor} | ({"acquisition time": when} if when else {}),
+        entries={"sensor": sidecar.sensor} | ({"acquisition time": acquired} if acquired else {}),
         notes=(*([] if rectified else [NO_MAP]), *([_UNRECTIFIED] if detector else [])),
     )
 
@@ -455,8 +455,8 @@ def _number(text: str | None, what: str, path: Path) -> float:
 def _stac_assets(image: Path) -> Iterator[tuple[Path, dict[str, Any], dict[str, Any]]]:
     """Items of STAC beside an image whose assets name it: the file, the item, the asset."""
     named = image.with_suffix(".json")
-    others = sorted(image.parent.glob("*.json"))[:MAX_ITEMS]
-    for path in [named, *(p for p in others if p != named)]:
+    neighbours = sorted(image.parent.glob("*.json"))[:MAX_ITEMS]
+    for path in [named, *(p for p in neighbours if p != named)]:
         if not path.is_file() or path.stat().st_size > MAX_JSON_BYTES:
             continue
         try:
@@ -510,7 +510,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
     instruments = properties.get("instruments") or [properties.get("platform") or properties.get("constellation") or ""]
     sensor = str(instruments[0]) if isinstance(instruments, list) else str(instruments)
     width = column("eo:full_width_half_max", "full_width_half_max")
-    when = properties.get("datetime") or properties.get("start_datetime")
+    acquired = properties.get("datetime") or properties.get("start_datetime")
     words = f"{asset.get('title', '')} {properties.get('processing:level', '')}".lower()
     quantity = "radiance" if is_radiance(unit) else "reflectance" if "reflectance" in words else None
     gain, offset = (column(f"raster:{n}", n, default=v) for n, v in (("scale", 1.0), ("offset", 0.0)))
@@ -522,7 +522,7 @@ def _from_asset(item: dict[str, Any], asset: dict[str, Any], bands: int) -> Desc
         quantity=quantity,
         unit=unit if quantity == "radiance" else None,
         sensor=sensor,
-        entries={"sensor": sensor, "acquisition time": str(when or "")},
+        entries={"sensor": sensor, "acquisition time": str(acquired or "")},
         ignore_value=float(nodata.pop()) if len(nodata) == 1 else None,
         notes=tuple(notes),
     )

@@ -296,11 +296,11 @@ def _drawn(name: str, parts: Iterable[Part], shape: tuple[int, int], path: Path,
     drawings = [p for p in parts if isinstance(p, BaseGeometry)]
     polygons = [p for p in drawings if p.geom_type in _AREAS]
     points = shapely.get_coordinates([p for p in drawings if p.geom_type in _POINTS])
-    inside = inside_image(points, shape)
-    mask = _burned(polygons, shape) | point_mask(points[inside], shape)
+    in_image = inside_image(points, shape)
+    mask = _burned(polygons, shape) | point_mask(points[in_image], shape)
     mask.flat[np.concatenate([*(p for p in parts if isinstance(p, np.ndarray)), np.zeros(0, np.int64)])] = True
     outside = [p for p in polygons if not inside_image(shapely.get_coordinates(p), shape).all()]
-    if (outside or not inside.all()) and not mask.any():
+    if (outside or not in_image.all()) and not mask.any():
         raise outside_error(np.vstack([shapely.get_coordinates(outside), points]), shape, where)
     notes, pixels = [p for p in parts if isinstance(p, str)], int(mask.sum())
     part = _share_outside(polygons, shape) if outside else 0.0  # to the millionth of a pixel of the border
@@ -308,8 +308,8 @@ def _drawn(name: str, parts: Iterable[Part], shape: tuple[int, int], path: Path,
         percent = f"{100.0 * part:.1f} %" if part >= 0.001 else "less than 0.1 %"
         sign = "" if part < _SMALL else WARNING
         notes.append(f"{sign}leaves the image: {percent} of its area is outside, {pixels} pixels are left")
-    if not inside.all():
-        gone = f"{np.sum(~inside)} of {inside.size} points are outside"
+    if not in_image.all():
+        gone = f"{np.sum(~in_image)} of {in_image.size} points are outside"
         notes.append(f"{WARNING}leaves the image: {gone}, {pixels} pixels are left")
     for stated in (p for p in parts if isinstance(p, int) and p != pixels):
         notes.append(f"has {stated} pixels as its file says; {pixels} have their centre inside")
@@ -410,7 +410,7 @@ def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
         titles = text.lower().split()
         if text and not line.strip().startswith(";"):
             refuse(len(titles) <= max(columns), "roi.columns", where, count=len(titles))
-            rows.append((_whole(titles[columns[1]], where) - 1, _whole(titles[columns[0]], where) - 1))
+            rows.append((_whole_number(titles[columns[1]], where) - 1, _whole_number(titles[columns[0]], where) - 1))
         elif ":" in text:
             key, _, value = text.partition(":")
             comments.setdefault(key.strip().lower(), []).append((value.strip(), where))
@@ -424,8 +424,8 @@ def ascii_regions(path: Path, grid: ImageGrid) -> Drawn:
         size = int(made_for[2]), int(made_for[1])
         refuse(size != grid.shape, "roi.size", where, size=size, shape=grid.shape)
     names = [name for name, _ in comments.get("roi name", [])]
-    counts = [_whole(*count) for count in comments.get("roi npts", [])]
-    announced = [_whole(*count) for count in comments.get("number of rois", [(str(len(names)), "")])][-1]
+    counts = [_whole_number(*count) for count in comments.get("roi npts", [])]
+    announced = [_whole_number(*count) for count in comments.get("number of rois", [(str(len(names)), "")])][-1]
     if len(names) != len(counts) or announced != len(names) or sum(counts) != len(rows):
         raise refusal("roi.counts", path, said=announced, names=len(names), points=sum(counts), rows=len(rows))
     parts = np.split(np.array(rows, np.int64).reshape(-1, 2), np.cumsum(counts[:-1], dtype=int))
@@ -468,7 +468,7 @@ def binary_regions(path: Path, grid: ImageGrid) -> Drawn:
         yield name, parts
 
 
-def _whole(text: str, where: str) -> int:
+def _whole_number(text: str, where: str) -> int:
     refuse(not re.fullmatch(r"[0-9]{1,12}", text.strip()), "roi.whole", where, text=text[:40])
     return int(text)
 
@@ -812,13 +812,13 @@ def ring_region(
 
     ``pixel`` : distance between lines and between samples, in the unit of the other two
     """
-    mask = _apart(region.mask, inner, outer, pixel)
+    mask = _ring_of(region.mask, inner, outer, pixel)
     refuse(not mask.any(), "region.ring", f"region {name!r}", of=region.name)
     return Region(name, mask, f"ring around {region.name}")
 
 
-def _apart(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = (1.0, 1.0)) -> Mask:
-    """The pixels more than ``inner`` and at most ``outer`` from the nearest of a mask, which holds one at least."""
+def _ring_of(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = (1.0, 1.0)) -> Mask:
+    """The pixels at a distance above ``inner`` and at most ``outer`` from a mask, which is not empty."""
     out = np.zeros(mask.shape, bool)
     above, beside = (int(min(outer / step, max(mask.shape))) + 1 for step in pixel)
     part = window_of(mask, (above, beside))
@@ -828,10 +828,10 @@ def _apart(mask: Mask, inner: float, outer: float, pixel: tuple[float, float] = 
 
 
 def window_of(mask: Mask, margin: tuple[int, int] = (0, 0)) -> tuple[slice, slice]:
-    """Lines and samples of the window of a mask that holds all that is True in it, and a margin."""
+    """Lines and samples of the bounding box of a mask, with a margin."""
     held = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     ends = zip(held, margin, strict=True)
-    lines, samples = (slice(max(int(at[0]) - more, 0), int(at[-1]) + more + 1) for at, more in ends)
+    lines, samples = (slice(max(int(places[0]) - more, 0), int(places[-1]) + more + 1) for places, more in ends)
     return lines, samples
 
 
@@ -883,4 +883,4 @@ def connected_patches(mask: Mask, name: str, *, whole: bool = False) -> Iterator
 def guard(mask: Mask, radius_pixels: float) -> Mask:
     """The mask grown by a disc: every pixel whose centre is within the radius of a centre in the mask."""
     refuse(not radius_pixels >= 0, "region.guard", radius=radius_pixels)
-    return _apart(mask, -1.0, radius_pixels) if mask.any() else mask.copy()
+    return _ring_of(mask, -1.0, radius_pixels) if mask.any() else mask.copy()

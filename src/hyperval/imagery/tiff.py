@@ -129,13 +129,13 @@ def _bands_in_tags(dataset: Any, header: EnviHeader) -> ListedBands | None:
     same driver fills with whole nanometres; else the names of the bands.
     """
     texts: dict[str, Sequence[str]] = {}
-    for domain in ("IMAGERY", "ENVI", None):  # the last has the last word
+    for domain in ("IMAGERY", "ENVI", None):  # the last overrides
         each = [_lower(dataset.tags(i, ns=domain)) for i in dataset.indexes]
-        whole = _lower(dataset.tags(ns=domain))
-        for key in each[0].keys() | whole.keys():
+        common = _lower(dataset.tags(ns=domain))
+        for key in each[0].keys() | common.keys():
             values = [str(tags.get(key, "")) for tags in each]
             if not all(values):
-                values = [part.strip() for part in whole.get(key, "").strip("{} ").split(",")]
+                values = [part.strip() for part in common.get(key, "").strip("{} ").split(",")]
             if (len(values) == dataset.count and all(values)) or key == "wavelength units":
                 texts[key] = values
     units = set(texts.get("wavelength units", ())) - {""}
@@ -153,8 +153,8 @@ def _bands_in_tags(dataset: Any, header: EnviHeader) -> ListedBands | None:
     rounded, width = (header.numbers(key) for key in ("central_wavelength_um", "fwhm_um"))
     if listed is None or to_nm is None:
         return listed
-    apart = 0.0 if rounded is None else np.max(np.abs(listed.wavelength * to_nm - rounded * 1e3))
-    refuse(apart > _ROUNDED_NM, "tiff.two_wavelengths", header.path)
+    difference_nm = 0.0 if rounded is None else np.max(np.abs(listed.wavelength * to_nm - rounded * 1e3))
+    refuse(difference_nm > _ROUNDED_NM, "tiff.two_wavelengths", header.path)
     if listed.fwhm is not None or width is None:
         return listed
     is_whole = np.all(np.abs(1e3 * width - np.round(1e3 * width)) < 1e-6)

@@ -276,11 +276,11 @@ def intersected_objects(
     for material, mask in materials.items():
         refuse(mask.shape != classes.shape, "target.classes", material=material, mask=mask.shape, classes=classes.shape)
         for value, side in side_m.items():
-            here = mask & (classes == value)
-            refuse(not here.any(), "target.class", material=material, value=value)
+            part = mask & (classes == value)
+            refuse(not part.any(), "target.class", material=material, value=value)
             attributes = {"material": material, "side_m": f"{side:g}"}
-            of = f"{material} {side:g} m", material, float(side), float(side) ** 2, (here.shape[0], here.shape[1])
-            out.append(TargetObject(*of, *mask_window(here), attributes=attributes))
+            facts = f"{material} {side:g} m", material, float(side), float(side) ** 2, (part.shape[0], part.shape[1])
+            out.append(TargetObject(*facts, *mask_window(part), attributes=attributes))
     return out
 
 

@@ -288,5 +288,5 @@ class Tolerance(NamedTuple):
 
 def default_tolerance(metric: str, half_width: float | None = None) -> Tolerance:
     """The tolerance of a metric whose baseline does not name one, as the table of metrics has it."""
-    moves = [Tolerance(size, of) for of, size in metric_of(metric).tolerance.items()]
+    moves = [Tolerance(size, reference) for reference, size in metric_of(metric).tolerance.items()]
     return moves[0] if half_width or moves[0].of != "interval" else moves[-1]

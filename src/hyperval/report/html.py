@@ -67,15 +67,15 @@ def matrix_of(
 ) -> dict[str, Sequence[Any]]:
     """Planned rows in lines by ``line_of`` and columns by product.
 
-    Lines that gate come first, the worst of them first, then those that inform; each has its name, where it links to,
-    and a cell for each column.
+    Lines with criteria come first, the worst of them first, then informational ones; each has its name, its link, and
+    a cell for each column.
 
     Parameters
     ----------
     link_of : (line, rows of the cell) -> where the cell links to; of a whole line (line, [])
     """
-    every = dict.fromkeys(row.product for row in planned)
-    columns = [product for product in dict.fromkeys([*_COMPARED, *every]) if product in every]
+    products = dict.fromkeys(row.product for row in planned)
+    columns = [product for product in dict.fromkeys([*_COMPARED, *products]) if product in products]
 
     def rank(item: tuple[str, list[Result]]) -> tuple[bool, int]:
         gates = [row for row in item[1] if row.gates]
@@ -83,8 +83,8 @@ def matrix_of(
 
     lines = []
     for name, line in sorted(grouped(planned, line_of).items(), key=rank):
-        here = ([row for row in line if row.product == product] for product in columns)
-        lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in here]))
+        by_product = ([row for row in line if row.product == product] for product in columns)
+        lines.append((name, link_of(name, []), [_cell(rows, link_of(name, rows)) for rows in by_product]))
     return {"columns": [_COMPARED.get(p, p) for p in columns], "lines": lines}
 
 
@@ -117,13 +117,13 @@ def _cell(rows: Sequence[Result], link: str) -> dict[str, str]:
 def same_background_once(rows: Sequence[Result]) -> list[Result]:
     """Rows about the background seen by one filter, which every size of a target has, as one row for all of them.
 
-    They are the same but for the subject; the first stands for all, and says how many are alike.
+    They are equal but for the subject; the first stands for all, with their number.
     """
 
-    alike = grouped(rows, lambda r: repr(replace(r, subject="")) if r.subject.endswith(background_of("")) else id(r))
+    groups = grouped(rows, lambda r: repr(replace(r, subject="")) if r.subject.endswith(background_of("")) else id(r))
     return [
         first if not more else replace(first, subject=f"{first.subject} and {len(more)} alike")
-        for first, *more in alike.values()
+        for first, *more in groups.values()
     ]
 
 
@@ -320,18 +320,18 @@ def embedded(images: Iterable[tuple[Any, bytes, str]], room: int) -> dict[Any, s
     return sources
 
 
-def flat(value: Any, at: str = "") -> dict[str, str]:
-    """What a record says as text, nested keys joined by dots; lists of records by their references."""
+def flat(value: Any, prefix: str = "") -> dict[str, str]:
+    """A record as text by key, nested keys joined by dots; lists of records by their references."""
     if isinstance(value, list | tuple) and any(isinstance(item, Mapping) for item in value):
         names = (item.get("reference", n) if isinstance(item, Mapping) else n for n, item in enumerate(value))
         value = dict(zip(map(str, names), value, strict=True))
     if isinstance(value, Mapping):
-        return {k: text for key, item in value.items() for k, text in flat(item, f"{at}.{key}".strip(".")).items()}
-    return {at: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
+        return {k: text for key, item in value.items() for k, text in flat(item, f"{prefix}.{key}".strip(".")).items()}
+    return {prefix: ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)}
 
 
 def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
-    """What the products of a run and the reasons of its table allow to draw.
+    """The figures that the products and the table of a run allow.
 
     Raises
     ------
@@ -340,8 +340,8 @@ def run_drawings(run: Path, kind: Kind, journal: bool = False) -> list[Drawing]:
     """
     from hyperval.figures.print import drawings_of
 
-    of = [name for name in ("study", "sensor") if name in provenance_of(run).get("configuration", {})]
-    refuse(of, "results.drawn", run, of=of, folder=run / "figures")
+    kinds = [name for name in ("study", "sensor") if name in provenance_of(run).get("configuration", {})]
+    refuse(kinds, "results.drawn", run, kinds=kinds, folder=run / "figures")
     stored, opened = read_products(run), Run.open(run) if is_run(run) else Run(ResultTable())
     figures = [criteria_figure(list(opened.table)), *first_figures(stored.pair)]
     figures += further_figures(stored.pair, opened.table, equivalence_margin(opened.provenance))

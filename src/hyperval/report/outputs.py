@@ -19,8 +19,8 @@ def write_outputs(run: Run, folder: Path) -> None:
 
         drawings = draw_pictures(run.quicklook, run.score_maps, simulated=run.simulated)
     # Its products.nc has a title, if nothing else.
-    full = replace(run, provenance={**run.provenance, "warnings": run.warnings}, given=run.given or {"observed": None})
-    full.write(folder, report_page(run, drawings), drawings)
+    products, provenance = run.products or {"observed": None}, {**run.provenance, "warnings": run.warnings}
+    replace(run, provenance=provenance, products=products).write(folder, report_page(run, drawings), drawings)
 
 
 def write_index(runs: Sequence[Run], folder: Path, title: str = "Validation", parts: Path | None = None) -> None:

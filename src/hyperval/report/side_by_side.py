@@ -82,11 +82,11 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
     changed = [p for p in pairs if p.verdict_changed]
     changed.sort(key=lambda p: WORST_FIRST.index((p.b or p.either).outcome))
     moved = sorted((p for p in pairs if p.size > 0 and not p.verdict_changed), key=lambda p: -p.size)
-    whole = [p for p in moved if not math.isfinite(p.either.band_nm)]
+    summary_rows = [p for p in moved if not math.isfinite(p.either.band_nm)]
     # Of their predictions, or of their collections where those alone differ: B first, so that differences are B - A.
     both = [(y, x) for x, y in zip(a.pair, b.pair, strict=True) if x and y and not to_xarray(x).equals(to_xarray(y))]
     charts = first_figures(both[0], names=("run B", "run A")) if both and (moved or changed) else []
-    alike = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
+    equal = [n for n, path in a.figures.items() if n in b.figures and path.read_bytes() == b.figures[n].read_bytes()]
     first, second = flat(a.provenance), flat(b.provenance)
     folders = [(run.folder or Path()).resolve() for run in (a, b)]
     above = os.path.commonpath([folder.parent for folder in folders])
@@ -96,23 +96,23 @@ def side_by_side_page(a: Run, b: Run, pairs: Sequence[Pair]) -> str:
         runs=[{"label": label, "folder": name, "screen": v.first_screen(list(run.table)),
                "counts": outcome_words(run.table)} for label, run, name in labels],
         changed=changed,
-        moved=whole,
-        bands=len(moved) - len(whole),
+        moved=summary_rows,
+        bands=len(moved) - len(summary_rows),
         single=[p for p in pairs if not (p.a and p.b) and not p.gates and not math.isfinite(p.either.band_nm)],
         same=sum(p.is_same for p in pairs),
         is_identical=all(p.is_same for p in pairs),
         conclusion=conclusion(pairs),
         inputs=[(k, first.get(k, "–"), second.get(k, "–")) for k in first | second if first.get(k) != second.get(k)],
         charts=charts,
-        figures=_figures(a, b, alike),
-        alike=alike,
+        figures=_figures(a, b, equal),
+        equal=equal,
         number=v.number_text,
     )  # fmt: skip
 
 
-def _figures(a: Run, b: Run, alike: Sequence[str]) -> list[dict[str, Any]]:
+def _figures(a: Run, b: Run, equal: Sequence[str]) -> list[dict[str, Any]]:
     """Figures that are not the same in both runs, as data; beyond the size of the page they are named only."""
-    names = [name for name in dict.fromkeys([*a.figures, *b.figures]) if name not in alike]
+    names = [name for name in dict.fromkeys([*a.figures, *b.figures]) if name not in equal]
     paths = {(name, run): each.figures.get(name) for name in names for run, each in zip("AB", (a, b), strict=True)}
     files = ((key, path.read_bytes(), path.suffix[1:]) for key, path in paths.items() if path)
     sources = embedded(files, _FIGURE_BYTES)

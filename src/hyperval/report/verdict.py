@@ -65,15 +65,15 @@ def status(gates: Sequence[Result]) -> tuple[Outcome, str, str]:
     overall, made = worst(gates), {row.outcome for row in gates}
     if Outcome.DISAGREES in made:
         return Outcome.DISAGREES, "Not met", "Not met."
-    if overall is Outcome.ERROR:  # of what broke nothing is known
+    if overall is Outcome.ERROR:  # after an error nothing is known
         return overall, "Error", f"Ended in an error{': no acceptance criterion was evaluated' * (len(made) == 1)}."
     if not gates:
         return Outcome.NONE, "No acceptance criteria", "This campaign has no acceptance criteria."
     if made == {Outcome.SKIPPED}:
         return Outcome.SKIPPED, "Not run", "Not run: no acceptance criterion was evaluated."
     if not any(row.outcome is Outcome.AGREES and row.evidence is Evidence.MODEL for row in gates):
-        apart = ": no criterion of the model was decided" if Outcome.AGREES in made else ""
-        return Outcome.UNDECIDED, "Inconclusive", f"Inconclusive{apart}."
+        reason = ": no criterion of the model was decided" if Outcome.AGREES in made else ""
+        return Outcome.UNDECIDED, "Inconclusive", f"Inconclusive{reason}."
     return (overall, "Met", "Met.") if overall is Outcome.AGREES else (Outcome.UNDECIDED, "Met in part", "Met in part.")
 
 
@@ -205,7 +205,7 @@ def _never_met(gates: Sequence[Result]) -> str:
 
 
 def _which_to_believe(rows: Sequence[Result]) -> str:
-    """What a user should take from criteria that are met beside tests of the stated uncertainty that are not.
+    """What criteria that are met mean beside tests of the stated uncertainty that are not.
 
     >>> failed = {"outcome": Outcome.DISAGREES}
     >>> wide = Result("", "radiance", "lawn", "", "p_value_full", 0.9999, cause=Cause.TOO_WIDE, **failed)
@@ -221,15 +221,15 @@ def _which_to_believe(rows: Sequence[Result]) -> str:
     tests = [row for row in rows if row.outcome is Outcome.DISAGREES and tests_the_uncertainty(row)]
     met = [row for row in rows if row.gates and row.evidence is Evidence.MODEL and row.outcome is Outcome.AGREES]
     failed = (row for row in rows if row.outcome is Outcome.DISAGREES and not tests_the_uncertainty(row))
-    apart = {(row.product, row.subject) for row in failed}
-    wide = [row for row in tests if row.cause is Cause.TOO_WIDE and (row.product, row.subject) not in apart]
+    others = {(row.product, row.subject) for row in failed}
+    wide = [row for row in tests if row.cause is Cause.TOO_WIDE and (row.product, row.subject) not in others]
     narrow = [row for row in tests if row.cause is not Cause.TOO_WIDE]
     words = []
     if met and narrow:
         sizes = (math.sqrt(row.value) if row.product == "attribution" else row.effect for row in narrow)
         times = max(filter(math.isfinite, sizes), default=math.nan)
         far = f"differences reach {number_text(times, times)} times it" if times > 1 else "full tests reject it"
-        far += f"; {_named(narrow)}" * bool(wide)  # two budgets, and opposite words
+        far += f"; {_named(narrow)}" * bool(wide)  # too small for one subject, too wide for another
         words.append(f"The stated uncertainty is too small ({far}): do not take it for the error of the model.")
         if any(not tests_the_uncertainty(row) for row in met):
             words.append("The criteria that are met say how large the differences are, not that they are explained.")
@@ -255,8 +255,8 @@ def _counted(rows: Sequence[Result], kind: Evidence | None, *, named: bool = Tru
         counted = [row for row in rows if kind in (None, row.evidence) and row.outcome is outcome]
         if counted:
             noun = f" {_KINDS[kind][len(counted) != 1]}" if not parts else ""
-            who = f" ({_named(counted)})" if named else ""
-            parts.append(f"{len(counted)}{noun} {outcome.of_one if len(counted) == 1 else outcome.of_several}{who}")
+            names = f" ({_named(counted)})" if named else ""
+            parts.append(f"{len(counted)}{noun} {outcome.of_one if len(counted) == 1 else outcome.of_several}{names}")
     return f"{', '.join(parts)}." if parts else ""
 
 

@@ -278,7 +278,7 @@ def ranked(
     part = replace(counts, detectors=names, over=counts.over[cells], tie=counts.tie[cells], item=item)
     shares = part.shares(np.ones((part.pixels.size, 1)))
     value = measured(measure, *shares, np.ones((len(looks), 1)))[:, 0]
-    both, still = _drawn(part, measure, m, draws, rng)
+    both, exchanged = _drawn(part, measure, m, draws, rng)
     best, drawn = goodness(measure, value, n), goodness(measure, both, n)
     enough = m >= fewest_objects(value.size)
     low, high = rank_sets(best, drawn, m) if enough else (np.ones(value.size, int), np.full(value.size, value.size))
@@ -286,7 +286,7 @@ def ranked(
         lower, upper = np.quantile(both, [0.025, 0.975], axis=1)
         upper = np.maximum(upper, clopper_pearson(0, n, 0.9)[1])
     else:
-        lower, upper = _limits(item, measure.of_look(*shares)[:, :, 0], still, n)
+        lower, upper = _limits(item, measure.of_look(*shares)[:, :, 0], exchanged, n)
     rank = np.array([1 + np.sum(best > x + 1e-12) for x in best], dtype=np.int64)
     first = np.mean(drawn >= drawn.max(axis=0) - 1e-12, axis=1)
     return RankedDetectors(
@@ -378,8 +378,8 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
 
     >>> from types import SimpleNamespace
     >>> at, red = np.arange(9).reshape(3, 3), {"name": "red", "material": "red", "spectrum": {"file": "red.csv"}}
-    >>> corners, own = {"a": (0, 0), "b": (2, 1)}, np.ones((1, 1), bool)
-    >>> both = [TargetObject(n, "red", 1.0, 1.0, (3, 3), x, own, None, {"name": n}) for n, x in corners.items()]
+    >>> corners, mask = {"a": (0, 0), "b": (2, 1)}, np.ones((1, 1), bool)
+    >>> both = [TargetObject(n, "red", 1.0, 1.0, (3, 3), x, mask, None, {"name": n}) for n, x in corners.items()]
     >>> place = SimpleNamespace(targets=both, target_pixels="touched", pixel_area_m2=1.0, pixels_of=lambda *_: at > 0)
     >>> maps = {"red-cem": np.where(at < 5, 1.0, np.nan), "red-ace": np.where(at == 4, np.nan, 1.0)}
     >>> maps |= {name: np.where(at == 8, np.nan, scores) for name, scores in maps.items()}  # no data
@@ -390,29 +390,29 @@ def block_counts(place: Place, maps: Mapping[str, Array], detection: Detection) 
     """
     names = tuple(detection.detectors)
     used = {t.name: [maps[map_name(t.name, detector)] for detector in names] for t in detection.targets}
-    finite = np.array([[np.isfinite(one) for one in some] for some in used.values()])  # (targets, detectors, ...)
-    every = place.pixels_of(*detection.false_alarms)
-    counted = every & finite.all(axis=(0, 1))
+    finite = np.array([[np.isfinite(one) for one in scores] for scores in used.values()])  # (targets, detectors, ...)
+    pixels = place.pixels_of(*detection.false_alarms)
+    counted = pixels & finite.all(axis=(0, 1))
     # What others have scores of, objects and pixels of the background: where none has the image holds no data.
     missing = np.zeros((2, len(names)), int)
-    missing[1] = np.count_nonzero(every & finite.any(axis=(0, 1)) & ~finite.all(axis=0), axis=(1, 2))
-    looks, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
+    missing[1] = np.count_nonzero(pixels & finite.any(axis=(0, 1)) & ~finite.all(axis=0), axis=(1, 2))
+    counts, item, number, group = list[Counts](), list[int](), dict[str, int](), dict[str, list[int]]()
     for target, subjects in _subjects(place, detection):
-        objects = {o.name: o for some in subjects.values() for o in some}
+        objects = {o.name: o for members in subjects.values() for o in members}
         greatest = np.array([list(object_scores(one, objects.values()).values()) for one in used[target]])
         found = np.isfinite(greatest)
         valid = found.all(axis=0)
         missing[0] += (found.any(axis=0) & ~found).sum(axis=1)
         index = {name: len(item) + i for i, name in enumerate(compress(objects, valid))}
         blocks = [AlarmBlocks.of_map(one, counted) for one in used[target]]
-        pairs = [counts_by_block(some[valid], each) for some, each in zip(greatest, blocks, strict=True)]
-        looks.append(np.array(pairs).transpose(1, 2, 0, 3))
+        pairs = [counts_by_block(scores[valid], each) for scores, each in zip(greatest, blocks, strict=True)]
+        counts.append(np.array(pairs).transpose(1, 2, 0, 3))
         item += [number.setdefault(name, len(number)) for name in index]
-        group |= {subject: [index[o.name] for o in some if o.name in index] for subject, some in subjects.items()}
+        group |= {subject: [index[o.name] for o in members if o.name in index] for subject, members in subjects.items()}
     group |= {pool.name: [i for s in pool.subjects for i in group.get(s, [])] for pool in detection.pools}
     group[EVERY_OBJECT] = list(range(len(item)))
     density = math.nan if place.pixel_area_m2 is None else 1e6 / place.pixel_area_m2
-    over, tie = np.concatenate(looks, axis=1)
+    over, tie = np.concatenate(counts, axis=1)
     lost = tuple(
         f"{name} has no score for {m} objects and {n} pixels of the background: no detector is ranked by them"
         for name, m, n in zip(names, *missing.tolist(), strict=True)
@@ -432,12 +432,12 @@ def detector_rows(
     maps = observed.detected.score_maps
     rows = list(side_rows(observed.observation, "measured"))
     counts = block_counts(place, maps, detection)
-    for name, looks in track(counts.group.items(), "ranks", len(counts.group)):
-        if len(set(counts.item[list(looks)])) < 2:
+    for name, columns in track(counts.group.items(), "ranks", len(counts.group)):
+        if len(set(counts.item[list(columns)])) < 2:
             continue  # no object orders detectors, and one by chance alone
         for measure in MEASURES.values():
             if counts.n * measure.least_pfa >= LEAST_EXPECTED_ALARMS:
-                ranks = ranked(counts, list(looks), measure, draws=DRAWS, rng=np.random.default_rng(seed))
+                ranks = ranked(counts, list(columns), measure, draws=DRAWS, rng=np.random.default_rng(seed))
                 rows += rank_rows(name, counts, measure, ranks)
     for name, reason in left_out.items():
         rows += named(skipped(Cause.REFUSED, reason, "rank"), PRODUCT, EVERY_OBJECT, f"{name}/object")
@@ -568,7 +568,7 @@ class Benchmarked(Run):
     Attributes
     ----------
     exit_code : of the error that stopped it; None when nothing did
-    here : subject, method and metric -> the row, where it has a value
+    values : subject, method and metric -> the row, where it has a value
     measures : metrics of all objects together
     groups : detectors that have the same value of each of these: they order the pixels alike
     """
@@ -576,17 +576,17 @@ class Benchmarked(Run):
     exit_code: int | None = None
 
     @cached_property
-    def here(self) -> dict[tuple[str, str, str], Result]:  # noqa: D102 - above
+    def values(self) -> dict[tuple[str, str, str], Result]:  # noqa: D102 - above
         return {(r.subject, r.method, r.metric): r for r in self.table.where(outcome=Outcome.NONE)}
 
     @cached_property
     def measures(self) -> list[str]:  # noqa: D102 - above
-        return [m for m in MEASURES if any((s, metric) == (EVERY_OBJECT, m) for s, _, metric in self.here)]
+        return [m for m in MEASURES if any((s, metric) == (EVERY_OBJECT, m) for s, _, metric in self.values)]
 
     @cached_property
     def groups(self) -> list[tuple[str, ...]]:  # noqa: D102 - above
         values: dict[str, dict[str, float]] = {}
-        for (subject, method, metric), found in self.here.items():
+        for (subject, method, metric), found in self.values.items():
             if subject == EVERY_OBJECT and metric in MEASURES:
                 values.setdefault(method.removesuffix("/object"), {})[metric] = found.value
         each = list(values.values())
@@ -594,7 +594,7 @@ class Benchmarked(Run):
 
     def standing(self, group: tuple[str, ...], metric: str, subject: str = EVERY_OBJECT) -> list[Result | None]:
         """Value, rank and share of first places of a group by a metric."""
-        return [self.here.get((subject, f"{group[0]}/object", f"{part}{metric}")) for part in ("", "rank_", "first_")]
+        return [self.values.get((subject, f"{group[0]}/object", f"{part}{metric}")) for part in ("", "rank_", "first_")]
 
     def ranks(self, metric: str) -> list[tuple[str, Result]]:
         """The names of each group and its rank by a metric on all objects, of those that have one."""
@@ -677,10 +677,10 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         if detection is not None and detection.halo_pixels:
             notes += ["ranks count the pixels of an object alone; the values by subject count the campaign's halo too"]
         notes = list(dict.fromkeys([*notes, *observed.observation.notes]))
-    return _of(job.campaign, rows, record, notes=notes)
+    return _benchmarked(job.campaign, rows, record, notes=notes)
 
 
-def _of(campaign: Any, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> Benchmarked:
+def _benchmarked(campaign: Any, rows: Iterable[Result], record: Mapping[str, Any], **more: Any) -> Benchmarked:
     more |= {"campaign": campaign.name, "title": campaign.title, "simulated": bool(campaign.simulated)}
     return Benchmarked(ResultTable(of_campaign(rows, campaign.name)), record, **more)
 
@@ -689,7 +689,7 @@ def _stopped(job: Job, outcome: Outcome, reason: str, code: int | None = None) -
     cause = Cause.NO_DATA if outcome is Outcome.SKIPPED else Cause.BROKEN
     row = Result("", PRODUCT, EVERY_OBJECT, "all", "benchmark", outcome=outcome, cause=cause, reason=reason)
     record = record_of(InputLog.of_file(job.path), [], None, {"campaign": job.outline}, [])
-    return _of(job.outline, [row], record, exit_code=code)
+    return _benchmarked(job.outline, [row], record, exit_code=code)
 
 
 def benchmark(
@@ -724,17 +724,17 @@ def benchmark(
     jobs, programs = jobs_of(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
     inputs = [*(one.path for job in jobs for one in job.files), *map(Path, scores.values())]
     with whole_folder(output, beside=inputs) as folder, workers(worker_count(len(jobs)), scheduler) as where:
-        here = where.executor is None  # one after the other, each with its own bars
+        one_process = where.executor is None  # one after the other, each with its own bars
         run = partial(benchmark_campaign, seed=seed, extensions=programs, scores=dict(scores))
         results = in_order(where, run, jobs, ahead=max(1, len(jobs)))
-        done = list(track(results, "campaigns", len(jobs), show=False if here else None))
+        done = list(track(results, "campaigns", len(jobs), show=False if one_process else None))
         read, each = {Path(p).name: sha256_of(Path(p)) for p in extensions}, {d.campaign: d.provenance for d in done}
         record = {"command": command_without_output(), "seed": seed, "extensions": read, "campaigns": each}
         figures, simulated = benchmark_figures(done), {d.campaign for d in done if d.simulated}
         drawings = [one for figure in figures for one in drawings_of([figure], simulated=figure.section in simulated)]
         rows = ResultTable(row for d in done for row in d.table)
         Run(rows, record).write(folder, benchmark_page(done, figures), drawings)
-    return next((d.exit_code for d in done if d.exit_code is not None), 0 if any(d.here for d in done) else 5)
+    return next((d.exit_code for d in done if d.exit_code is not None), 0 if any(d.values for d in done) else 5)
 
 
 _MOST_SUBJECTS = 30
@@ -755,8 +755,8 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
         rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in ranked.items()]
         dots = measured_mark("dots", columns_of(rows, ("x", "low", "high", "y")), marker="circle", along="x")
-        looks: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
-        marks = dots.by_kind([rank.lower <= 1 for _, rank in ranked.values()], looks)
+        styles: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
+        marks = dots.by_kind([rank.lower <= 1 for _, rank in ranked.values()], styles)
         none = far and any(row.value == 0.0 for row, _ in ranked.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         texts = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in ranked.items()]
@@ -769,8 +769,8 @@ def detector_figure(one: Benchmarked) -> Figure | None:
 
 def rank_figure(one: Benchmarked) -> Figure | None:
     """Ranks by subject, as a map: dark where the detector leads, with the set of ranks that are not refuted."""
-    metric = next((m for m in _RANK_METRICS if any(name == f"rank_{m}" for *_, name in one.here)), "")
-    every = list(dict.fromkeys(subject for subject, _, name in one.here if name == f"rank_{metric}"))
+    metric = next((m for m in _RANK_METRICS if any(name == f"rank_{m}" for *_, name in one.values)), "")
+    every = list(dict.fromkeys(subject for subject, _, name in one.values if name == f"rank_{metric}"))
     subjects = every[:_MOST_SUBJECTS]
     # Where all objects are one subject, the map would say it twice.
     if not metric or len({*subjects, EVERY_OBJECT}) < 3 or not one.groups:
@@ -818,8 +818,8 @@ def overview_figure(done: Sequence[Benchmarked]) -> Figure | None:
 def predicted_figure(one: Benchmarked) -> Figure | None:
     """Measured over predicted area and P_D, a point for each subject and detector, a view for each metric."""
     names = [name for name in MEASURES if not name.startswith("far")]
-    pairs = {name: [(key, one.here[*key[:2], name], row) for key, row in one.here.items()
-                    if key[2] == f"predicted_{name}" and (*key[:2], name) in one.here] for name in names}  # fmt: skip
+    pairs = {name: [(key, one.values[*key[:2], name], row) for key, row in one.values.items()
+                    if key[2] == f"predicted_{name}" and (*key[:2], name) in one.values] for name in names}  # fmt: skip
 
     def view(metric: str) -> Panels:
         numbers = [(p.value, m.value, m.lower, m.upper) for _, m, p in pairs[metric]]
@@ -845,7 +845,7 @@ def benchmark_page(done: Sequence[Benchmarked], figures: Sequence[Figure]) -> st
     """The page."""
     return page(
         "benchmark.html.j2", figures, figures=figures, all=len(done), count=sum(len(d.table) for d in done),
-        entries=[one for one in done if one.here],  # the others are named under what was not run
+        entries=[one for one in done if one.values],  # the others are named under what was not run
         skipped=[r for d in done for r in d.table if r.outcome in (Outcome.SKIPPED, Outcome.ERROR)],
         measures=MEASURES, rank_text=_rank_text, number=number_text, isfinite=math.isfinite,
     )  # fmt: skip

@@ -445,10 +445,10 @@ class Sensor:
         ------
         UsageError : a band lies outside all arms.
         """
-        spec, on = self.specification, self.axis if axis is None else axis
-        calibration = self._at("calibration_error_percent", on.centre_nm)
-        measured = spec.measured_noise
-        model = self._measured_noise(measured, on.centre_nm, calibration) if measured else self._noise(on, calibration)
+        measured, bands = self.specification.measured_noise, self.axis if axis is None else axis
+        nm = bands.centre_nm
+        calibration = self._values("calibration_error_percent", nm)
+        model = self._measured_noise(measured, nm, calibration) if measured else self._noise(bands, calibration)
         return model if operation is None else averaged_noise(model, operation)
 
     def operated_noise(
@@ -458,10 +458,10 @@ class Sensor:
         """Noise as the sensor is run and changed (3.13-3.20), bands binned; ``kept``: that of each way to run it."""
         key = "noise", repr(operation)
         if key not in kept:
-            on = self.axis if axis is None else axis
+            bands = self.axis if axis is None else axis
             with np.errstate(all="ignore"):  # numbers of the file that `sensor check` judges
                 kept[key] = self.noise(axis, operation)
-                dead = on.centre_nm[on.good & ~(kept[key].snr(np.ones(len(on))) > 0.0)]  # a bad band may be blind
+                dead = bands.centre_nm[bands.good & ~(kept[key].snr(np.ones(len(bands))) > 0.0)]  # bad ones may be dark
             refuse(dead.size, "sensor.no_signal", name=self.name, nm=dead[:1])
         model: NoiseModel = kept[key] if changes is None else changed_noise(kept[key], changes)
         count = operation.spectral_binning if operation else 1
@@ -491,7 +491,7 @@ class Sensor:
             notes.append(f"bands stand {shift_nm.min():+.3g} to {shift_nm.max():+.3g} nm off their labels")
         return [f"sensor {self.name}: {text}" for text in notes]
 
-    def _at(self, name: str, w: Array, arm: Arm | None = None) -> Array:
+    def _values(self, name: str, w: Array, arm: Arm | None = None) -> Array:
         """(B,) values of a quantity of the file or of an arm."""
         quantity = getattr(arm or self.specification, name)
         values = np.asarray(quantity.value_cm2_sr if isinstance(quantity, Throughput) else quantity.at(w))
@@ -506,24 +506,24 @@ class Sensor:
         gain = self.specification.detector_gain
         return NoiseModel(1.0 / a**2, np.sqrt(b) / a, gain, np.zeros(w.size), 1, 0.0, calibration, c, full)
 
-    def _noise(self, on: SpectralAxis, calibration: Array) -> NoiseModel:
-        spec, w, arms = self.specification, on.centre_nm, self.arm_index(on.centre_nm)
+    def _noise(self, bands: SpectralAxis, calibration: Array) -> NoiseModel:
+        spec, w, width, arms = self.specification, bands.centre_nm, bands.fwhm_nm, self.arm_index(bands.centre_nm)
 
         def by_arm(values: Callable[[Arm], Any]) -> npt.NDArray[Any]:
             """(B,) values of each band's own arm."""
             return np.stack([np.broadcast_to(values(arm), w.shape) for arm in spec.arms])[arms, np.arange(w.size)]
 
         def gain(arm: Arm) -> Array:
-            optics = {key: self._at(key, w, arm) for key in _FACTORS_OF_GAIN}
-            return electrons_per_radiance(w, on.fwhm_nm, throughput_cm2_sr=self._at("throughput", w, arm), **optics)
+            optics = {key: self._values(key, w, arm) for key in _FACTORS_OF_GAIN}
+            return electrons_per_radiance(w, width, throughput_cm2_sr=self._values("throughput", w, arm), **optics)
 
         g, bits = by_arm(gain), by_arm(lambda arm: arm.bits)
-        rate = by_arm(lambda arm: self._at("bit_error_rate", w, arm))
+        rate = by_arm(lambda arm: self._values("bit_error_rate", w, arm))
         units: dict[str, Any] = {"full_well_electrons": 1.0, "saturation_radiance": g}
         stated = {arm.name: next(way for way in units if getattr(arm, way) is not None) for arm in spec.arms}
-        full = by_arm(lambda arm: self._at(stated[arm.name], w, arm) * units[stated[arm.name]])
+        full = by_arm(lambda arm: self._values(stated[arm.name], w, arm) * units[stated[arm.name]])
         return NoiseModel(
-            g, by_arm(lambda arm: self._at("fixed_noise_electrons", w, arm)), spec.detector_gain, full * 0.5**bits,
+            g, by_arm(lambda arm: self._values("fixed_noise_electrons", w, arm)), spec.detector_gain, full * 0.5**bits,
             int(bits[0]) if np.all(bits == bits[0]) else bits,
             float(rate[0]) if np.all(rate == rate[0]) else rate,
             calibration, None, full / g,

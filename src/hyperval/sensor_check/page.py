@@ -123,7 +123,7 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     points = check.points
     if not points:
         return
-    looks = {
+    styles = {
         "value": {"marker": "circle", "colour": SOURCES[0], "label": "published value"},
         "at least": {"marker": "square", "colour": SOURCES[2], "label": "published lower bound"},
         "unstated": {"marker": "tick", "colour": SOURCES[7], "label": "no radiance stated: not judged"},
@@ -131,10 +131,10 @@ def _published(check: SensorCheck) -> Iterator[Figure]:
     kinds = [point.item.says if point.judged else "unstated" for point in points]
     columns = {"x": np.array([p.computed / p.published for p in points]), "y": np.arange(len(points), dtype=float)}
     words = tuple(f"{p.computed:.0f} / {p.published:g}" for p in points)
-    marks = Mark("dots", columns, words=words, beside="right").by_kind(kinds, looks)
+    marks = Mark("dots", columns, words=words, beside="right").by_kind(kinds, styles)
     names = [f"{p.wavelength_nm:g} nm" for p in points]
-    rules, known = (1.0 - TOLERANCE, 1.0, 1.0 + TOLERANCE), columns["x"][np.isfinite(columns["x"])]
-    x = Axis("computed / published", ends=(0.9 * min(*rules, *known), 1.15 * max(*rules, *known)))
+    rules, finite = (1.0 - TOLERANCE, 1.0, 1.0 + TOLERANCE), columns["x"][np.isfinite(columns["x"])]
+    x = Axis("computed / published", ends=(0.9 * min(*rules, *finite), 1.15 * max(*rules, *finite)))
     listed = "; ".join(f"{name} {p.computed:.0f} to {p.published:g}" for name, p in zip(names, points, strict=True))
     yield of_rows("published-snr", x, Axis.named(names), marks, listed, rules=rules, percent=100 * TOLERANCE)
 

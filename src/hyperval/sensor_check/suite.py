@@ -376,7 +376,7 @@ Values = Iterator[Found]
 class Check:
     """One line of the acceptance, as checks.toml says what its entries are.
 
-    ``measure`` : name of a function of this module that gives the values; ``of`` : what it is given
+    ``measure`` : name of a function of this module that gives the values; ``of`` : its argument
     """
 
     stage: int
@@ -500,9 +500,9 @@ def band_count(check: SensorCheck) -> Values:
     yield Found(len(check.axis), words=f"{check.axis.good.sum()} of them good")
 
 
-def end(check: SensorCheck, of: str) -> Values:
+def end(check: SensorCheck, side: str) -> Values:
     """Centre of the first or the last band."""
-    yield Found(check.axis.centre_nm[0 if of == "first" else -1])
+    yield Found(check.axis.centre_nm[0 if side == "first" else -1])
 
 
 def _contiguous(check: SensorCheck) -> Mask:
@@ -533,12 +533,12 @@ def gap(check: SensorCheck) -> Values:
         yield Found(unseen[k], words=f"{check.axis.centre_nm[k]:g} and {check.axis.centre_nm[k + 1]:g} nm")
 
 
-def response(check: SensorCheck, of: str) -> Values:
+def response(check: SensorCheck, moment: str) -> Values:
     """The worst integral, centre of mass or width of the responses as they are applied."""
     area, centroid, width = applied_moments(check.axis)
     fwhm = check.axis.fwhm_nm
     errors = {"integral": area - 1.0, "centroid": centroid / fwhm, "width": width / fwhm - 1.0}
-    yield _worst(check.axis, np.abs(errors[of]))
+    yield _worst(check.axis, np.abs(errors[moment]))
 
 
 def outside_arms(check: SensorCheck) -> Values:
@@ -556,7 +556,7 @@ def bands_of_two_arms(check: SensorCheck) -> Values:
 
     >>> file = load_sensor("hyperion").specification
     >>> arms = file.arms[0], file.arms[1].model_copy(update={"range_nm": (840.0, 2600.0)})
-    >>> both = (SensorCheck(Sensor(file.model_copy(update={"arms": own}))) for own in (file.arms, arms))
+    >>> both = (SensorCheck(Sensor(file.model_copy(update={"arms": kept}))) for kept in (file.arms, arms))
     >>> [[(found.value, found.words) for found in bands_of_two_arms(check)] for check in both]
     [[], [(9, 'from 844 to 925.41 nm')]]
     """
@@ -572,21 +572,21 @@ def bands_of_arm(check: SensorCheck) -> Values:
     yield from (Found(counts.get(arm.name, 0), arm.name) for arm in check.sensor.specification.arms)
 
 
-def least(check: SensorCheck, of: str) -> Values:
+def least(check: SensorCheck, quantity: str) -> Values:
     """Least value of a quantity of each arm over its bands."""
     for arm, axis in check.arms:
-        yield _worst(axis, getattr(arm, of).at(axis.centre_nm), arm.name, least=True)
+        yield _worst(axis, getattr(arm, quantity).at(axis.centre_nm), arm.name, least=True)
 
 
-def greatest(check: SensorCheck, of: str) -> Values:
+def greatest(check: SensorCheck, quantity: str) -> Values:
     """Greatest value of a quantity of each arm over its bands."""
-    yield from (Found(float(getattr(arm, of).at(axis.centre_nm).max()), arm.name) for arm, axis in check.arms)
+    yield from (Found(float(getattr(arm, quantity).at(axis.centre_nm).max()), arm.name) for arm, axis in check.arms)
 
 
-def beyond_table(check: SensorCheck, of: str) -> Values:
-    """Bands of each arm that lie beyond the table of a quantity."""
+def beyond_table(check: SensorCheck, quantity: str) -> Values:
+    """Number of bands of each arm beyond the table of a quantity."""
     for arm, axis in check.arms:
-        if (table := getattr(arm, of).table) is not None:
+        if (table := getattr(arm, quantity).table) is not None:
             (first, _), (last, _) = table[0], table[-1]
             w, width = axis.centre_nm, axis.fwhm_nm
             beyond = int(np.count_nonzero((w < first - width) | (w > last + width)))
@@ -642,15 +642,15 @@ def quantisation(check: SensorCheck) -> Values:
         yield _worst(check.axis, ratio, f"reflectance {DARK:g}")
 
 
-def calibration_end(check: SensorCheck, of: str) -> Values:
+def calibration_end(check: SensorCheck, extreme: str) -> Values:
     """The least or greatest C_R; none where it is left out, as 0."""
     values = check.noise.calibration_percent
     if np.any(values > 0.0):
-        yield _worst(check.axis, values, least=of == "lowest")
+        yield _worst(check.axis, values, least=extreme == "lowest")
 
 
-def fixed_noise_over(check: SensorCheck, of: str) -> Values:
-    """Fixed noise over that of rounding, where it is least, or over full scale, where it is greatest.
+def fixed_noise_over(check: SensorCheck, reference: str) -> Values:
+    """Fixed noise over rounding noise, at its least, or over full scale, at its greatest.
 
     >>> from hyperval.sensor.specification import load_sensor
     >>> file = load_sensor("casi-1500").specification
@@ -665,8 +665,8 @@ def fixed_noise_over(check: SensorCheck, of: str) -> Values:
     """
     noise, step = check.noise, np.asarray(check.noise.lsb_electrons)
     if noise.constant is None and np.all(noise.fixed_noise > 0.0):
-        scale = step / math.sqrt(12.0) if of == "rounding" else step * 2.0 ** np.asarray(noise.bits, float)
-        yield _worst(check.axis, noise.fixed_noise / scale, least=of == "rounding")
+        scale = step / math.sqrt(12.0) if reference == "rounding" else step * 2.0 ** np.asarray(noise.bits, float)
+        yield _worst(check.axis, noise.fixed_noise / scale, least=reference == "rounding")
 
 
 def saturation(check: SensorCheck) -> Values:
@@ -704,12 +704,12 @@ def growth(check: SensorCheck) -> Values:
         yield worst._replace(words=f"{name} at {worst.words}")
 
 
-def published(check: SensorCheck, of: str) -> Values:
+def published(check: SensorCheck, statement: str) -> Values:
     """Computed over published ratios, of values or of lower bounds; a file without any says so once."""
-    if not check.points and of == "value":
+    if not check.points and statement == "value":
         yield Found(words="the file holds no published ratio to compare with", outcome=Outcome.NONE)
-    for point in (point for point in check.points if point.item.says == of):
-        subject, bound = f"{point.wavelength_nm:g} nm", "at least " if of == "at least" else ""
+    for point in (point for point in check.points if point.item.says == statement):
+        subject, bound = f"{point.wavelength_nm:g} nm", "at least " if statement == "at least" else ""
         words = (
             f"computed {point.computed:.0f} at {point.radiance:.3g} uW cm-2 sr-1 nm-1, "
             f"published {bound}{point.published:g}: {point.item.source}"
@@ -779,11 +779,11 @@ def detection(check: SensorCheck) -> Values:
         yield Found(float(detection_at(curve, FALSE_ALARM)), f"{name}, {subject} {detector}")
 
 
-def swings(check: SensorCheck, of: str) -> Values:
-    """The change of the SNR or of P_D with every assumed number, lowered and raised."""
-    probe, words = check.probe if of == "detection" else None, ""
+def swings(check: SensorCheck, output: str) -> Values:
+    """The change of the SNR or of P_D when each assumed number is lowered and raised."""
+    probe, words = check.probe if output == "detection" else None, ""
     if probe is not None:
         words = f"{probe.key[0]} by {probe.key[1]} at P_FA 0.001, where P_D is {probe.value:.3f}"
-    for swing in check.swings if words or of == "snr" else ():
-        for sign, change in zip("-+", getattr(swing, of), strict=True):
+    for swing in check.swings if words or output == "snr" else ():
+        for sign, change in zip("-+", getattr(swing, output), strict=True):
             yield Found(change, f"{swing.name} {sign}{100 * check.vary:g} %", words or swing.source)

@@ -277,11 +277,11 @@ def simulate(scene: SceneFile | Path | str, folder: Path, *, inputs: SimulationI
         fit the integers.
     InputError, EngineError : a missing file or atmosphere engine.
     """
-    beside = Path()
+    base = Path()
     if not isinstance(scene, SceneFile):
-        beside = Path(scene).parent
+        base = Path(scene).parent
         scene = load_scene(Path(scene))
-    inputs = inputs or load_inputs(scene, beside)
+    inputs = inputs or load_inputs(scene, base)
     bands = len(inputs.axis)
     pixels = scene.lines * scene.samples
     if pixels > MAX_MAP_PIXELS or 2 * pixels * bands > MAX_CUBE_BYTES:

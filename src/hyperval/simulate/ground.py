@@ -171,8 +171,8 @@ def lay_out(scene: SceneFile) -> GroundLayout:
     fill = np.zeros(class_map.shape, np.float32)
     for plank in planks:
         pixels, host = (plank.lines, plank.samples), surfaces.index(plank.group.host)
-        inside = np.all([(index >= 0) & (index < size) for index, size in zip(pixels, fill.shape, strict=True)])
-        if not inside or np.any(class_map[pixels] != host):
+        in_image = np.all([(index >= 0) & (index < size) for index, size in zip(pixels, fill.shape, strict=True)])
+        if not in_image or np.any(class_map[pixels] != host):
             where = {"centre_line": plank.centre_line, "centre_sample": plank.centre_sample}
             raise refusal("scene.host", name=plank.name, host=plank.group.host, **where)
         fill[pixels] += plank.fills.astype(np.float32)
@@ -373,8 +373,8 @@ class SurfaceRenderer:
         rho *= self._texture[line][:, None]
         rho *= (1.0 - self.ground.fill[line])[:, None]
         for plank, spectrum in self._seen.get(line, ()):
-            here = plank.lines == line
-            rho[plank.samples[here]] += plank.fills[here, None].astype(np.float32) * spectrum
+            on_line = plank.lines == line
+            rho[plank.samples[on_line]] += plank.fills[on_line, None].astype(np.float32) * spectrum
         if self.scene.mode == "broken":
             # Heavy tails reach where no surface can; in closure the model's own law is kept whole.
             np.clip(rho, 0.0, 1.0, out=rho)

@@ -158,33 +158,33 @@ _GAP = 5.0  # times the median step between bands: what stands beside one does n
 
 
 def fwhm_from_spacing(centre_nm: npt.ArrayLike) -> tuple[Array, Mask]:
-    """Widths (B,) of bands of which nobody states any: their spacing [nm]; and (B,) which of them stand beside a gap.
+    """Widths (B,) of bands without a stated one: their spacing [nm]; and (B,) which of them are beside a gap.
 
     Beside a gap a band is as wide as the step on its other side or, where it stands alone, as the median step.
 
-    >>> widths, apart = fwhm_from_spacing([400.0, 405.0, 411.0, 415.0, 940.0, 1040.0])
-    >>> widths.tolist(), apart.tolist()
+    >>> widths, beside_gap = fwhm_from_spacing([400.0, 405.0, 411.0, 415.0, 940.0, 1040.0])
+    >>> widths.tolist(), beside_gap.tolist()
     ([5.0, 5.5, 5.0, 4.0, 6.0, 6.0], [False, False, False, True, True, True])
     """
     centre = np.asarray(centre_nm, dtype=float)
     refuse(centre.size < 2, "axis.single")
     step, width = np.diff(centre), np.gradient(centre)
     sides, most = np.stack([step[[0, *range(step.size)]], step[[*range(step.size), -1]]]), _GAP * np.median(step)
-    nearer, apart = sides.min(axis=0), sides.max(axis=0) > most
-    return np.where(apart, np.where(nearer > most, most / _GAP, nearer), width), np.asarray(apart)
+    nearer, beside_gap = sides.min(axis=0), sides.max(axis=0) > most
+    return np.where(beside_gap, np.where(nearer > most, most / _GAP, nearer), width), np.asarray(beside_gap)
 
 
-def spacing_note(lacking: str, apart: Array) -> str:
-    """What is to be said of :func:`fwhm_from_spacing`, by what is lacking; ``apart``: centres beside gaps [nm].
+def spacing_note(lacking: str, lone_nm: Array) -> str:
+    """The note on :func:`fwhm_from_spacing`, by what is ``lacking``; ``lone_nm``: centres beside gaps [nm].
 
-    >>> [spacing_note("none", np.array(apart)).partition(": ")[0] for apart in ([415.0], [])]
+    >>> [spacing_note("none", np.array(nm)).partition(": ")[0] for nm in ([415.0], [])]
     ['warning', 'none']
     """
-    note, first = f"{lacking}: band widths are taken as the band spacing", ", ".join(f"{nm:.4g}" for nm in apart[:5])
-    beside = f"{apart.size} bands beside gaps (the first: {first} nm)"
+    note, first = f"{lacking}: band widths are taken as the band spacing", ", ".join(f"{nm:.4g}" for nm in lone_nm[:5])
+    beside = f"{lone_nm.size} bands beside gaps (the first: {first} nm)"
     guess = f"warning: {note}; those of {beside} are guesses by nearer bands"
     mend = "list all in the header (fwhm) or in a table of the bands (collection.bands: fwhm_column)"
-    return f"{guess}: {mend}" if apart.size else note
+    return f"{guess}: {mend}" if lone_nm.size else note
 
 
 # A Gaussian of FWHM w has sigma = w / (2 sqrt(2 ln 2)).

@@ -101,9 +101,9 @@ def _array(raw: bytes, start: int, count: int, dtype: np.dtype, where: str, *, r
     values = np.frombuffer(raw, dtype, count, start).astype(float)
     before, after = np.pad(values, 1, mode="reflect")[:-2], np.pad(values, 1, mode="reflect")[2:]
     with np.errstate(all="ignore"):
-        beyond = np.maximum(values - np.maximum(before, after), np.minimum(before, after) - values)
+        excess = np.maximum(values - np.maximum(before, after), np.minimum(before, after) - values)
         most = max(_SPIKE * np.abs(values).max(), _SPIKE_STEPS * float(np.median(np.abs(np.diff(values)))))
-        bad = ~np.isfinite(values) | ((beyond > most) & (not ratio))
+        bad = ~np.isfinite(values) | ((excess > most) & (not ratio))
     empty = np.convolve(values == 0.0, np.ones(_EMPTY), "valid") == _EMPTY
     channel = int(np.argmax(bad)) if bad.any() else int(np.argmax(empty))
     others = "" if bad.any() else f", as do the {_EMPTY - 1} after it"
@@ -143,8 +143,8 @@ def calibrated(
         powers = _calibrations(raw, end_of_reference, stored.size, dtype)
     except (struct.error, IndexError, ValueError) as error:
         raise refusal("asd.calibration", where, why=error) from None
-    wanted = (LAMP, RESPONSE) if receptor else (BASE, LAMP, RESPONSE)
-    refuse(any(k not in powers for k in wanted), "asd.uncalibrated", where, power=kind)
+    parts = (LAMP, RESPONSE) if receptor else (BASE, LAMP, RESPONSE)
+    refuse(any(k not in powers for k in parts), "asd.uncalibrated", where, power=kind)
     response, integration_ms, own_gains = powers[RESPONSE]
     gains, joins, integration = head["gains"].tolist(), head["joins"].tolist(), int(head["integration"])
     refuse(not (integration and integration_ms > 0 and all(gains) and all(own_gains)), "asd.settings", where)
@@ -297,5 +297,5 @@ def on_one_grid(
 ) -> list[FieldSpectrum]:
     """Spectra (spectrum, channel) on one set of wavelengths."""
     named, nm = zip(names, np.asarray(rows, float), strict=True), np.asarray(wavelength, float)
-    of = str(source)
-    return [FieldSpectrum(str(name), nm, row, source=of, wavelength_unit=unit, unit=scale) for name, row in named]
+    origin = str(source)
+    return [FieldSpectrum(str(name), nm, row, source=origin, wavelength_unit=unit, unit=scale) for name, row in named]

@@ -48,19 +48,19 @@ def hypernets_records(file: SpectraFile) -> list[FieldSpectrum]:
     nm, rho, matrix = values["wavelength"], values["reflectance"].T, values["err_corr_systematic_reflectance"]
     disorder = nm.size < 2 or np.any(np.diff(nm) <= 0) or not (nm[0] > 200.0 and nm[-1] < 3000.0)
     refuse(disorder, "hypernets.wavelengths", path)
-    beyond = not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01)
-    refuse(beyond, "hypernets.correlation", path)
+    implausible = not np.all(np.abs(matrix) <= 1.0 + 1e-6) or np.any(np.abs(np.diag(matrix) - 1.0) > 0.01)
+    refuse(implausible, "hypernets.correlation", path)
     random, systematic = (0.01 * values[f"u_rel_{kind}_reflectance"].T for kind in ("random", "systematic"))
     refuse(np.any(random < 0.0) or np.any(systematic < 0.0), "network.negative", path)
     flags, scans = (np.nan_to_num(values[name]).astype(np.int64) for name in ("quality_flag", "n_valid_scans"))
-    views = zip(values["viewing_zenith_angle"], values["viewing_azimuth_angle"], strict=True)
+    directions = zip(values["viewing_zenith_angle"], values["viewing_azimuth_angle"], strict=True)
     correlation, records = _without_rounding(matrix), []
-    for i, (zenith, azimuth) in enumerate(views):
+    for i, (zenith, azimuth) in enumerate(directions):
         name = f"series {i + 1}: zenith {zenith:.0f} azimuth {azimuth:.0f}"
         size, spread = np.abs(rho[i]), values["std_reflectance"][:, i]
         notes = (f"quality flags {flags[i]:#x}",) if flags[i] else ()
-        told = {"errors": SpectrumErrors(random[i] * size, systematic[i] * size, correlation), "notes": notes, **_UNITS}
-        records.append(FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, **told))
+        more = {"errors": SpectrumErrors(random[i] * size, systematic[i] * size, correlation), "notes": notes, **_UNITS}
+        records.append(FieldSpectrum(name, nm, rho[i], spread, int(scans[i]) or None, **more))
     return records
 
 

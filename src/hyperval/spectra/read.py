@@ -125,7 +125,7 @@ def _at_hand(library: Any) -> list[FieldSpectrum]:
 def _refused(file: SpectraFile) -> list[FieldSpectrum]:
     """Raise InputError for a format that is known and not read, with how to get at its numbers."""
     name = next(name for mark, name in _NOT_READ.items() if file.head.startswith(mark))
-    raise refusal("record.format", file.path, name=name, known=file.known)
+    raise refusal("record.format", file.path, name=name, known=file.formats)
 
 
 def _begins(*marks: bytes) -> Callable[[SpectraFile], bool]:
@@ -152,7 +152,7 @@ FORMATS: tuple[tuple[str, Callable[[SpectraFile], object], Callable[[SpectraFile
 
 
 def _records(file: SpectraFile) -> list[FieldSpectrum]:
-    file, path = replace(file, known=", ".join(name for name, *_ in FORMATS if name)), file.path
+    file, path = replace(file, formats=", ".join(name for name, *_ in FORMATS if name)), file.path
     refuse_own(path)
     records = next(read for _, knows, read in FORMATS if knows(file))(file)
     # ..._rdn_... as the producers of images name what they cut out of them: it counts where the file says nothing.

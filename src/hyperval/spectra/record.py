@@ -33,14 +33,14 @@ class SpectraFile:
     Attributes
     ----------
     columns, quantity, wavelengths : what the caller says of it
-    known : the formats that are read, for messages
+    formats : that are read, for messages
     """
 
     path: Path
     columns: tuple[str | int, ...] | None = None
     quantity: str = "reflectance"
     wavelengths: Path | str | None = None
-    known: str = ""
+    formats: str = ""
 
     @cached_property
     def raw(self) -> bytes:
@@ -61,7 +61,7 @@ class SpectraFile:
         """The file as text (InputError where it is none), without the NUL that ViewSpec pads a comment with."""
         raw, plain = self.raw, self.raw.replace(b"\0", b"")
         filled = plain.translate(None, _TEXT) or len(plain) < 0.5 * len(raw)
-        refuse(b"\0" in self.head and filled, "record.binary", self.path, known=self.known)
+        refuse(b"\0" in self.head and filled, "record.binary", self.path, known=self.formats)
         return decoded(raw).replace("\0", "")
 
 

@@ -76,7 +76,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
     """
     path, columns, middles = file.path, file.columns, tuple[str, ...]()
     header, table, first_line = number_table(text or file.text, path)
-    where, whole = str(path), "\n".join(header)
+    where, header_text = str(path), "\n".join(header)
     titles = _titles(header, table.shape[1], where)
     if columns is not None:
         picked = [_column(c, titles, where) for c in columns]
@@ -84,7 +84,7 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         table, titles = table[:, picked], [titles[i] for i in picked]
         spread = {1: 2} if len(picked) == 3 else {}
     else:
-        # The first column counts the rows where the second has the title of wavelengths.
+        # Where the title of the second column is that of wavelengths the first may count the rows.
         counts = len(titles) > 2 and bool(_WAVE.search(titles[1]) and not _WAVE.search(titles[0]))
         counts = counts and bool(table[0, 0] in (0.0, 1.0) and np.all(np.diff(table[:, 0]) == 1.0))
         holds = np.flatnonzero(~np.isnan(table).all(axis=0))[1 if counts else 0 :]  # a column may be empty
@@ -95,38 +95,38 @@ def text_records(file: SpectraFile, text: str | None = None) -> list[FieldSpectr
         spread = _deviations(titles)
     refuse(table.shape[1] < 2, "text.single", f"{path}:{first_line}")
     nm = table[:, 0]
-    ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(whole, f"{key} X Value") or "")]
-    check_stated(nm, where, _entry(whole, "Number of X Values"), ends)
-    replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", whole), _entry(whole, "Name") or ""
-    unit, y_units = wavelength_unit_in(titles[0], whole, where), _entry(whole, "Y Units?")
-    above = match.group() if (match := _ABOVE.search(whole)) else ""
+    ends = [float(e) for key in ("First", "Last") if is_number(e := _entry(header_text, f"{key} X Value") or "")]
+    check_stated(nm, where, _entry(header_text, "Number of X Values"), ends)
+    replicates, of_header = re.search(r"\bN\s*=\s*([0-9]{1,9})\b", header_text), _entry(header_text, "Name") or ""
+    unit, y_units = wavelength_unit_in(titles[0], header_text, where), _entry(header_text, "Y Units?")
+    above = match.group() if (match := _ABOVE.search(header_text)) else ""
     counted = [i for i in range(2, len(titles)) if title_words(titles[i])[0] in ("n", "count", "number", "replicates")]
     counted = [i for i in counted if np.all(table[:, i] == np.maximum(1.0, np.round(table[0, i])))]
     n = int(table[0, counted[0]]) if counted else int(replicates[1]) if replicates else None
-    records, others = list[FieldSpectrum](), {*spread.values(), *counted}
+    records, skipped = list[FieldSpectrum](), {*spread.values(), *counted}
     zero = ("a standard deviation of 0 everywhere is none",)
     for i in range(1, table.shape[1]):
         steps = np.diff(table[np.isfinite(table[:, i]), i])
         is_again = titles[i] == titles[0] != "" and _UNIT_TITLE.match(titles[i])
         if i > 1 and (is_again or _WAVE.search(titles[i])) and abs(np.sign(steps).sum()) == steps.size:
-            nm, unit = table[:, i], wavelength_unit_in(titles[i], whole, where)
-        if i in others or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
+            nm, unit = table[:, i], wavelength_unit_in(titles[i], header_text, where)
+        if i in skipped or (i > 1 and np.array_equal(table[:, i], nm, equal_nan=True)):
             continue
         has, times = np.isfinite(nm), _COVERAGE.search(titles[spread.get(i, 0)])
         refuse(not times and _EXPANDED.search(titles[spread.get(i, 0)]), "text.coverage", where)
-        beside = table[has, spread[i]] / float((times[1] or times[2]) if times else 1.0) if i in spread else None
-        unmeasured = beside is not None and not beside.any()
+        spread_values = table[has, spread[i]] / float((times[1] or times[2]) if times else 1.0) if i in spread else None
+        unmeasured = spread_values is not None and not spread_values.any()
         says = y_units or (titles[i] if quantity_in(titles[i]) or percent_in(titles[i]) else above or titles[i])
         factor, value_unit = percent_in(titles[spread.get(i, 0)]), power_unit_in(says) or percent_in(says)
         unlike = i in spread and factor not in (None, value_unit or "fraction")
         refuse(unlike, "text.spread", where, title=titles[spread.get(i, 0)])
         alone = columns is None and (words := title_words(titles[i]))[1] and (not words[0] or len(titles) == 2)
         quantity = "a standard deviation" if alone else quantity_in(says)
-        told: dict[str, Any] = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n}
-        told |= {"notes": middles + zero * unmeasured, "standard_deviation": None if unmeasured else beside}
-        records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **told))
+        fields: dict[str, Any] = {"quantity": quantity, "wavelength_unit": unit, "unit": value_unit, "n": n}
+        fields |= {"notes": middles + zero * unmeasured, "standard_deviation": None if unmeasured else spread_values}
+        records.append(FieldSpectrum(titles[i], nm[has], table[has, i], **fields))
     if len(records) == 1:
-        return [replace(records[0], name=of_header or (titles[1] if whole.startswith(_PLOT) else path.stem))]
+        return [replace(records[0], name=of_header or (titles[1] if header_text.startswith(_PLOT) else path.stem))]
     return [replace(r, name=r.name or f"column {k}") for k, r in enumerate(records, start=1)]
 
 
@@ -456,7 +456,7 @@ def row_records(file: SpectraFile) -> list[FieldSpectrum]:
 
 
 def _of_row(name: str, about: dict[str, str], titles: list[str], numbers: list[Any], where: str) -> FieldSpectrum:
-    """The spectrum of a row by the titles of its bands, and what the columns before them say of it."""
+    """The spectrum of a row by the titles of its bands, with the facts of the columns before them."""
     if None in numbers:
         raise refusal("text.cell", where, title=titles[numbers.index(None)])
     values, suffix = np.array(numbers, dtype=float), _WAVELENGTH.match(titles[0])
@@ -464,9 +464,9 @@ def _of_row(name: str, about: dict[str, str], titles: list[str], numbers: list[A
     said = "percent" if "percent" in about.get("measurement units", "").lower() else percent_in(titles[0])
     doubtful = said == "percent" and (most := np.nanmax(values, initial=0.0)) <= 1.5
     doubt = f"the file says percent, and the values reach {most:.3g}" if doubtful else None
-    known: dict[str, Any] = {"wavelength_unit": unit, "unit": None if doubt else said, "source": where, "doubt": doubt}
+    fields: dict[str, Any] = {"wavelength_unit": unit, "unit": None if doubt else said, "source": where, "doubt": doubt}
     quantity = quantity_in(about.get("measurement quantity", about.get("measurement", "ppfd" * ("ppfd" in about))))
-    return FieldSpectrum(name, _wavelengths(titles), values, quantity=quantity, **known)
+    return FieldSpectrum(name, _wavelengths(titles), values, quantity=quantity, **fields)
 
 
 def _wavelengths(titles: list[str]) -> Array:
@@ -539,9 +539,9 @@ def sig_records(file: SpectraFile) -> list[FieldSpectrum]:
     path, of_ger = file.path, file.head.startswith(b"///GER")
     entries, _, table, start = _below(file, "data=", "=")
     count, units = table.shape[1], entries.get("units", "").split(",")[-1].strip().lower()
-    wanted = ("target, reference, perhaps" if of_ger else "reference, target,") + " reflectance in percent"
+    expected = ("target, reference, perhaps" if of_ger else "reference, target,") + " reflectance in percent"
     unlike = count != 4 and (count != 3 or not of_ger)
-    refuse(unlike, "sig.columns", f"{path}:{start}", count=count, wanted=f"wavelength, {wanted}")
+    refuse(unlike, "sig.columns", f"{path}:{start}", count=count, wanted=f"wavelength, {expected}")
     name = entries.get("name", "").removesuffix(".sig") or path.stem
     nm, percent = table[:, 0], table[:, -1]
     if count == 3:
@@ -571,40 +571,40 @@ def sed_records(file: SpectraFile) -> list[FieldSpectrum]:
     path, where = file.path, str(file.path)
     stated, below, table, start = _below(file, "Data:", ":", titles=1)
     titles, where_titles = [t.strip() for t in below[0].split("\t")], f"{path}:{start - 1}"
-    wanted = file.quantity if file.quantity in SVC_UNITS else "reflectance"
-    pattern = r"reflect|tgt\.?\s*/\s*ref" if wanted == "reflectance" else rf"{wanted[:3]}\w*\.?\s*\(target"
+    quantity = file.quantity if file.quantity in SVC_UNITS else "reflectance"
+    pattern = r"reflect|tgt\.?\s*/\s*ref" if quantity == "reflectance" else rf"{quantity[:3]}\w*\.?\s*\(target"
     # Behind a column of wavelengths, which numbers of channels may precede.
     waves, columns = (
         [i for i, title in enumerate(titles) if re.match(words, title, re.IGNORECASE)]
         for words in ("wvl|wavelength", pattern)
     )
-    refuse((len(waves), len(columns)) != (1, 1), "sed.column", where_titles, wanted=wanted, titles=", ".join(titles))
+    refuse((len(waves), len(columns)) != (1, 1), "sed.column", where_titles, wanted=quantity, titles=", ".join(titles))
     title = titles[columns[0]]
-    unit = percent_in(title) if wanted == "reflectance" else power_unit_in(stated.get("units", ""))
-    refuse(unit is None and wanted == "reflectance", "sed.unit", where_titles, title=title)
+    unit = percent_in(title) if quantity == "reflectance" else power_unit_in(stated.get("units", ""))
+    refuse(unit is None and quantity == "reflectance", "sed.unit", where_titles, title=title)
     named = [int(m[1]) for key in stated if (m := re.fullmatch(r"columns \[([0-9]{1,3})\]", key))] or [len(titles)]
     count, unlike = table.shape[1], len({table.shape[1], len(titles), named[0]}) > 1
     refuse(unlike, "sed.titles", f"{path}:{start}", count=count, titles=len(titles), stated=named[0])
     ends = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?)\s*,\s*([0-9]+(?:\.[0-9]*)?)", stated.get("wavelength range", ""))
     nm, values = table[:, waves[0]], table[:, columns[0]]
     check_stated(nm, where, stated.get("channels"), [float(e) for e in ends.groups()] if ends else ())
-    return [FieldSpectrum(path.stem, nm, values, quantity=wanted, wavelength_unit="nm", unit=unit)]
+    return [FieldSpectrum(path.stem, nm, values, quantity=quantity, wavelength_unit="nm", unit=unit)]
 
 
 MAX_WAVELENGTH_FILES = 40  # that are looked into
 
 
 def usgs_records(file: SpectraFile) -> list[FieldSpectrum]:
-    """The spectrum of a file of one column, at the wavelengths of another, which is stated or lies beside it."""
+    """The spectrum of a file of one column, at the wavelengths of another one, stated or beside it."""
     path, grid = file.path, checked_file(wavelengths_of(file) or "", what="wavelength file")
     (header, values), (above, wavelength) = (number_table(decoded(p.read_bytes()), p)[:2] for p in (path, grid))
     unlike, (rows, columns) = values.shape[1] != 1 or wavelength.shape != values.shape, values.shape
     refuse(unlike, "library.rows", path, rows=rows, columns=columns, wanted=len(wavelength), grid=grid)
     title = re.search(r"Record\s*=\s*[0-9]+\s*:\s*(\S.*)", "\n".join(header))
     name, unit = title[1].strip() if title else path.stem, wavelength_unit_in(" ".join(above), "", str(grid))
-    told: dict[str, Any] = {"quantity": quantity_in(name), "wavelength_unit": unit}
+    fields: dict[str, Any] = {"quantity": quantity_in(name), "wavelength_unit": unit}
     notes = () if file.wavelengths else (f"wavelengths from {grid.name}, which lies beside it",)
-    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], notes=notes, **told)]
+    return [FieldSpectrum(name, wavelength[:, 0], values[:, 0], notes=notes, **fields)]
 
 
 def wavelengths_of(file: SpectraFile) -> Path | str | None:

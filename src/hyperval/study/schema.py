@@ -303,7 +303,7 @@ class StudyFile(FileModel):
         numbers = {scale: {i.name for i in self.inputs if i.is_axis(scale)} for scale in ("linear", "log")}
         along = [("knees", k.along, k.scale) for k in self.knees]
         along += [("heat maps", *pair) for p in self.plots if p.x and p.y for pair in ((p.x, p.scale), (p.y, "linear"))]
-        used += [(f"{of} along numbers on a {scale} scale", name, numbers[scale]) for of, name, scale in along]
+        used += [(f"{owner} along numbers on a {scale} scale", name, numbers[scale]) for owner, name, scale in along]
         for where, name, among in used:
             if wrong := unknown([name], sorted(among) or ["none"]):
                 raise ValueError("{}: {!r} is not one of {}".format(where, *wrong))

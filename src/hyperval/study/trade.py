@@ -110,7 +110,7 @@ class Offer(Model):
         """Name with unit."""
         return self.name + (f" [{self.unit}]" if self.unit != "1" else "")
 
-    def told(self, value: float) -> str:
+    def with_unit(self, value: float) -> str:
         """A value of it with its unit."""
         return f"{value:.4g}" + (f" {self.unit}" if self.unit != "1" else "")
 
@@ -144,7 +144,7 @@ class Prepared(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: tuple[Any, ...]) -> Prepared:
+def _prepared(source: str, detector: str, side_m: float | None, population: str, kept: tuple[Any, ...]) -> Prepared:
     scenario, settings, why = load_scenario(source), dict[str, Any](), ""
     files = {path.name: path for path, _ in kept if path.name != scenario.sensor}  # whose own lies beside it
     origins = Origins(resolve=lambda name: files.get(name) or resolve(name, scenario.folder))
@@ -155,7 +155,7 @@ def _prepared(source: str, detector: str, side_m: float | None, of: str, kept: t
     paths = [path for path in numbers_of(scenario) if path.endswith(".fill.fixed")]
     fixed = {path_parts(p)[-3]: (p.removesuffix(".fixed"), float(setting(scenario, p))) for p in paths}
     if side_m is not None and fixed:
-        path, fill = fixed.get(of) or next(iter(fixed.values()))
+        path, fill = fixed.get(population) or next(iter(fixed.values()))
         geometry = {"side_m": side_m, "gsd_m": side_m / math.sqrt(max(fill, 1e-4)), "heading_deg": "random"}
         settings[path] = {"geometry": geometry}
     emulated = settings | ({} if scenario.atmosphere is None else {"atmosphere.engine": "emulator"})
@@ -185,22 +185,22 @@ def prepare(source: str, trade: Trade) -> Prepared:
 
 
 def _offers(world: World) -> Iterator[Offer]:
-    every, state = every_path(world), world.stated.scenario.atmosphere
+    known_paths, state = every_path(world), world.stated.scenario.atmosphere
     for row in (Offer(group=group, **row) for group, rows in OFFERED["inputs"].items() for row in rows):
-        paths = [path for path in every if fits(row.path, path)]
+        paths = [path for path in known_paths if fits(row.path, path)]
         if not paths and "now" in row.model_fields_set and (state is not None or row.path == plan.PFA):
             paths = [row.path]
-        for some in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
-            low, high, now = row.low, row.high, row.now
+        for members in [tuple(paths)] if row.together and paths else [(path,) for path in paths]:
+            low, high, value = row.low, row.high, row.now
             with suppress(UsageError, TypeError):  # what holds where it states nothing stands in the row
-                now = float(np.ravel(value_at(world, some[0]))[0])
+                value = float(np.ravel(value_at(world, members[0]))[0])
             if row.path == "atmosphere.sensor_altitude_km" and state is not None:
                 low = max(low, state.ground_altitude_km + 0.5)
-            if math.isfinite(now):
-                low, high = min(low, now), max(high, now)
-            item = next((part for part in reversed(path_parts(some[0])) if f"[{part}]" in some[0]), "")
+            if math.isfinite(value):
+                low, high = min(low, value), max(high, value)
+            item = next((part for part in reversed(path_parts(members[0])) if f"[{part}]" in members[0]), "")
             stated = {"name": row.name.replace("*", item), "column": row.column or row.path.rpartition(".")[2]}
-            yield row.model_copy(update={**stated, "low": low, "high": high, "now": now, "paths": some})
+            yield row.model_copy(update={**stated, "low": low, "high": high, "now": value, "paths": members})
 
 
 def complete(trade: Trade, p: Prepared) -> Trade:
@@ -229,7 +229,7 @@ def complete(trade: Trade, p: Prepared) -> Trade:
     among = p.surfaces if trade.is_spectral else p.targets
     subject = [name for name in trade.subject if name in among] or list(among[:1])
     refuse(not subject, "trade.subject", "output")
-    x = trade.x or _usual(p, "" if trade.is_spectral else f"[{subject[0]}]")
+    x = trade.x or _initial_input(p, "" if trade.is_spectral else f"[{subject[0]}]")
     for field, names, valid in (
         ("x", [x], p.inputs), ("y", [trade.y], ("", *p.inputs)), ("subject", trade.subject, p.targets + p.surfaces),
         ("sensor", trade.sensor, p.sensors), ("background", trade.background, p.backgrounds),
@@ -267,7 +267,7 @@ def _check(p: Prepared, where: str, key: str, value: float, is_emulated: bool = 
         plan.try_changes(p.world, dict.fromkeys(offer.paths, value))
     except UsageError as error:
         raise UsageError(
-            f"{offer.told(value)}: {error.what.rpartition(': ')[2]}", where=where, expected=error.expected
+            f"{offer.with_unit(value)}: {error.what.rpartition(': ')[2]}", where=where, expected=error.expected
         ) from error
     if key.startswith("atmosphere.") and not (is_emulated or _is_emulated(p, {name: value})):
         while abs(outside - inside) > 1e-6 * max(abs(inside), abs(value)):
@@ -275,8 +275,8 @@ def _check(p: Prepared, where: str, key: str, value: float, is_emulated: bool = 
             inside, outside = (middle, outside) if _is_emulated(p, {name: middle}) else (inside, middle)
         near = (inside, 1.0005 * inside, 0.9995 * inside)  # rounded, it is to be taken
         end = next((v for v in near if _is_emulated(p, {name: float(f"{v:.4g}")})), inside)
-        limit = f"{offer.told(end)} or {'more' if value < inside else 'less'}"
-        raise refusal("trade.emulated", where, value=offer.told(value), limit=limit)
+        limit = f"{offer.with_unit(end)} or {'more' if value < inside else 'less'}"
+        raise refusal("trade.emulated", where, value=offer.with_unit(value), limit=limit)
 
 
 def _is_emulated(p: Prepared, state: Mapping[str, float]) -> bool:
@@ -285,11 +285,11 @@ def _is_emulated(p: Prepared, state: Mapping[str, float]) -> bool:
     return False
 
 
-def _usual(p: Prepared, target: str) -> str:
-    """The input to begin with: the first slider, of a target its own fill or GSD."""
+def _initial_input(p: Prepared, target: str) -> str:
+    """The initial input: the first slider; of a target its own fill or GSD."""
     sliders = [offer for offer in p.inputs.values() if offer.slider]
-    mine = [o for o in sliders if target and any(target in path for path in o.paths)]
-    return next((o.key for o in (*mine, *sliders) if o in mine or o.group != "Target"), "")
+    of_target = [o for o in sliders if target and any(target in path for path in o.paths)]
+    return next((o.key for o in (*of_target, *sliders) if o in of_target or o.group != "Target"), "")
 
 
 def moves_of(offer: Offer, trade: Trade) -> list[Move]:
@@ -310,7 +310,7 @@ def outputs_of(trade: Trade) -> list[Output]:
         label += f", mean of {trade.from_nm:g} to {trade.to_nm:g} nm"
     names = [trade.output if len(trade.subject) == 1 else f"{trade.output}-{i + 1}" for i in range(len(trade.subject))]
     both = zip(names, trade.subject, strict=True)
-    return [Output(name=name, subject=of, label=f"{label}, {of}", **asked) for name, of in both]
+    return [Output(name=name, subject=subject, label=f"{label}, {subject}", **asked) for name, subject in both]
 
 
 def study_of(p: Prepared, trade: Trade, scenario: str, *, exact: bool = False) -> StudyFile:
@@ -398,10 +398,10 @@ def _families(p: Prepared, trade: Trade) -> tuple[dict[str, Any], list[str]]:
     return columns or {"line.offset": np.zeros(1)}, labels
 
 
-def _known(trade: Trade, stride: int) -> Mask:
-    """(points of an input or (y, x)) which are known once every ``stride``-th is evaluated."""
-    on = np.arange(MAP_POINTS if trade.y else POINTS) % stride == 0
-    return np.outer(on, on).ravel() if trade.y else on
+def _evaluated(trade: Trade, stride: int) -> Mask:
+    """Mask (n,) of the points, or flattened (y, x), that are evaluated at a stride."""
+    coarse = np.arange(MAP_POINTS if trade.y else POINTS) % stride == 0
+    return np.outer(coarse, coarse).ravel() if trade.y else coarse
 
 
 class Progress(NamedTuple):
@@ -412,7 +412,7 @@ class Progress(NamedTuple):
     values : (F, K, O) of families, points and subjects, NaN where not yet
     limits : (F, K, O, 2) 95 % limits where the model gives them
     needed : the value of x that each curve needs for the wanted output, NaN without, and in words; once looked for
-    figure : what is to be drawn;  left : pieces that are still to come
+    figure : what is to be drawn;  todo : pieces that are still to come
     remarks : what is to be said of points, such as what saturates there, by their number
     """
 
@@ -420,7 +420,7 @@ class Progress(NamedTuple):
     limits: Array
     needed: tuple[tuple[float, str], ...]
     figure: str
-    left: int
+    todo: int
     remarks: Mapping[int, str] = {}
 
     @property
@@ -442,22 +442,22 @@ def next_piece(source: str, trade: Trade, before: Progress | None = None) -> Pro
     families, subjects, along = len(labels) // len(trade.subject), len(trade.subject), study.inputs[-1]
     steps: list[tuple[str, int]] = [("points", stride) for stride in _STRIDES]
     steps += [("limits", i) for i in range(families) if not trade.y and trade.output != "auc"]
-    blank = np.full((families, _known(trade, 1).size, subjects), np.nan)
+    blank = np.full((families, _evaluated(trade, 1).size, subjects), np.nan)
     before = before or Progress(blank, np.stack([blank, blank], axis=-1), (), "", len(steps))
     values, limits, needed, remarks = before.values.copy(), before.limits.copy(), before.needed, {**before.remarks}
-    what, step = steps[-before.left]
+    what, step = steps[-before.todo]
     if what == "points":
-        new = _known(trade, step) & ~(_known(trade, 2 * step) if before.figure else np.False_)
+        new = _evaluated(trade, step) & ~(_evaluated(trade, 2 * step) if before.figure else np.False_)
         rows = np.flatnonzero(np.tile(new, families))
-        some = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
-        values.reshape(-1, subjects)[rows], notes = plan.output_values(_world(p, trade), some, study.outputs)
+        part = {path: column[rows] for path, column in plan.moved(study.inputs, plan.input_values(study)).items()}
+        values.reshape(-1, subjects)[rows], notes = plan.output_values(_world(p, trade), part, study.outputs)
         remarks |= {int(rows[i]): words for i, words in notes.items()}
         needed = _required(p, trade, study) if trade.wanted is not None and step == _STRIDES[-1] else ()
     else:
         limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()}, values[step])
     stride = step if what == "points" else _STRIDES[-1]
     drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, along, values, limits, labels)
-    return Progress(values, limits, needed, statement(drawn), before.left - 1, remarks)
+    return Progress(values, limits, needed, statement(drawn), before.todo - 1, remarks)
 
 
 def _questions(p: Prepared, trade: Trade) -> list[Required]:
@@ -469,7 +469,7 @@ def _questions(p: Prepared, trade: Trade) -> list[Required]:
     [[1.0], []]
     """
     offer, moves = p.inputs[trade.x], moves_of(p.inputs[trade.x], trade)
-    if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
+    if trade.y and math.isfinite(now := _current_value(p, trade, trade.y)):
         moves += [Move(path=move.path, factor=0.0, offset=now) for move in moves_of(p.inputs[trade.y], trade)]
     return [
         Required(
@@ -494,10 +494,10 @@ def _required(p: Prepared, trade: Trade, study: StudyFile) -> tuple[tuple[float,
     for label, (i, (q, answer)) in zip(labels, product(range(len(labels) // len(found)), found), strict=True):
         value, why = float(answer.solutions[i]), answer.reasons.get(i, "").replace(q.output, KINDS[trade.output])
         why = why.replace("no solution", "not reached in this range")
-        words = f"{offer.name} = {offer.told(value)} for {KINDS[trade.output]} = {trade.wanted:g}"
+        words = f"{offer.name} = {offer.with_unit(value)} for {KINDS[trade.output]} = {trade.wanted:g}"
         words = f"{words} ({why})" if why and math.isfinite(value) else why or words
-        if trade.y and math.isfinite(now := _now(p, trade, trade.y)):
-            words += f"; along {offer.name} alone, {p.inputs[trade.y].name} at {p.inputs[trade.y].told(now)}"
+        if trade.y and math.isfinite(now := _current_value(p, trade, trade.y)):
+            words += f"; along {offer.name} alone, {p.inputs[trade.y].name} at {p.inputs[trade.y].with_unit(now)}"
         needed.append((value, f"{label}: {words}" if len(labels) > 1 else words))
     return tuple(needed)
 
@@ -536,8 +536,8 @@ def _limits(p: Prepared, trade: Trade, along: Input, family: Mapping[str, Any], 
             ends[i] = (_limits_in(p, trade, truth, np.array([trade.pfa]))[:, 0] - values[k][:, None]).ravel()
             if np.isnan(ends[i]).all():
                 break
-    beside = np.stack([np.interp(np.arange(x.size), nodes, column) for column in ends.T], axis=1)
-    return np.asarray(np.clip(values[..., None] + beside.reshape(x.size, -1, 2), 0.0, top))
+    limits = np.stack([np.interp(np.arange(x.size), nodes, column) for column in ends.T], axis=1)
+    return np.asarray(np.clip(values[..., None] + limits.reshape(x.size, -1, 2), 0.0, top))
 
 
 def _axis(along: Input) -> tuple[Axis, Array]:
@@ -547,14 +547,14 @@ def _axis(along: Input) -> tuple[Axis, Array]:
     return Axis(along.words, along.grid.spacing, ends=ends), np.asarray(along.listed, float)
 
 
-def _now(p: Prepared, trade: Trade, key: str) -> float:
+def _current_value(p: Prepared, trade: Trade, key: str) -> float:
     """Where an input stands; NaN where the scenario does not state it."""
     return trade.pfa if key == plan.PFA else trade.moved.get(key, p.inputs[key].now)
 
 
 def _present(p: Prepared, trade: Trade, field: Literal["x", "y"] = "x") -> Rules:
     """A rule at the present value of an input, where it lies on its axis."""
-    now = _now(p, trade, getattr(trade, field))
+    now = _current_value(p, trade, getattr(trade, field))
     return ((field, now),) if getattr(trade, f"{field}_from") <= now <= getattr(trade, f"{field}_to") else ()
 
 

@@ -57,7 +57,7 @@ def make_app(settings: ServerSettings, pools: tuple[TaskPool, TaskPool] | None =
         app.include_router(router)
 
     for kind in (RequestValidationError, HypervalError, HTTPException):
-        app.add_exception_handler(kind, _told)
+        app.add_exception_handler(kind, _error_response)
     app.add_middleware(Guard, settings=settings)
     return app
 
@@ -73,8 +73,8 @@ def _warm(settings: ServerSettings) -> None:
 _WORDS = package_table("web/answers.yaml")["unsaid"]
 
 
-def _told(request: Request, error: Exception) -> Response:
-    """The answer to a request that came to nothing, to a browser as a page."""
+def _error_response(request: Request, error: Exception) -> Response:
+    """The response to a request that failed, to a browser as a page."""
     status, headers, mistakes = 500, dict[str, str](), list[FieldMistake]()
     if isinstance(error, HTTPException):
         status, headers = error.status_code, {name.lower(): value for name, value in (error.headers or {}).items()}
@@ -88,11 +88,11 @@ def _told(request: Request, error: Exception) -> Response:
     elif isinstance(error, HypervalError):
         status, mistakes = 422 if error.exit_code in (2, 3) else 500, [FieldMistake("", said(error))]
     if request.url.path.startswith("/api/"):
-        if status == 405:  # a router tells the methods of one of its routes alone
+        if status == 405:  # a router names the methods of one of its routes only
             methods = (getattr(r, "methods", ()) for r in api.routes if r.matches(request.scope)[0] is not Match.NONE)
             headers["allow"] = ", ".join(sorted(set[str]().union(*methods)))
     elif "text/html" in request.headers.get("accept", ""):
-        answer = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
-        answer.headers.update(headers)
-        return answer
+        response = page(request, "error.html.j2", status=status, mistakes=mistakes, code=status)
+        response.headers.update(headers)
+        return response
     return problems(status, mistakes, headers)

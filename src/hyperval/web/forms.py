@@ -89,12 +89,12 @@ class Node:
     @property
     def gist(self) -> str:
         """What is given in a part that is folded, in a few words."""
-        stated = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._given()]
+        stated = [f"{n.title} {', '.join(n.value) if n.kind == 'several' else n.value}" for n in self._filled_in()]
         return "; ".join(stated[:_MOST_MARKED]) + (" ..." if len(stated) > _MOST_MARKED else "")
 
-    def _given(self) -> Iterator[Node]:
+    def _filled_in(self) -> Iterator[Node]:
         for child in self.taken:
-            yield from child._given()
+            yield from child._filled_in()
         if self.value and not self.path.endswith(".name"):
             yield self
 
@@ -361,14 +361,14 @@ def checked_scenario(data: Mapping[str, Any], uploads: Collection[str] = ()) -> 
     return scenario
 
 
-def of_bounded_size(data: Any, at: str = "") -> Any:
-    """The data, whose size is looked at before it is checked entry by entry.
+def of_bounded_size(data: Any, field: str = "") -> Any:
+    """The data, if its size is within bounds; checked before its entries are validated.
 
     Raises
     ------
     Refused : it holds too much, at which field.
     """
-    values = enumerate(islice(_values(data, (at,) if at else ()), _MOST_VALUES), start=1)
+    values = enumerate(islice(_values(data, (field,) if field else ()), _MOST_VALUES), start=1)
     many = f"with it there are more than {_MOST_VALUES:,} values"
     excess = ((place, many if number == _MOST_VALUES else _excess(place, value)) for number, (place, value) in values)
     mistakes = (FieldMistake(".".join(place), words) for place, words in excess if words)

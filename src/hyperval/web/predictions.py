@@ -163,9 +163,9 @@ def with_action(fields: dict[str, list[str]]) -> dict[str, list[str]]:
 Setting = float | str | bool | list[Any] | None
 
 
-def small(at: str) -> BeforeValidator:
-    """Looks at the size of an entry of a body before its parts are checked one by one."""
-    return BeforeValidator(partial(of_bounded_size, at=at))
+def small(field: str) -> BeforeValidator:
+    """Bounds the size of an entry of a body before its parts are validated."""
+    return BeforeValidator(partial(of_bounded_size, field=field))
 
 
 class PredictionOrder(BaseModel):
@@ -218,8 +218,8 @@ _NOTE = "# The emulator of 6S stands in for the engine; without its line each st
 
 
 def _source(request: Request, name: str) -> str:
-    """A scenario as workers read it, all of whose data are here."""
-    lacking = [f"this server lacks the data set {name}: {how}" for name, how in needs(predefined().get(name)).items()]
+    """A scenario as workers read it; refused where this server lacks a data set of it."""
+    lacking = [f"this server lacks the data set {name}: {text}" for name, text in needs(predefined().get(name)).items()]
     deny(lacking, 422, "; ".join(lacking), "scenario")
     return _file(request, name)
 
@@ -242,7 +242,7 @@ def _right(request: Request, sent: QueryParams | FormData) -> tuple[Any, ...]:
             raise
     wrong = {mistake.field for mistake in mistakes}
     rest = [(n, t) for n, t in texts if not {n, n.partition("_")[0]} & wrong]  # with an input the ends of its axis
-    fewer = (some for some in (rest, [(n, t) for n, t in texts if n == "scenario"], []) if len(some) < len(texts))
+    fewer = (kept for kept in (rest, [(n, t) for n, t in texts if n == "scenario"], []) if len(kept) < len(texts))
     *right, more = _right(request, QueryParams(next(fewer)))
     # Of another scenario than the one that is asked for there is nothing to be told.
     return (*right, [*mistakes, *(mistake for mistake in more if not {mistake.field, "scenario"} & wrong)])
@@ -303,9 +303,9 @@ def curve(request: Request) -> Response:
     def pieces() -> Iterator[str]:
         progress = None
         try:
-            while progress is None or progress.left:
+            while progress is None or progress.todo:
                 progress = Progress(*ask("trade_piece", source=source, trade=trade, before=progress))
-                yield json.dumps({"figure": progress.figure, "needed": progress.said, "left": progress.left}) + "\n"
+                yield json.dumps({"figure": progress.figure, "needed": progress.said, "left": progress.todo}) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 

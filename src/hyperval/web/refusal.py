@@ -86,6 +86,6 @@ def said(error: HypervalError) -> str:
 
 
 def mistakes_of(items: Sequence[Any]) -> list[FieldMistake]:
-    """Mistakes that pydantic tells, each with its field, each once."""
-    found = (FieldMistake(".".join(map(str, at))[:200], for_pages(said)[:500]) for at, said in mistakes_in(items))
+    """Mistakes that pydantic finds, each once, with its field."""
+    found = (FieldMistake(".".join(map(str, place))[:200], for_pages(said)[:500]) for place, said in mistakes_in(items))
     return list(dict.fromkeys(found))[:MOST_MISTAKES]

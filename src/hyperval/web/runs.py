@@ -85,20 +85,20 @@ def run_page(request: Request, run: OwnRun, beside: str | None = None) -> Respon
     return page(
         request, "run.html.j2", run=run, maps=maps_of(store.place(run.id)), others=others[:50], other=other,
         progress=store.progress(run), ended=run.state in ENDED, is_own=run.owner != EVERYBODY,
-        source=_SOURCES.get(run.kind, "") if run.owner != EVERYBODY else "", rows=_beside(run, other),
+        source=_SOURCES.get(run.kind, "") if run.owner != EVERYBODY else "", rows=_detection_rows(run, other),
         files=files, pictures=pictures, figures=[name for name in figures if name not in pictures],
     )  # fmt: skip
 
 
-def _beside(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
+def _detection_rows(run: WebRun, other: WebRun | None) -> list[dict[str, Any]]:
     """Rows of P_D, with those of another run and the difference; not those of objects of one pixel."""
     key = itemgetter("subject", "detector", "pfa", "unit")
-    earlier, now = (
+    earlier, current = (
         {key(row): row for row in (side.summary.get("detection", ()) if side else ())} for side in (other, run)
     )
     rows = []
-    for name, row in now.items():
-        if name[-1] == "object" and now.get((*name[:-1], "pixel"), {}).get("pd") == row["pd"]:
+    for name, row in current.items():
+        if name[-1] == "object" and current.get((*name[:-1], "pixel"), {}).get("pd") == row["pd"]:
             continue
         before = earlier.get(name, {}).get("pd")
         difference = None if before is None or row["pd"] is None else row["pd"] - before
@@ -292,11 +292,11 @@ def map_data(request: Request, run: OwnRun, name: str) -> Response:
 
 
 def campaign_of(request: Request, run: WebRun) -> Path:
-    """The campaign of a run: the file that it has read, of several such and of one that has changed by its name."""
+    """The campaign of a run: the file that it has read; of several, or when that has changed, the one of its name."""
     read = {entry["sha256"] for entry in provenance_of(store_of(request).place(run.id) / "results").get("inputs", ())}
-    alike = {c.path: (sha256_of(c.path) in read, c.name == run.name) for c in known_campaigns(request).values()}
-    path = max(alike, key=alike.__getitem__, default=Path())
-    deny(not any(alike.get(path, ())), 409, "this server has no campaign that this run has read, and none of its name")
+    rank = {c.path: (sha256_of(c.path) in read, c.name == run.name) for c in known_campaigns(request).values()}
+    path = max(rank, key=rank.__getitem__, default=Path())
+    deny(not any(rank.get(path, ())), 409, "this server has no campaign that this run has read, and none of its name")
     return path
 
 

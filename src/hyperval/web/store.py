@@ -193,19 +193,19 @@ class Runs:
         self.notices: list[str] = []
         self._tasks: dict[tuple[str, object], WorkerTask] = {}  # by owner and run, or by run and file
         self._changed = threading.Condition()
-        self._unwritten: dict[str, WebRun] = {}  # that ended when the disk was full
+        self._unwritten: dict[str, WebRun] = {}  # runs that ended when the disk was full
         self._clearing, self._cleared = threading.Lock(), 0.0
         (self.folder / "runs").mkdir(parents=True, exist_ok=True)
         self._settle()
         self.clear()
-        of = partial(WorkerPool, most=settings.queue, memory_bytes=settings.memory_bytes, scheduler=settings.scheduler)
+        new = partial(WorkerPool, most=settings.queue, memory_bytes=settings.memory_bytes, scheduler=settings.scheduler)
         self.quick, self.long = pools or (
-            of(settings.quick_workers, seconds=settings.quick_seconds),
-            of(settings.long_workers, seconds=settings.long_seconds),
+            new(settings.quick_workers, seconds=settings.quick_seconds),
+            new(settings.long_workers, seconds=settings.long_seconds),
         )
 
     def _settle(self) -> None:
-        runs = {run.id: run for run in self._every()}
+        runs = {run.id: run for run in self._all_runs()}
         unreadable = [p for p in (self.folder / "runs").iterdir() if _ID.fullmatch(p.name) and p.name not in runs]
         lost = [run for run in runs.values() if run.state not in ENDED]
         for place in unreadable:
@@ -221,17 +221,17 @@ class Runs:
         """The folder of a run."""
         return self.folder / "runs" / run_id
 
-    def _known(self, place: Path) -> WebRun | None:
-        """The run of a folder as it stands now; None where it does not say."""
+    def _current(self, place: Path) -> WebRun | None:
+        """The current state of the run of a folder; None where the folder has no record of one."""
         run = self._unwritten.get(place.name) or _read(place)
         if run is None or run.state in ENDED:
             return run
         task = self._tasks.get((run.owner, run.id))
         return run.model_copy(update={"state": "running"}) if task is not None and task.started else run
 
-    def _every(self) -> list[WebRun]:
+    def _all_runs(self) -> list[WebRun]:
         """The runs of all sessions."""
-        return [run for place in (self.folder / "runs").iterdir() if (run := self._known(place)) is not None]
+        return [run for place in (self.folder / "runs").iterdir() if (run := self._current(place)) is not None]
 
     def run(self, run_id: str, owner: str) -> WebRun:
         """A run that a session sees.
@@ -240,7 +240,7 @@ class Runs:
         ------
         Refused : there is none by that name, or it is another session's.
         """
-        run = self._known(self.place(run_id)) if _ID.fullmatch(run_id) else None
+        run = self._current(self.place(run_id)) if _ID.fullmatch(run_id) else None
         if run is None or run.owner not in (owner, EVERYBODY):
             raise Refused(404, "there is no such run in this session")
         return run
@@ -248,7 +248,7 @@ class Runs:
     def of(self, owner: str, kind: str | None = None) -> list[WebRun]:
         """Runs that a session sees, the latest first."""
         self._adopt()
-        some = [r for r in self._every() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
+        some = [r for r in self._all_runs() if r.owner in (owner, EVERYBODY) and kind in (None, r.kind)]
         return sorted(some, key=lambda r: -r.created)
 
     def _adopt(self) -> None:
@@ -293,7 +293,7 @@ class Runs:
                 return
             self._cleared = now
             kept = [(path.stat().st_mtime, path) for path in (self.folder / "uploads").glob("*/*/*")]
-            ended = [run for run in self._every() if run.state in ENDED and run.owner != EVERYBODY]
+            ended = [run for run in self._all_runs() if run.state in ENDED and run.owner != EVERYBODY]
             kept += [(run.created, self.place(run.id)) for run in ended]
             sizes = [size_of(path) for _, path in kept]
             total = sum(sizes)
@@ -333,7 +333,7 @@ class Runs:
         Refused : 429, the session has as many runs on their way as it may; 503, the queue or the disk is full.
         """
         with self._changed:
-            count = sum(of == owner for of, _ in list(self._tasks))
+            count = sum(holder == owner for holder, _ in list(self._tasks))
             words = f"{count} of your runs wait or run; more are taken when one has finished"
             deny(count >= self._settings.per_session, 429, words, wait=2)
             about = {"owner": owner, "kind": kind, "name": name, "title": title, "version": hyperval.__version__}
@@ -393,11 +393,11 @@ class Runs:
         Refused : it cannot be made, or the run has no results.
         """
         deny(run.state != "finished", 409, f"this run has no results: {run.reason or run.state}")
-        place, now = self.place(run.id), hyperval.__version__
+        place, version = self.place(run.id), hyperval.__version__
         if (place / name).exists():
             return place / name
-        if task in ("files", "draw") and run.version != now:  # the scenario would give other numbers
-            raise Refused(409, f"the run was made by version {run.version}, and this is {now}: run it again")
+        if task in ("files", "draw") and run.version != version:  # the scenario would give other numbers
+            raise Refused(409, f"the run was made by version {run.version}, and this is {version}: run it again")
         with self._changed:
             job = self._tasks.get((run.id, name)) or WorkerTask(task, {"folder": str(place), **arguments})
             if (run.id, name) not in self._tasks:
@@ -405,20 +405,20 @@ class Runs:
         self._result(job, self._settings.quick_seconds * 2)
         return place / name
 
-    def ask(self, task: str, of: str = "", **arguments: Any) -> Any:
-        """What a quick task returns that belongs to no run.
+    def ask(self, task: str, field: str = "", **arguments: Any) -> Any:
+        """The result of a quick task that belongs to no run.
 
         Parameters
         ----------
-        of : field that it is asked for, whose mistake it is where it comes to nothing
+        field : of the form, which has the mistake if the task fails
 
         Raises
         ------
-        Refused : it came to nothing, or there is no room.
+        Refused : it failed, or the queue is full.
         """
         job = WorkerTask(task, arguments)
         self._hand(("", job), self.quick, job)
-        return self._result(job, self._settings.quick_seconds, of)
+        return self._result(job, self._settings.quick_seconds, field)
 
     def _result(self, task: WorkerTask, seconds: float, field: str = "") -> Any:
         try:

@@ -154,8 +154,8 @@ def _drafted(
     """The campaign of the files of each part, what is guessed in it, and what the header says."""
     cube, about, targets = files["cube"][0], dict(stated), next(iter(files["targets"]), None)
     header_file = files["header"][0]
-    beside = None if header_file == header_beside(cube) else header_file
-    raster = open_raster(cube, header=beside)
+    stated_header = None if header_file == header_beside(cube) else header_file
+    raster = open_raster(cube, header=stated_header)
     refuse((count := math.prod(raster.size)) > most, "web.values", count=count, most=most)
     described = raster.description
     quantity = about.get("quantity") or ("radiance" if "unit" in about else described.quantity)
@@ -165,7 +165,7 @@ def _drafted(
         header |= {what: f"x {about['scale']:g}" for what in header if what.startswith("scale of ")}
     spectra = [path for path in files["spectra"] if path.suffix != ".hdr"]
     name = about.pop("name")
-    named = StarterSources(cube, files["regions"], targets, spectra, header=beside, **about)
+    named = StarterSources(cube, files["regions"], targets, spectra, header=stated_header, **about)
     return (*starter_campaign(named, place, name), header)
 
 
@@ -215,13 +215,13 @@ def _curves(folder: str, name: str) -> list[dict[str, Any]]:
     if observed is None:
         return out
     for (subject, detector, unit), c in observed.roc.items():
-        # A map is named TARGET-DETECTOR, that of anomalies by its detector alone: of one map all curves of its
-        # detector; of several, those whose subject begins as no longer name does.
+        # A map is named TARGET-DETECTOR, that of anomalies by its detector alone.  One map has all curves of its
+        # detector; of several, a curve belongs to the map with the longest name that begins its subject.
         maps = {stem: stem.removesuffix(f"-{detector}") for stem in stems if f"-{stem}".endswith(f"-{detector}")}
         begun = [stem for stem, target in maps.items() if file_stems([subject])[subject].startswith(target)]
-        own = max(maps if len(maps) == 1 else begun, key=len, default="")
+        map_name = max(maps if len(maps) == 1 else begun, key=len, default="")
         valid = np.isfinite(c.threshold) & np.isfinite(c.pd)
-        if own == name and valid.any():
+        if map_name == name and valid.any():
             parts = {part: getattr(c, part)[valid].tolist() for part in ("threshold", "pfa", "pd")}
             targets, background = _scores(observed, subject, detector, unit)
             out.append({"subject": subject, "unit": unit, "target_scores": targets, "n_target": c.n_target,

@@ -69,15 +69,15 @@ class Uploads:
 
     def copies(self, text: str, beside: Path | None = None) -> dict[str, Path]:
         """Files that the text of a scenario names, first those ``beside`` it, by their names in a run."""
-        named = {name: self.folder / of / name for of in _OF_SCENARIOS for name in self.names(of) if name in text}
+        named = {name: self.folder / kind / name for kind in _OF_SCENARIOS for name in self.names(kind) if name in text}
         return named | {name: path for name in named if beside is not None and (path := beside / name).is_file()}
 
-    def given(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
-        """Field of each file that a form gives, and what finds it: sent, kept of an earlier request, named."""
+    def submitted(self, form: FormData) -> Iterator[tuple[str, Callable[[], Path]]]:
+        """Field of each file of a form, and how to get it: uploaded, kept from an earlier request, or named."""
         for field, file in form.multi_items():
             if isinstance(file, UploadFile) and field in _FIELDS and (file.filename or file.size):
                 yield field, partial(self._keep, field, file)
-        for field in PARTS:  # of a cube what was sent has taken the place of what was kept
+        for field in PARTS:  # uploaded parts of a cube have replaced those that were kept
             for name in {*form.getlist(f"{field}_kept")} & {*self.names(field)}:
                 yield field, partial((self.folder / field).joinpath, str(name))
             for name in filter(None, (n.strip() for n in str(form.get(f"{field}_named") or "").split(","))):
@@ -137,8 +137,8 @@ class StatedCollection(BaseModel):
     ...     try:
     ...         StatedCollection(**wrong)
     ...     except ValidationError as error:
-    ...         told = mistakes_of(error.errors())
-    >>> told
+    ...         mistakes = mistakes_of(error.errors())
+    >>> mistakes
     [FieldMistake(field='unit', message='a reflectance has none; of percent the scale is 0.01')]
     """
 
@@ -196,7 +196,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     uploads, state, mistakes = Uploads(request), request.app.state, list[FieldMistake]()
     files: dict[str, tuple[str, Path]] = {}  # name in the collection -> its field, and where it is
     fields = set[str]()
-    for field, find in uploads.given(form):
+    for field, find in uploads.submitted(form):
         fields.add(field)
         try:
             path = find()
@@ -208,7 +208,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     state.runs.clear()
     others = any(form.get(f"{field}_{end}") for field in PARTS for end in ("kept", "named"))
     is_cube = others or not fields or bool(fields - {*_OF_SCENARIOS})
-    parts = {field: [name for name, (of, _) in files.items() if of == field] for field in PARTS}
+    parts = {field: [name for name, (sender, _) in files.items() if sender == field] for field in PARTS}
     stated = StatedCollection()
     if is_cube:
         wrong = {mistake.field.removesuffix("_named") for mistake in mistakes}
@@ -224,7 +224,7 @@ def take_files(request: Request, form: FormData) -> WebRun | list[str]:
     if not is_cube:
         return list(uploads.names())
     about: dict[str, Any] = {"stated": stated.model_dump(exclude_none=True), "most": state.settings.samples}
-    sent = {part: [str(path) for of, path in files.values() if of == part] for part in PARTS}
+    sent = {part: [str(path) for sender, path in files.values() if sender == part] for part in PARTS}
     for key, what in state.runs.ask("draft", "cube", files=sent, **about):
         field, words = key.rpartition(".")[2], for_pages(f"the files do not say it: {what}")
         if key.startswith("collection."):
@@ -248,7 +248,7 @@ class UploadAnswer(BaseModel):
 
 _FILE = {"type": "string", "format": "binary"}
 _BODY: dict[str, Any] = {
-    **{field: {"type": "array", "items": _FILE} if "several" in of else _FILE for field, of in _FIELDS.items()},
+    **{field: {"type": "array", "items": _FILE} if "several" in entry else _FILE for field, entry in _FIELDS.items()},
     **StatedCollection.model_json_schema()["properties"],
     **{
         f"{part}_{end}": {"type": "string", "description": words}
