@@ -249,8 +249,8 @@ def every_input(worlds: Sequence[World], further: Iterable[Candidate]) -> list[C
     ...     if c.budgeted:
     ...         print(c.name, [round(size) for size in c.sizes[:4]])
     solar zenith angle [10, -10, -50, 50]
-    field spectrum of grass [1, -1]
     field spectrum of asphalt []
+    field spectrum of grass [1, -1]
     wavelength shift [10, -10, -500, -250]
     """
     usual = together([usual_inputs(world) for world in worlds])
