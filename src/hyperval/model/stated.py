@@ -456,14 +456,10 @@ def plain(value: Any) -> Any:
 
 def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
     """First of the n rows of each different combination of the columns, and which (n,) of these each row has."""
-    bits: list[list[Any]] = []
-    for column in columns:
-        if column.dtype == object:
-            bits.append([repr(v) for v in column])
-        else:
-            rows = np.ascontiguousarray(column, dtype=float).reshape(n, -1)
-            bits.append(rows.view(f"V{rows.itemsize * rows.shape[1]}")[:, 0].tolist())
-    keys = list(zip(*bits, strict=True)) or [()] * n
+    numbers = (np.unique([repr(v) for v in c], return_inverse=True)[1] if c.dtype == object else c for c in columns)
+    rows = np.concatenate([np.zeros((n, 1)), *(np.asarray(c, dtype=float).reshape(n, -1) for c in numbers)], axis=1)
+    rows = np.ascontiguousarray(rows)
+    keys = rows.view(f"V{rows.itemsize * rows.shape[1]}")[:, 0].tolist()
     order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
     which = np.array([order[key] for key in keys], dtype=int)
     return np.unique(which, return_index=True)[1], which
