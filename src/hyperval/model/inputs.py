@@ -329,7 +329,15 @@ def _of_engine(world: World) -> Iterator[UncertainInput]:
 
 
 def _of_scene(world: World) -> Iterator[UncertainInput]:
-    """Fills and fractions."""
+    """Fills and fractions.
+
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import read_world
+    >>> listed = [{"subject": name, "absolute": 0.01} for name in ("soil", "grass")]
+    >>> world = read_world(load_scenario("green-planks-grass").with_values({"uncertainty.fractions": listed}))
+    >>> [each.name for each in _of_scene(world)]
+    ['area fraction of grass', 'area fraction of soil']
+    """
     u = world.stated.scenario.uncertainty
     for words, path, items in (("fill", "fill", u.fills), ("area fraction", "fraction", u.fractions)):
         for item in sorted(items, key=lambda one: one.subject):  # in whatever order a file lists them

@@ -303,6 +303,17 @@ def fit_elm(
     ------
     UsageError : too few panels, reflectance in percent, equal panels (two bright ones fit
         anything), or panels too noisy or too dark to fix a line.
+
+    Examples
+    --------
+    >>> error, one, two = np.zeros(4), np.ones(4), np.array([1.0, 2.0, 1.0, 1.0])  # bad bands hold the same
+    >>> def line(reflectance, noise, good):
+    ...     dark = MeasuredPanel("dark", 0.1 * one, error, one, noise)
+    ...     return fit_elm([dark, MeasuredPanel("bright", reflectance, error, two, noise)], good).usable.tolist()
+    >>> line(0.5 * one, 1e-6 * one, np.array([False, True, False, False]))  # too noisy
+    [False, True, False, False]
+    >>> line(np.array([0.1, 0.5, 0.1, 0.1]), 1e-6 * one, np.array([False, True, False, False]))  # of no contrast
+    [False, True, False, False]
     """
     panels = tuple(panels)
     refuse(len(panels) < 1 + intercept, "line.few", count=len(panels), least=1 + intercept)
