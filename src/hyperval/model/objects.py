@@ -113,6 +113,14 @@ def object_scores(world: World, parts: Parts, truths: Index, draws: int | None =
 
     Linear detectors alone.  The pixels of an object are independent given their fills and the inputs.
 
+    >>> from hyperval.api import load_scenario
+    >>> from hyperval.model import predict
+    >>> unlit = load_scenario("green-planks-grass").model_copy(update={"atmosphere": None})
+    >>> wide = unlit.with_values({"uncertainty.fills": [{"subject": "green plank 0.1", "absolute": 0.1}]})
+    >>> least = predict(wide, objects=True).object_scores["green plank 0.1", "cem"].values.mean(axis=1).min()
+    >>> bool(least > -0.1)  # of no fill below 0, which would make it -0.24
+    True
+
     Parameters
     ----------
     world, parts : all truths, as they are and as they were evaluated
