@@ -167,17 +167,6 @@ def probability_integral_transform(score: npt.ArrayLike, draws: npt.ArrayLike) -
     return np.asarray((below + 0.5) / (ordered.size + 1.0))
 
 
-def transforms_of_draws(draws: npt.ArrayLike) -> Array:
-    """(1 + F, ...) transform values of the draws (...), and of each F = ``WIDTHS`` times as far from the median.
-
-    The values of a set of objects drawn from the prediction are among these.
-    """
-    values = np.asarray(draws, dtype=float)
-    middle = np.median(values)
-    moved = (values, *(middle + factor * (values - middle) for factor in WIDTHS))
-    return np.stack([probability_integral_transform(each, values) for each in moved])
-
-
 def distance_from_uniform(values: npt.ArrayLike) -> Array:
     """(...) Kolmogorov-Smirnov distance of values (..., n) from the uniform distribution on (0, 1)."""
     u = np.sort(np.asarray(values, dtype=float), axis=-1)
@@ -234,11 +223,12 @@ def judged_together(
     for subject, scores in measured.items():
         draws = predicted[subject].values
         values.append(probability_integral_transform(scores, draws))
-        transforms, *spread = transforms_of_draws(draws)
-        column = rng.integers(draws.shape[1], size=(REPLICATES, scores.size))
-        drawn.append(transforms[shared, column])
-        wider.append(np.stack([x[shared[-POWER_DRAWS:], column[-POWER_DRAWS:]] for x in spread]))
-        strength += [float(np.median(draws))] * scores.size
+        median = float(np.median(draws))
+        replicates = draws[shared, rng.integers(draws.shape[1], size=(REPLICATES, scores.size))]
+        spread = median + np.multiply.outer(WIDTHS, replicates[-POWER_DRAWS:] - median)
+        drawn.append(probability_integral_transform(replicates, draws))
+        wider.append(probability_integral_transform(spread, draws))
+        strength += [median] * scores.size
     u, reference, wide = np.concatenate(values), np.concatenate(drawn, axis=1), np.concatenate(wider, axis=2)
     z, x = scipy.special.ndtri(u), scipy.special.ndtri(reference)
     yield from _inside_rows(u, reference, wide, note)
