@@ -531,13 +531,12 @@ class RocScores:
 
     def detection_above(self, thresholds: Array) -> Array:
         """P_D (n, K) above ``thresholds`` (n, K) (3.31); evaluations whose pixels score the same share it."""
-        first, same = distinct([self.which, self.means, self.sds, self.weights, thresholds], self.which.size)
+        first, same = distinct([self.means, self.sds, self.weights, self.which, thresholds], self.which.size)
         pd, some, x = np.empty((first.size, thresholds.shape[1])), self.rows(first), thresholds[first]
         normal = np.ones(first.size, dtype=bool) if some.host is None else some.host.normal
-        for rows in (np.flatnonzero(normal), np.flatnonzero(~normal)):
-            if rows.size:
-                of = some.rows(rows)
-                pd[rows] = detection_probability(x[rows], of.means, of.sds, of.weights, of.host)
+        for rows in filter(np.size, (np.flatnonzero(normal), np.flatnonzero(~normal))):
+            of = some.rows(rows)
+            pd[rows] = detection_probability(x[rows], of.means, of.sds, of.weights, of.host)
         return np.asarray(pd[same])
 
     def detection(self, pfa: Array) -> Array:

@@ -456,12 +456,13 @@ def plain(value: Any) -> Any:
 
 def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
     """First of the n rows of each different combination of the columns, and which (n,) of these each row has."""
-    numbers = (np.unique([repr(v) for v in c], return_inverse=True)[1] if c.dtype == object else c for c in columns)
-    rows = np.concatenate([np.zeros((n, 1)), *(np.asarray(c, dtype=float).reshape(n, -1) for c in numbers)], axis=1)
-    rows = np.ascontiguousarray(rows)
-    keys = rows.view(f"V{rows.itemsize * rows.shape[1]}")[:, 0].tolist()
-    order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
-    which = np.array([order[key] for key in keys], dtype=int)
+    which = np.zeros(n, dtype=int)
+    for column in columns:
+        if which.max(initial=0) + 1 < n:  # else no further column tells more of them apart
+            names = np.unique([repr(v) for v in column], return_inverse=True)[1] if column.dtype == object else column
+            keys = [row.tobytes() for row in np.column_stack([which, np.reshape(names, (n, -1))])]
+            order = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+            which = np.array([order[key] for key in keys])
     return np.unique(which, return_index=True)[1], which
 
 
