@@ -147,7 +147,7 @@ def test_every_detector_equals_its_definition_with_the_mean_of_its_own_window(dr
     target = mean + np.linspace(0.05, 0.3, mean.size)
     names = {name: (name, None if name == "rx" else target) for name in pixels.LOCAL_DETECTORS}
     if threads == 2:
-        monkeypatch.setattr(pixels.detect, "_VALUES_AT_ONCE", 0)  # strips that end within the image
+        monkeypatch.setattr(pixels.detect, "_STRIP_VALUES", 0)  # strips that end within the image
     whitener = pixels.whitener_of(mean, covariance)
     monkeypatch.setattr("hyperval.pixels.statistics.available_cores", lambda: threads)
     found, _ = pixels.score_cube_locally(cube, names, whitener, window, counted, None, used)

@@ -188,7 +188,7 @@ def test_small_samples_are_widened_and_large_ones_are_not():
 
 def test_a_covariance_of_few_directions_has_no_other_components():
     along = pixels.covariance_components(np.diag([4.0, 1.0, 0.0]), np.random.default_rng(1), count=2)
-    assert along.rest.shape == (3, 0)
+    assert along.mixtures.shape == (3, 0)
     np.testing.assert_allclose(along.values, [4.0, 1.0])
     np.testing.assert_allclose(along.scores(np.array([[[2.0, 1.0, 0.0]]]))[:, 0, 0] ** 2, [1.0, 1.0])
 

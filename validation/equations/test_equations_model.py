@@ -133,12 +133,12 @@ def test_3_11_surroundings_by_their_matrix_and_by_the_classes(alike):
     v = rng.normal(size=(2, 3, B))
     e = Evaluation(both(**moved))
     assert e.bands.size == B
-    found = surroundings_variance(e.view.of, v)
+    found = surroundings_variance(e.view.classes, v)
     for u in (0, 1):
         sigma = plain(u, fractions).surroundings
         assert found[u] == pytest.approx(np.diag(v[u] @ sigma @ v[u].T), rel=1e-11)
-        assert np.diag(e.view.of.covariance(u)) == pytest.approx(np.diag(sigma), rel=1e-11)
-        around = e.view.of.around()
+        assert np.diag(e.view.classes.covariance(u)) == pytest.approx(np.diag(sigma), rel=1e-11)
+        around = e.view.classes.around()
         assert around[u if len(around) > 1 else 0] == pytest.approx(np.diag(sigma), rel=1e-11)
 
 
@@ -168,7 +168,7 @@ def test_3_12_target_pixels_of_a_fill():
     e, f, one = Evaluation(both()), 0.3, plain(1)
     means, noise, sides, _ = target_pixels(e.view, e.material(0, e.world), np.array([f]))
     d_b, (mean, covariance) = (1 - f) * sides[0][-1, 0] + f * sides[1][-1, 0], one.pixel(f)
-    slope, around = e.view.slope[1], e.view.of.covariance(1)
+    slope, around = e.view.slope[1], e.view.classes.covariance(1)
     whole = one.within(f, 1.0) * np.outer(slope, slope) + around * np.outer(d_b, d_b) + np.diag(noise[1, 0])
     assert means[1, 0] == pytest.approx(mean, rel=1e-9)
     assert whole == pytest.approx(covariance, rel=1e-9)

@@ -3,9 +3,9 @@
 ACE(x) = (d^T Sigma^-1 (x - mu))^2 / [(d^T Sigma^-1 d) (x - mu)^T Sigma^-1 (x - mu)], the squared cosine of the
 angle between pixel and target in whitened space (Kraut and Scharf 1999).  For a pixel y = m + G z in that space, z
 standard normal, one direction of z is integrated exactly: along it ACE > eta is a quadratic inequality, whose
-probability is a sum of normal distribution functions.  The other directions are drawn, in part closer to the mean
-than they lie and with weights to make up for it, since small probabilities come from there.  So probabilities far
-below one over the number of draws have a small error, which is stated.
+probability is a sum of normal distribution functions.  The other directions are drawn by importance sampling, in part
+closer to the mean, where small probabilities come from.  So probabilities far below one over the number of draws have
+a small error, which is stated.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def ace_space(target: npt.ArrayLike, mean: npt.ArrayLike, covariance: npt.ArrayL
     t, mu = np.asarray(target, dtype=float), np.asarray(mean, dtype=float)
     refuse(not np.any(t - mu), "target.background")
     factor = covariance if isinstance(covariance, PositiveDefinite) else PositiveDefinite(covariance)
-    towards = factor.whiten(t - mu)
-    return AceSpace(factor, mu, towards / np.linalg.norm(towards))
+    direction = factor.whiten(t - mu)
+    return AceSpace(factor, mu, direction / np.linalg.norm(direction))
 
 
 def ace_exceedance(
@@ -81,7 +81,7 @@ def ace_exceedance(
     decades: Sequence[float] = (0.0,),
     normal: npt.ArrayLike | None = None,
 ) -> Exceedance:
-    """P(ACE > eta) of a population (in the place of 3.26-3.29 and 3.31, 3.33).
+    """P(ACE > eta) of a population (in place of 3.26-3.29 and 3.31, 3.33).
 
     Parameters
     ----------
@@ -90,43 +90,43 @@ def ace_exceedance(
     tail_dof : degrees of freedom of a multivariate t with this mean and covariance; None: Gaussian
     scores : (S,) values eta in 0-1
     decades : -log10 of the probabilities of interest; the draws are shared out among them
-    normal : (F, F) added to ``covariance``, of a normal law whatever the tails; None: nothing
+    normal : (F, F) covariance of an added normal part, without the tails; None: none
     """
     eta = np.asarray(scores, dtype=float)
     cov = np.asarray(covariance, dtype=float)
-    # A population without any spread in some direction still has a factor.
+    # A population without spread in some direction must have a Cholesky factor too.
     floor = 1e-12 * np.diag(space.background.matrix)
     roots = [np.linalg.cholesky(cov + np.diag(floor))]
     if normal is not None:
         values, vectors = np.linalg.eigh(np.asarray(normal, dtype=float))
         roots.append(vectors * np.sqrt(np.maximum(values, 0.0)))
-    each = [space.background.whiten(root) for root in roots]
+    factors = [space.background.whiten(root) for root in roots]
     m = space.background.whiten(np.asarray(mean, dtype=float) - space.mean)
-    z = rng.standard_normal((draws, m.size * len(each)))
-    scales = np.ones((len(each), draws))  # of the parts of a draw: those with tails are stretched together
+    z = rng.standard_normal((draws, m.size * len(factors)))
+    scales = np.ones((len(factors), draws))  # of the parts of a draw: the t law scales all directions of its part
     if tail_dof is not None:
         scales[0] = np.sqrt((tail_dof - 2.0) / rng.chisquare(tail_dof, draws))
-    along = [g.T @ space.axis for g in each]
-    length = np.sqrt(sum(s**2 * float(a @ a) for s, a in zip(scales, along, strict=True)))
-    parts = np.split(z, len(each), axis=1)  # views
-    # The direction that is integrated exactly: y = y0 + xi step, along which the cosine rises most.
-    out = sum(s * (x @ a) for s, x, a in zip(scales, parts, along, strict=True)) / length
-    for s, x, a in zip(scales, parts, along, strict=True):
-        x -= (out * s / length)[:, None] * a
-    weight = _drawn_closer(z, decades)
-    y0 = m + sum(s[:, None] * (x @ g.T) for s, x, g in zip(scales, parts, each, strict=True))
-    ahead = np.array([g @ a for g, a in zip(each, along, strict=True)])  # step = sum of s^2 / length of these
-    by = scales**2 / length
+    gradients = [g.T @ space.axis for g in factors]
+    length = np.sqrt(sum(s**2 * float(a @ a) for s, a in zip(scales, gradients, strict=True)))
+    parts = np.split(z, len(factors), axis=1)  # views
+    # The direction integrated exactly: y = y0 + xi step, along which the cosine rises most.
+    projection = sum(s * (x @ a) for s, x, a in zip(scales, parts, gradients, strict=True)) / length
+    for s, x, a in zip(scales, parts, gradients, strict=True):
+        x -= (projection * s / length)[:, None] * a
+    weight = _importance_weights(z, decades)
+    y0 = m + sum(s[:, None] * (x @ g.T) for s, x, g in zip(scales, parts, factors, strict=True))
+    images = np.array([g @ a for g, a in zip(factors, gradients, strict=True)])  # step = sum of s^2 / length of these
+    coefficients = scales**2 / length
     # ACE > eta: (u.y)^2 - eta y.y = a xi^2 + b xi + c > 0
     u0 = y0 @ space.axis
-    cross, square = np.einsum("pn,np->n", by, y0 @ ahead.T), (y0**2).sum(axis=1)
-    step = np.einsum("pn,pq,qn->n", by, ahead @ ahead.T, by)
+    cross, square = np.einsum("pn,np->n", coefficients, y0 @ images.T), (y0**2).sum(axis=1)
+    step = np.einsum("pn,pq,qn->n", coefficients, images @ images.T, coefficients)
     probability, error = np.empty((2, eta.size))
     for k, e in enumerate(eta):
         a = length**2 - e * step
         b = 2.0 * (u0 * length - e * cross)
         c = u0**2 - e * square
-        p = weight * _positive(a, b, c)
+        p = weight * _probability_positive(a, b, c)
         probability[k], error[k] = p.mean(), p.std() / np.sqrt(draws)
     return Exceedance(eta, probability, error)
 
@@ -148,8 +148,8 @@ def exceedance_at(threshold: npt.ArrayLike, population: Exceedance) -> Array:
     return np.asarray(np.exp(np.interp(x, np.arctanh(np.sqrt(population.scores)), log_p)))
 
 
-def _drawn_closer(z: Array, decades: Sequence[float]) -> Array:
-    """Scale the draws ``z`` in place, in turns, and return their weights (balance heuristic, Veach 1995).
+def _importance_weights(z: Array, decades: Sequence[float]) -> Array:
+    """Scale the draws ``z`` in place, by each decade in turn, and return their weights (balance heuristic, Veach 1995).
 
     For a pixel of the background itself P_FA is about E[exp(-t^2 r^2 / 2)] with r^2 of F - 1 degrees of freedom: it
     comes from draws whose variance is smaller by 1 + t^2 = P_FA^(-2 / (F - 1)).
@@ -162,19 +162,19 @@ def _drawn_closer(z: Array, decades: Sequence[float]) -> Array:
     return np.asarray(np.exp(-logsumexp(log_density, axis=1, b=1.0 / scale.size)))
 
 
-def _positive(a: Array, b: Array, c: Array) -> Array:
+def _probability_positive(a: Array, b: Array, c: Array) -> Array:
     """P(a xi^2 + b xi + c > 0) for standard normal xi."""
     opens_upwards = a >= 0
-    inside = b**2 - 4.0 * a * c
-    root = np.sqrt(np.maximum(inside, 0.0))
+    discriminant = b**2 - 4.0 * a * c
+    root = np.sqrt(np.maximum(discriminant, 0.0))
     # The stable pair of roots: q / a and c / q.
     q = -0.5 * (b + np.where(b >= 0, root, -root))
     a, q = np.where(np.abs(a) < 1e-300, 1e-300, a), np.where(np.abs(q) < 1e-300, 1e-300, q)
     low, high = np.minimum(q / a, c / q), np.maximum(q / a, c / q)
-    outside = np.where(inside <= 0, 1.0, ndtr(low) + ndtr(-high)) if opens_upwards.any() else np.zeros(a.shape)
+    tails = np.where(discriminant <= 0, 1.0, ndtr(low) + ndtr(-high)) if opens_upwards.any() else np.zeros(a.shape)
     if opens_upwards.all():
-        return outside
+        return tails
     # Between two roots on one side of zero, the difference is taken where it keeps its digits.
     flip = low > 0
-    between = ndtr(np.where(flip, -low, high)) - ndtr(np.where(flip, -high, low))
-    return np.where(opens_upwards, outside, np.where(inside <= 0, 0.0, between))
+    interior = ndtr(np.where(flip, -low, high)) - ndtr(np.where(flip, -high, low))
+    return np.where(opens_upwards, tails, np.where(discriminant <= 0, 0.0, interior))

@@ -1,7 +1,7 @@
 """Separability of two classes: Bhattacharyya distance, and the error of a Gaussian maximum-likelihood classifier.
 
 The error is that of pixels, or predicted from statistics alone, as FASSP uses 3.26-3.33; the distance bounds it.
-A classifier sees bands, or principal components of the classes taken together (3.21).
+Features are bands, or principal components of the mixture of the classes (3.21).
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def classification_error(distance: float) -> tuple[float, float, float]:
     estimate, lower bound, upper bound [1].  The estimate Phi(-sqrt(2 B)) is exact for equal covariances and equal
     priors; the bounds 1/2 - 1/2 sqrt(1 - exp(-2B)) and exp(-B)/2 hold for any classes that are equally likely.
     """
-    b = max(distance, 0.0)  # below it there is rounding
+    b = max(distance, 0.0)  # against rounding
     lower, upper = 0.5 - 0.5 * np.sqrt(-np.expm1(-2.0 * b)), 0.5 * np.exp(-b)
     return float(ndtr(-np.sqrt(2.0 * b))), float(lower), float(upper)
 
@@ -73,7 +73,7 @@ class ClassLaw:
     tail_dof: float = np.inf
 
     def project(self, psi: Array) -> ClassLaw:
-        """The law of the features psi x (3.21); a linear map keeps a t what it is."""
+        """The law of the features psi x (3.21); a linear map of a t law is one of the same degrees of freedom."""
         return ClassLaw(psi @ self.mean, psi @ self.covariance @ psi.T, self.tail_dof)
 
     def draw(self, n: int, rng: np.random.Generator) -> Array:
@@ -92,7 +92,7 @@ class ClassLaw:
         return np.asarray(self.mean + standard @ np.linalg.cholesky(self.covariance).T)
 
     def trained(self, n: float, rng: np.random.Generator) -> ClassLaw:
-        """The law as a classifier has it that was trained on ``n`` independent pixels, more than there are features.
+        """The law as estimated from ``n`` independent training pixels, more than there are features.
 
         >>> law, rng = ClassLaw(np.zeros(2), np.eye(2)), np.random.default_rng(1)
         >>> each = [law.trained(9.0, rng) for _ in range(4000)]
@@ -109,7 +109,7 @@ class ClassLaw:
         >>> bool(0.18 < np.std([heavy.trained(100.0, rng).covariance[0, 0] for _ in range(1000)]) < 0.26)
         True
         """
-        if np.isfinite(self.tail_dof) and n < 5000:  # of fewer pixels some far away decide
+        if np.isfinite(self.tail_dof) and n < 5000:  # with fewer pixels, outliers dominate
             drawn = statistics_of(self.draw(round(n), rng))
             return ClassLaw(drawn.mean, drawn.covariance)
         root = np.linalg.cholesky(self.covariance)
@@ -134,7 +134,7 @@ def gaussian_classes(laws: Sequence[ClassLaw], pixels: npt.ArrayLike) -> Index:
     return np.asarray(np.argmax(likelihoods, axis=0))
 
 
-_TRAININGS, _TESTED = 24, 1000  # of a classifier that few pixels train; pixels of a class that each is tried on
+_TRAININGS, _TESTED = 24, 1000  # drawn training sets of few pixels; pixels of a class that each is tested on
 
 
 def predicted_error(
@@ -142,11 +142,11 @@ def predicted_error(
 ) -> ClassificationError:
     """Error of a classifier on pixels drawn from the laws; with distance, estimate and bounds.
 
-    The interval is that of the draws, and of the chance of training.
+    The interval is that of the draws and of the training.
 
     Parameters
     ----------
-    trained : independent pixels of each class that the classifier is trained on; none: it knows the laws
+    trained : independent pixels of each class that the classifier is trained on; none: it has the true laws
 
     >>> near, far = ([ClassLaw(np.full(4, mean), np.eye(4)) for mean in (0.0, away)] for away in (0.8, 9.0))
     >>> known, few = (predicted_error(near, np.random.default_rng(1), 5000, n) for n in ((), (9.0, 9.0)))
@@ -158,29 +158,30 @@ def predicted_error(
     pixels = [law.draw(draws, rng) for law in laws]
 
     def share(fitted: Sequence[ClassLaw], count: int) -> float:
-        """Of pixels that are taken for those of another class."""
+        """Share of pixels assigned to another class."""
         return float(np.mean([gaussian_classes(fitted, sample[:count]) != i for i, sample in enumerate(pixels)]))
 
     error, n = share(laws, draws), draws * len(laws)
     lower, upper = clopper_pearson(error * n, n)
-    whole = with_distances(ClassificationError(error, float(lower), float(upper), n), laws)
+    exact = with_distances(ClassificationError(error, float(lower), float(upper), n), laws)
     if not trained:
-        return whole
-    least = laws[0].mean.size + 2.0  # fewer give no covariance that can be inverted
-    each = [[law.trained(max(m, least), rng) for law, m in zip(laws, trained, strict=True)] for _ in range(_TRAININGS)]
-    more = np.array([share(fitted, _TESTED) for fitted in each]) - share(laws, _TESTED)
-    error, half = error + float(more.mean()), Z95 * float(more.std(ddof=1))
-    ends = max(lower + more.mean() - half, 0.0), min(upper + more.mean() + half, 1.0)
-    distance = float(np.mean([with_distances(whole, fitted).distance for fitted in each]))
-    return replace(whole, error=error, lower=float(ends[0]), upper=float(ends[1]), distance=distance)
+        return exact
+    fewest = laws[0].mean.size + 2.0  # fewer give a singular covariance
+    fits = [[law.trained(max(m, fewest), rng) for law, m in zip(laws, trained, strict=True)] for _ in range(_TRAININGS)]
+    excess = np.array([share(fitted, _TESTED) for fitted in fits]) - share(laws, _TESTED)
+    error, half_width = error + float(excess.mean()), Z95 * float(excess.std(ddof=1))
+    ends = max(lower + excess.mean() - half_width, 0.0), min(upper + excess.mean() + half_width, 1.0)
+    distance = float(np.mean([with_distances(exact, fitted).distance for fitted in fits]))
+    return replace(exact, error=error, lower=float(ends[0]), upper=float(ends[1]), distance=distance)
 
 
 def measured_error(laws: Sequence[ClassLaw], pixels: Sequence[Array], blocks: Sequence[Index]) -> ClassificationError:
-    """Error of the classifier trained on ``laws`` on pixels that had no part in them.
+    """Error of the classifier trained on ``laws`` on pixels that are not in the training.
 
-    Neighbours err together, so the binomial interval is that of as many independent pixels as give the spread of
-    the error from block to block (Kish 1965, section 5.4); without any error all pixels count.  What few blocks show
-    beyond independent pixels is widened by (t/1.96)^2 with Satterthwaite's degrees of freedom (JCGM 100:2008, G.4).
+    Errors of neighbours are correlated, so the binomial interval is that of as many independent pixels as give the
+    spread of the error from block to block (Kish 1965, section 5.4); without any error all pixels count.  The excess of
+    few blocks over independent pixels is widened by (t/1.96)^2 with Satterthwaite's degrees of freedom (JCGM 100:2008,
+    G.4).
 
     Parameters
     ----------
@@ -227,14 +228,14 @@ def with_distances(error: ClassificationError, laws: Sequence[ClassLaw]) -> Clas
     """
     refuse(len(laws) < 2, "features.classes")
     pairs = [bhattacharyya_distance(a.mean, a.covariance, b.mean, b.covariance) for a, b in combinations(laws, 2)]
-    part = 2.0 / len(laws)
-    each = [classification_error(distance) for distance in pairs]
+    weight = 2.0 / len(laws)
+    estimates = [classification_error(distance) for distance in pairs]
     return replace(
         error,
         distance=min(pairs),
-        approximation=part * sum(estimate for estimate, _, _ in each),
-        bound_lower=part * max(low for _, low, _ in each),
-        bound_upper=min(part * sum(high for _, _, high in each), 1.0 - 1.0 / len(laws)),
+        approximation=weight * sum(estimate for estimate, _, _ in estimates),
+        bound_lower=weight * max(low for _, low, _ in estimates),
+        bound_upper=min(weight * sum(high for _, _, high in estimates), 1.0 - 1.0 / len(laws)),
     )
 
 
@@ -269,23 +270,23 @@ def class_features(laws: Sequence[ClassLaw], components: int | None) -> Array:
     return principal_components(np.mean([law.covariance for law in laws], axis=0) + between, components)
 
 
-_POOL = 4000  # background and target pixels drawn once and taken from at random
+_POOL = 4000  # background and target pixels drawn once and then resampled
 _SMALLEST = 1e-10  # of the mean variance, added where a covariance has less than full rank
 
 
 @dataclass(frozen=True, eq=False)
 class UnmixedSubject:
-    """What a prediction of one subject's area must know.
+    """Inputs of the prediction of one subject's area.
 
     Attributes
     ----------
     subject : its name in the products
-    population, scenario_target : the population and the target of the scenario that stand for it
+    population, scenario_target : its population and target in the scenario
     spectrum : (B,) the target's endmember [1]
-    relative_uncertainty, correlation_nm : of it, as a picture of the target
-    endmembers : where the spectrum is from, as the method tells it
-    objects : number of objects that the area is the mean of
-    nominal_m2 : their area as the truth states it
+    relative_uncertainty, correlation_nm : of it, as the spectrum of the target
+    endmembers : origin of the spectrum, in the name of the method
+    objects : number of objects averaged
+    nominal_m2 : their area in the truth
     ring : pixels behind the local background
     """
 
@@ -303,7 +304,7 @@ class UnmixedSubject:
 
 @dataclass(frozen=True, eq=False)
 class Unmixed:
-    """Areas by (subject, method), and what the prediction needs for each subject.
+    """Areas by (subject, method), and the inputs of the prediction of each subject.
 
     ``bands`` (B,) were used; ``noise``: method -> (F, F) weights of the fit, None for equal ones.
     """
@@ -329,13 +330,12 @@ def predicted_areas(
     A pixel is f t + (1 - f) b (3.10): fills of a whole object from the geometry, background pixels b by the
     laws of the host class as predicted, target pixels t about the endmember, whose error is common to all
     pixels of an object. The background endmember is the mean of as many pixels as lie around the object.
-    Background pixels are drawn independent of each other. Subjects that the scenario does not hold are left
-    out; so are all where light is computed (a scenario with an atmosphere), since noise would have to be
-    drawn for each fill.
+    Background pixels are drawn independently. Subjects that are not in the scenario are left out; so are all
+    in a scenario with an atmosphere, where noise would have to be drawn for each fill.
 
     Parameters
     ----------
-    truth : dotted path -> what truly stands there; the endmembers stay what they are
+    truth : dotted path -> true value; the endmembers stay as stated
     prediction : of the same truth
     """
     if scenario.atmosphere is not None:
@@ -343,24 +343,24 @@ def predicted_areas(
     world = settled(with_truths(read_world(scenario, origins), [truth]))[0][1]
     index = np.flatnonzero(unmixed.bands)
     populations = {(name, p.name): p for name, p in world.populations[0][0]}
-    out = {}
+    areas = {}
     for number, item in enumerate(unmixed.subjects):
         population = populations.get((item.scenario_target, item.population))
         if population is None:
             continue
         rng = np.random.default_rng([seed, number])
-        pixels, endmembers, absent = _objects(population, item, prediction, world, index, draws, rng)
+        pixels, endmembers, absent = _drawn_objects(population, item, prediction, world, index, draws, rng)
         for method, factor in unmixed.noise.items():
             abundance = fully_constrained(pixels, endmembers[:, None], factor)[..., 0]
             area = np.where(absent, 0.0, abundance).sum(axis=1) * unmixed.pixel_area_m2
             spread = float(area.std(ddof=1)) / np.sqrt(item.objects)
-            out[item.subject, unmixing_method(method, item.endmembers)] = Abundance(
+            areas[item.subject, unmixing_method(method, item.endmembers)] = Abundance(
                 float(area.mean()), float(spread), round((~absent).sum(axis=1).mean()), item.nominal_m2
             )
-    return out
+    return areas
 
 
-def _objects(
+def _drawn_objects(
     population: TargetSubject,
     item: UnmixedSubject,
     prediction: PredictedProducts,
@@ -369,62 +369,62 @@ def _objects(
     draws: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array, Mask]:
-    """Pixels (draws, n, F) of drawn objects, the endmembers (draws, 2, F) that each is unmixed with, and which of the
-    pixels (draws, n) it has not, as it has fewer.
+    """Pixels (draws, n, F) of drawn objects, the endmembers (draws, 2, F) of each, and the mask (draws, n) of absent
+    pixels, behind the last of an object that has fewer.
     """
     stated = world.stated
     target = next(t for t in stated.targets if t.name == item.scenario_target)
     number = world.surface(target.name)
-    moved = world.mean[0, number] - stated.mean[number]  # what the reflectance truly differs from its endmember
+    moved = world.mean[0, number] - stated.mean[number]  # departure of the true reflectance from the endmember
     host = prediction.reflectance[target.host]
-    of_host = prediction.distribution.get(target.host, PixelDistribution())
-    law = ClassLaw(host.mean[index], _full_rank(cut(np.asarray(host.pixel_covariance), index)), of_host.tail_dof)
+    distribution = prediction.distribution.get(target.host, PixelDistribution())
+    law = ClassLaw(host.mean[index], _full_rank(cut(np.asarray(host.pixel_covariance), index)), distribution.tail_dof)
     laws = [
         (part, ClassLaw((host.mean + offset)[index], _full_rank(cut(covariance, index)), dof))
-        for part, offset, covariance, dof in of_host.clusters
+        for part, offset, covariance, dof in distribution.clusters
     ]
     spectrum = item.spectrum[index]
     spread = ClassLaw(np.zeros(index.size), _full_rank(cut(stated.surfaces[target.name].covariance, index)))
     fills = fills_of_objects(population.fill)
     drawn = fills[rng.integers(fills.shape[0], size=draws)]
     f = np.nan_to_num(drawn)[..., None]
-    background = _of_host(laws or [(1.0, law)], f.shape[:2], rng)
+    background = _host_pixels(laws or [(1.0, law)], f.shape[:2], rng)
     material = _from_pool(spread, f.shape[:2], rng)
     material += spectrum + moved[index]
     if item.relative_uncertainty > 0:
-        sd = item.relative_uncertainty * spectrum  # of the endmember as a picture of the target
+        sd = item.relative_uncertainty * spectrum
         shape = band_correlation(stated.axis.select(index), item.correlation_nm)
         error = ClassLaw(np.zeros(index.size), _full_rank(np.outer(sd, sd) * shape))
         material += error.draw(draws, rng)[:, None]
-    around = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
-    endmembers = np.stack([np.broadcast_to(spectrum, around.shape), around], axis=1)
+    backgrounds = law.mean + (law.draw(draws, rng) - law.mean) / np.sqrt(max(item.ring, 1))
+    endmembers = np.stack([np.broadcast_to(spectrum, backgrounds.shape), backgrounds], axis=1)
     material -= background
     material *= f
     material += background
     return material, endmembers, np.isnan(drawn)
 
 
-def _of_host(laws: Sequence[tuple[float, ClassLaw]], shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """(*shape, F) pixels of a class that is made of some laws."""
+def _host_pixels(laws: Sequence[tuple[float, ClassLaw]], shape: tuple[int, ...], rng: np.random.Generator) -> Array:
+    """(*shape, F) pixels of a class that is a mixture of laws."""
     if len(laws) == 1:
         return _from_pool(laws[0][1], shape, rng)
     which = rng.choice(len(laws), shape, p=[part for part, _ in laws])
-    out = np.empty((*shape, laws[0][1].mean.size))
+    pixels = np.empty((*shape, laws[0][1].mean.size))
     for k, (_, law) in enumerate(laws):
-        here = which == k
-        out[here] = _from_pool(law, (int(here.sum()),), rng)
-    return out
+        selected = which == k
+        pixels[selected] = _from_pool(law, (int(selected.sum()),), rng)
+    return pixels
 
 
 def _from_pool(law: ClassLaw, shape: tuple[int, ...], rng: np.random.Generator) -> Array:
-    """(*shape, F) pixels, each one of a pool that is drawn once; those of the pool that none is are not made."""
+    """(*shape, F) pixels resampled from a pool that is drawn once; unused ones of the pool are not computed."""
     pool, index = law.standard_draw(_POOL, rng), rng.integers(_POOL, size=shape)
-    some, place = np.unique(index, return_inverse=True)
-    return law.pixels(pool[some])[place.reshape(shape)]
+    used, position = np.unique(index, return_inverse=True)
+    return law.pixels(pool[used])[position.reshape(shape)]
 
 
 def _full_rank(covariance: Array) -> Array:
-    """With a spread in every direction, too small to be seen, so that it has a Cholesky factor."""
+    """The covariance with a negligible spread added in every direction, so that it has a Cholesky factor."""
     mean = float(np.trace(covariance)) / covariance.shape[0]
     return np.asarray(covariance + max(_SMALLEST * mean, 1e-18) * np.eye(covariance.shape[0]))
 
@@ -433,17 +433,16 @@ def predicted_classification(
     prediction: PredictedProducts, sets: Sequence[Sequence[str]], features: Sequence[Any], quantity: str,
     seed: int = 0, trained: Mapping[str, float] | None = None,
 ) -> dict[tuple[str, str], ClassificationError]:  # fmt: skip
-    """Errors by (classes, features), for pixels as the prediction says they are, tails included.
+    """Errors by (classes, features), for pixels of the predicted distributions, tails included.
 
-    ``features`` have a name, which stands in the table as the method, ``bands_nm`` of the bands (empty: all) and
-    ``pca``, the number of principal components (None: bands).  The classifier is the same in radiance and in
-    reflectance, as a line through each band leaves it as it is; ``quantity`` is that of the image.  Sets with a class
-    that the prediction lacks are left out.  ``trained`` : independent pixels of each class that the classifier is
-    trained on; None: it knows the laws.
+    ``features`` have a name, the method in the table, ``bands_nm`` of the bands (empty: all) and ``pca``, the number of
+    principal components (None: bands).  The classifier is the same in radiance and in reflectance, as it is invariant
+    under a line in each band; ``quantity`` is that of the image.  Sets with a class that the prediction lacks are left
+    out.  ``trained`` : independent pixels of each class that the classifier is trained on; None: it has the true laws.
 
     Raises
     ------
-    UsageError : a class without spread, which a Gaussian classifier cannot take.
+    UsageError : a class without spread in some band.
 
     Examples
     --------
@@ -461,7 +460,7 @@ def predicted_classification(
     axis = prediction.axis
     spectra = prediction.radiance if quantity == "radiance" else prediction.reflectance
     usable = axis.clear
-    out = {}
+    errors = {}
     for chosen in sets:
         if not all(name in spectra for name in chosen):
             continue
@@ -478,5 +477,5 @@ def predicted_classification(
             rng = np.random.default_rng([seed, bands.size])
             counts = [] if trained is None else [trained[name] for name in chosen]
             projected = [law.project(psi) for law in laws]
-            out[" / ".join(chosen), choice.name] = predicted_error(projected, rng, trained=counts)
-    return out
+            errors[" / ".join(chosen), choice.name] = predicted_error(projected, rng, trained=counts)
+    return errors

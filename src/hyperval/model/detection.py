@@ -1,8 +1,8 @@
 """Filters, scores and ROC curves of every target population, in U truths at once (3.21-3.33).
 
-Truths that share light, sensor and classes share their filters: for each the background's covariance is put together
-packed, in memory that is used again, and factorised once; everything that goes through matrices that truths share goes
-through them together.  ACE has no closed form: conditional Monte Carlo, one truth after the other.
+Truths that share light, sensor and classes share their filters: the background's covariance of each is assembled in
+packed form, in memory that is reused, and factorised once; products with shared matrices are taken for all truths at
+once.  ACE has no closed form: conditional Monte Carlo, one truth after the other.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from hyperval.model.radiance import (
     target_pixels,
     usable_bands,
 )
-from hyperval.model.stated import Keeps, distinct
+from hyperval.model.stated import Cached, distinct
 from hyperval.model.world import World, settled
 from hyperval.products import ExceedanceCurve, PredictedProducts, RocCurve, ScoreDistribution, background_of
 from hyperval.scenario import Scenario, TargetSubject
@@ -56,37 +56,37 @@ def spread(vectors: Array, covariance: Array, stretch: Array | None = None) -> A
     return np.asarray(np.einsum("ukf,ukf->uk", product, v))
 
 
-def surroundings_variance(of: Background, vectors: Array) -> Array:
+def surroundings_variance(classes: Background, vectors: Array) -> Array:
     """(U, K) v Sigma_ave v^T of vectors (U, K, F) (3.11); by the classes where truths differ in them."""
     if not vectors.any():
         return np.zeros(vectors.shape[:2])
-    if len(of.fraction) == len(of.between) == len(of.stretch) == 1:
-        return spread(vectors, of.covariance())
+    if len(classes.fraction) == len(classes.between) == len(classes.stretch) == 1:
+        return spread(vectors, classes.covariance())
     total = np.zeros(vectors.shape[:2])
-    for m, covariance in enumerate(of.covariances):
-        between = np.broadcast_to(of.between[:, m], (len(vectors), vectors.shape[2]))
-        away = np.einsum("ukf,uf->uk", vectors, between) ** 2
-        total += of.fraction[:, m, None] * (spread(vectors, covariance, of.stretch[:, m]) + away)  # (3.11)
+    for m, covariance in enumerate(classes.covariances):
+        between = np.broadcast_to(classes.between[:, m], (len(vectors), vectors.shape[2]))
+        square = np.einsum("ukf,uf->uk", vectors, between) ** 2
+        total += classes.fraction[:, m, None] * (spread(vectors, covariance, classes.stretch[:, m]) + square)  # (3.11)
     return total
 
 
 def class_scores(view: Retrieved, filters: LinearFilter) -> tuple[Array, Array]:
-    """theta_m and sigma_m (U, J) of the laws that the background's classes are made of (3.27, 3.29).
+    """theta_m and sigma_m (U, J) of the laws of the background's classes (3.27, 3.29).
 
-    A component of a class lies off its mean and has a covariance of its own; noise and surroundings are those of
-    the class.  A linear filter makes a normal law normal and a t law a t law: the scores have a closed form.
+    A component of a class has its own mean and covariance; noise and surroundings are those of the class.  A linear
+    map keeps normal and t laws: the scores have a closed form.
     """
-    w, of, laws = filters.weights, view.of, view.of.laws
+    w, classes, laws = filters.weights, view.classes, view.classes.laws
     owner, truths = np.array([law.owner for law in laws]), len(filters.weights)
 
     means = (np.einsum("uf,umf->um", w, wide(view.means, truths)) - filters.offset[:, None])[:, owner]  # (3.27)
     variances = np.einsum("uf,umf->um", w**2, wide(view.noise, truths))[:, owner]
-    through = (w * view.slope)[:, None, :]
+    surface_weights = (w * view.slope)[:, None, :]
     for j, law in enumerate(laws):
-        gain, stretch = of.gain[:, law.owner], of.stretch[:, law.owner]
-        variances[:, j] += gain * spread(through, law.covariance, stretch)[:, 0]
-        means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", through[:, 0], wide(stretch * law.offset, truths))
-    variances += surroundings_variance(of, w[:, None, :] * view.around)[:, owner]
+        gain, stretch = classes.gain[:, law.owner], classes.stretch[:, law.owner]
+        variances[:, j] += gain * spread(surface_weights, law.covariance, stretch)[:, 0]
+        means[:, j] += np.sqrt(gain) * np.einsum("uf,uf->u", surface_weights[:, 0], wide(stretch * law.offset, truths))
+    variances += surroundings_variance(classes, w[:, None, :] * view.adjacency)[:, owner]
     return means, np.sqrt(np.maximum(variances, 0.0))  # (3.29)
 
 
@@ -107,16 +107,16 @@ class Responses:
     Attributes
     ----------
     means : (R, 9) at FILL_NODES (3.26)
-    own, host : (R,) score variance of a pixel full of target without its gain, and of host with it
-    rest : (R, 9) surroundings and noise (3.28)
+    target, host : (R,) score variance of a pixel full of target without its gain, and of host with it
+    surroundings : (R, 9) variance by surroundings and noise (3.28)
     error : (R,) standard deviation of the score of a full pixel by the error of the target's spectrum
-    fine : (R,) part of ``own`` whose texture is finer than the target's part of a pixel
+    fine : (R,) part of ``target`` whose texture is finer than the target's part of a pixel
     """
 
     means: Array
-    own: Array
+    target: Array
     host: Array
-    rest: Array
+    surroundings: Array
     error: Array
     fine: Array
 
@@ -129,13 +129,13 @@ class Responses:
         """(n, 9) at FILL_NODES, of n evaluations of given rows (3.28)."""
         f = FILL_NODES
         square = f**2 + self.fine[rows, None] * (f - f**2)
-        target = square * (target_gain * self.own[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
-        return np.asarray(target + self.rest[rows])  # (3.28)
+        target = square * (target_gain * self.target[rows])[:, None] + (1.0 - f) ** 2 * self.host[rows, None]
+        return np.asarray(target + self.surroundings[rows])  # (3.28)
 
     def at(self, fills: Array, target_gain: Array, rows: Index, shift: Array | float = 0.0) -> tuple[Array, Array]:
         """Means and standard deviations (n, K) at fills (n, K) or (1, K), for n evaluations of given rows.
 
-        ``shift`` (n,) : by how many standard deviations of the score the true target departs from its spectrum
+        ``shift`` (n,) : departure of the true target from its spectrum, in standard deviations of the score
         """
         variance, weights = self.variances(target_gain, rows), self.weights(fills)  # (n, 9), (n or 1, K, 9)
         means = (weights * self.means[rows][:, None, :]).sum(axis=2)
@@ -146,47 +146,47 @@ class Responses:
 def target_scores(view: Retrieved, filters: LinearFilter, material: Material, rows: Index) -> Responses:
     """Score statistics of pixels of which the target fills f, at FILL_NODES (3.26, 3.28).
 
-    Var(f) comes in by the average over the fill.
+    Var(f) enters by the average over the fill.
 
-    ``rows`` : the truth of the classes that each of those of ``material`` has
+    ``rows`` : number of the truth of the classes for each truth of ``material``
     """
     filters, view = filters.rows(rows), view.rows(rows)
-    of, number, w, g = view.of, material.host, filters.weights, FILL_NODES
+    classes, number, w, g = view.classes, material.host, filters.weights, FILL_NODES
     truths, bands = w.shape
-    reflectance, noise, around, factor = target_pixels(view, material, g)
+    reflectance, noise, adjacency, factor = target_pixels(view, material, g)
     means = np.einsum("uf,ukf->uk", w, wide(reflectance, truths)) - filters.offset[:, None]  # (3.26)
-    rest = np.einsum("ukf,uf->uk", wide(noise, truths), w**2)  # noise of (3.28)
+    var = np.einsum("ukf,uf->uk", wide(noise, truths), w**2)  # noise of (3.28)
     # D_B is linear in the reflectance, so that its part of the variance is a square in the fill.
-    v = w[:, None, :] * np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in around], axis=1)
-    parts = surroundings_variance(of, np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
-    zero, one, both = parts[:, :1], parts[:, 1:2], parts[:, 2:]
-    rest = rest + (1.0 - g) ** 2 * zero + g**2 * one + g * (1.0 - g) * (both - zero - one)
-    through = (w * view.slope)[:, None, :]
-    lit_through, error = through * factor, np.zeros(truths)
+    v = w[:, None, :] * np.concatenate([np.broadcast_to(x, (truths, 1, bands)) for x in adjacency], axis=1)
+    parts = surroundings_variance(classes, np.concatenate([v, v[:, :1] + v[:, 1:]], axis=1))
+    host, full, summed = parts[:, :1], parts[:, 1:2], parts[:, 2:]
+    var = var + (1.0 - g) ** 2 * host + g**2 * full + g * (1.0 - g) * (summed - host - full)
+    surface_weights = (w * view.slope)[:, None, :]
+    lit_weights, error_sd = surface_weights * factor, np.zeros(truths)
     if material.error is not None:
-        error = np.linalg.norm(lit_through[:, 0] @ material.error.T, axis=1)
-    target_spread = spread(lit_through, material.covariance, material.stretch)[:, 0]
-    host_spread = spread(through, of.covariances[number], of.stretch[:, number])[:, 0]
+        error_sd = np.linalg.norm(lit_weights[:, 0] @ material.error.T, axis=1)
+    target_spread = spread(lit_weights, material.covariance, material.stretch)[:, 0]
+    host_spread = spread(surface_weights, classes.covariances[number], classes.stretch[:, number])[:, 0]
     fine = np.broadcast_to(material.fine_texture, (truths,))
-    return Responses(means, target_spread, of.gain[:, number] * host_spread, rest, error, fine)
+    return Responses(means, target_spread, classes.gain[:, number] * host_spread, var, error_sd, fine)
 
 
-class Evaluation(Keeps):
-    """U truths of what was read once; quantities are computed when asked for.
+class Evaluation(Cached):
+    """U truths of one scenario as read; quantities are computed at their first use.
 
     Parameters
     ----------
     world : settled (:func:`hyperval.model.world.settled`)
     errors : target -> (K, B) directions of the error of its spectrum
-    shift : (U or 1,) by how many standard deviations of the score the targets depart from their spectra
+    shift : (U or 1,) departures of the targets from their spectra, in standard deviations of the score
 
     Attributes
     ----------
-    scenario, axis, targets : what all truths share: names and processing, the bands as they are labelled
-    at, which : the V truths with other light, sensor and classes, and which (U,) of these each truth has
-    usable : (V or 1, B) bands of the truths with other light that the detectors could use
-    probits : of P_D, (U, K) of all truths at the false-alarm probabilities of the curves, once they were asked for
-    problems : truth -> why it has no filter; none where no filter was asked for
+    scenario, axis, targets : common to all truths: names and processing, the labelled bands
+    at, which : the V truths of distinct light, sensor and classes, and the number (U,) of that of each truth
+    usable : (V or 1, B) bands that the detectors could use, of these V truths
+    probits : of P_D, (U, K) of all truths at the false-alarm probabilities of the curves, filled by :func:`detect`
+    problems : truth -> why its filter fails; filled with the filters
     """
 
     def __init__(self, world: World, errors: Mapping[str, Array] | None = None, shift: Array | float = 0.0):
@@ -196,7 +196,7 @@ class Evaluation(Keeps):
         self.at, self.which = world.of_light
         self.light = light_of(self.at)
         self.usable = usable_bands(self.at, self.light)
-        self.kept: dict[Any, Any] = {}
+        self.cache: dict[Any, Any] = {}
         self.probits: dict[RocKey, Array] = {}
         self.moments: dict[tuple[str, str], Array] = {}
         self.problems: dict[int, UsageError] = {}
@@ -220,7 +220,7 @@ class Evaluation(Keeps):
         return self.of_truths(snr)
 
     def of_truths(self, values: Array) -> Array:
-        """(U, ...) of values (V or 1, ...) of the truths with other light."""
+        """(U, ...) of values (V or 1, ...) of the truths of distinct light."""
         return values[self.which] if len(values) > 1 else wide(values, len(self))
 
     # ---- detection -----------------------------------------------------------------------------------------
@@ -238,7 +238,7 @@ class Evaluation(Keeps):
 
     @cached_property
     def view(self) -> Retrieved:
-        """The classes as the detectors see them."""
+        """The classes after the empirical line, in the detectors' bands."""
         return retrieved(self.light, self.at, self.bands)
 
     @cached_property
@@ -246,17 +246,17 @@ class Evaluation(Keeps):
         """(target, linear detector) -> filters, theta_m, sigma_m (V, J) of the J laws of the classes."""
         view, linear, shape = self.view, self.stated.linear_detectors, (self.at.size, self.bands.size)
         wanted = {(t.name, d): view.signatures[t.name] for t in self.targets for d in linear}
-        made = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
+        filters = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
         for v in range(self.at.size) if wanted else ():
             try:
                 base = filter_base(self.stated, view, v)
-                each = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
+                designs = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
             except UsageError as error:
                 self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
                 continue
-            for target, one in zip(made.values(), each, strict=True):
-                target.weights[v], target.offset[v] = one
-        return {key: (f, *class_scores(view, f)) for key, f in made.items()}
+            for target, design in zip(filters.values(), designs, strict=True):
+                target.weights[v], target.offset[v] = design
+        return {key: (f, *class_scores(view, f)) for key, f in filters.items()}
 
     def material(self, target: int, world: World) -> Material:
         """A target with its host, its light and the error of its spectrum, in some truths."""
@@ -279,8 +279,8 @@ class Evaluation(Keeps):
         return self.once(("fills", number), lambda: self.world.fills(number, True))
 
     def scores(self, population: str, detector: str, objects: bool = False) -> roc.RocScores | AceScores:
-        """What the ROC of a target population needs in each truth (3.26-3.29), pixel by pixel; ``objects``: where an
-        object is detected when one of its pixels is.
+        """Score statistics of a target population in each truth (3.26-3.29), by pixel; ``objects``: by object, which is
+        detected when one of its pixels is.
 
         Raises
         ------
@@ -294,10 +294,10 @@ class Evaluation(Keeps):
         return self.once(("scores", population, detector, objects), lambda: make(target, detector, fills))
 
     def _ace_scores(self, target: int, detector: str, fills: FillDistribution) -> AceScores:
-        each = self.once(("ace", target), lambda: [_ace_pixels(self, u, target) for u in range(len(self))])
+        pixels = self.once(("ace", target), lambda: [_ace_pixels(self, u, target) for u in range(len(self))])
         values = fills.values.reshape(len(fills.values), *(fills.shape or (-1, 1)))
-        scored = [one.any_of(of_truth(values, u), of_truth(fills.weights, u)) for u, one in enumerate(each)]
-        return AceScores(self.pfa, each, scored)
+        scored = [pixel.any_of(of_truth(values, u), of_truth(fills.weights, u)) for u, pixel in enumerate(pixels)]
+        return AceScores(self.pfa, pixels, scored)
 
     def _scores(self, target: int, detector: str, fills: FillDistribution) -> roc.RocScores:
         rows, response = self.responses(target, detector, target)
@@ -314,7 +314,7 @@ class Evaluation(Keeps):
     def host(
         self, target: int, detector: str, truths: Index, share: Array, mean: Array, variance: Array
     ) -> roc.Host | None:
-        """The host of a target in some truths, as :class:`Host` has it; None: one normal law in all."""
+        """The host of a target in some truths; None: one normal law in all."""
         laws, parts, _ = self.host_laws(target)
         classes, which = self.classes(target, detector)
         scores = classes.rows(which[truths]).of(laws)
@@ -322,13 +322,13 @@ class Evaluation(Keeps):
         return None if host.normal.all() else host
 
     def host_laws(self, target: int) -> tuple[Index, Array, Array]:
-        """(C,) which of the background's laws a target's host is made of, their parts, and (U or 1, C) dof."""
+        """(C,) numbers of the background's laws in a target's host, their parts, and (U or 1, C) dof."""
         owner = self.stated.classes.index(self.targets[target].host)
         laws = [j for j, law in enumerate(self.stated.laws) if law.owner == owner]
         return np.array(laws), np.array([self.stated.laws[j].weight for j in laws]), self.world.law_dof[:, laws]
 
     def classes(self, target: int, detector: str) -> tuple[roc.ClassScores, Index]:
-        """Scores of the background's laws for each different combination of light, classes and tails."""
+        """Scores of the background's laws for each distinct combination of light, classes and tails."""
 
         def made() -> tuple[roc.ClassScores, Index]:
             _, means, sds = self.filters[self.targets[target].name, detector]
@@ -341,8 +341,8 @@ class Evaluation(Keeps):
         return self.once(("classes", target, detector), made)
 
     def responses(self, looks_for: int, detector: str, holds: int) -> tuple[Index, Responses]:
-        """Which row each truth has (U,), and scores against the fill of pixels that hold a target, by the filter that
-        looks for the same or another.
+        """Row (U,) of each truth, and scores against the fill of pixels that hold a target, by the filter of the same
+        or another target.
         """
 
         def made() -> tuple[Index, Responses]:
@@ -354,7 +354,7 @@ class Evaluation(Keeps):
         return self.once(("responses", looks_for, detector, holds), made)
 
     def population(self, name: str) -> tuple[int, int, TargetSubject]:
-        """Number of the population of that name and of its target, and what the scenario says of it."""
+        """Number of the population of that name and of its target, and its entry in the scenario."""
         for number, (target, _, population) in enumerate(self.stated.populations):
             if population.name == name:
                 return number, target, population
@@ -364,25 +364,25 @@ class Evaluation(Keeps):
 def evaluations(
     world: World, errors: Mapping[str, Array] | None = None, shift: Array | float = 0.0
 ) -> list[tuple[Index, Evaluation]]:
-    """All truths, those together that share what is read and the bands of their detectors; numbers of each part."""
-    out: list[tuple[Index, Evaluation]] = []
+    """All truths, grouped by files read and detectors' bands, with the numbers (n,) of those in each group."""
+    groups: list[tuple[Index, Evaluation]] = []
     shifts = np.broadcast_to(shift, (world.size,))
     for index, part in settled(world):
-        whole = Evaluation(part, errors, shifts[index])
-        first, group = distinct([whole.usable], len(whole.usable))
+        evaluation = Evaluation(part, errors, shifts[index])
+        first, group = distinct([evaluation.usable], len(evaluation.usable))
         if first.size == 1:
-            out.append((index, whole))
+            groups.append((index, evaluation))
             continue
         for i in range(first.size):
-            rows = np.flatnonzero(group[whole.which] == i)
-            out.append((index[rows], Evaluation(part.rows(rows), errors, shifts[index[rows]])))
-    return sorted(out, key=lambda numbered: int(numbered[0][0]))
+            rows = np.flatnonzero(group[evaluation.which] == i)
+            groups.append((index[rows], Evaluation(part.rows(rows), errors, shifts[index[rows]])))
+    return sorted(groups, key=lambda numbered: int(numbered[0][0]))
 
 
 def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: Mask) -> Index:
     """Indices of the bands that the detectors use (Psi of unit rows, 3.21).
 
-    ``usable`` (B,) is False where a spectrum or the light is lacking.  Raises UsageError when none is left.
+    ``usable`` (B,) is False in bands without light or without a spectrum.  Raises UsageError when no band remains.
 
     >>> from hyperval.scenario import load_scenario
     >>> clear = load_scenario("panels").with_values({"processing.bands.windows_only": True})
@@ -402,16 +402,16 @@ def detection_bands(scenario: Scenario, axis: SpectralAxis, usable: Mask) -> Ind
     if choice.ranges:
         keep &= np.any([(axis.centre_nm >= a) & (axis.centre_nm <= b) for a, b in choice.ranges], axis=0)
     for name, listed in (("channels", choice.channels), ("bad_channels", choice.bad_channels)):
-        most = max(listed or [0])
-        refuse(listed and most >= keep.size, "bands.number", name=name, most=most, size=keep.size, last=keep.size - 1)
+        top = max(listed or [0])
+        refuse(listed and top >= keep.size, "bands.number", name=name, most=top, size=keep.size, last=keep.size - 1)
         if listed:
-            here = np.isin(np.arange(keep.size), listed)
-            keep &= here if name == "channels" else ~here
+            in_list = np.isin(np.arange(keep.size), listed)
+            keep &= in_list if name == "channels" else ~in_list
     refuse(not keep.any(), "bands.none_left")
     return np.flatnonzero(keep)
 
 
-# Most of a pixel's draws are plain; the others reach where it has the false alarms of its host alone.
+# Most of a pixel's draws are plain; the others sample its host's false alarms.
 _DECADES = (0.0, 0.0, 0.0, 0.0, 3.0, 6.0)
 
 
@@ -440,7 +440,7 @@ class AcePixels(NamedTuple):
 
 
 class AceScores(NamedTuple):
-    """What the ROC of one population by ACE needs in n truths, as :class:`RocScores` has it of linear detectors.
+    """Scores of one population by ACE in n truths, like :class:`RocScores` of linear detectors.
 
     Attributes
     ----------
@@ -454,8 +454,8 @@ class AceScores(NamedTuple):
 
     def thresholds(self, pfa: Array) -> Array:
         """(n, K) thresholds at ``pfa`` (n, K) or (1, K)."""
-        each = zip(wide(pfa, len(self.pixels)), self.pixels, strict=True)
-        return np.array([ace_threshold(p, [1.0], [one.background]) for p, one in each])
+        pairs = zip(wide(pfa, len(self.pixels)), self.pixels, strict=True)
+        return np.array([ace_threshold(p, [1.0], [pixel.background]) for p, pixel in pairs])
 
     def detection_above(self, thresholds: Array) -> Array:
         """P_D (n, K) above ``thresholds`` (n, K)."""
@@ -467,7 +467,7 @@ class AceScores(NamedTuple):
 
     @property
     def curves(self) -> list[RocCurve]:
-        """Of each truth, which are read between their points as all curves are."""
+        """ROC curve of each truth."""
         return [RocCurve(self.pfa, *(pd,) * 4) for pd in self.detection(self.pfa[None])]
 
     def log10_false_alarm(self, pd: Array) -> Array:
@@ -481,22 +481,22 @@ class AceScores(NamedTuple):
     @property
     def moments(self) -> Array:
         """(2, n, 2) mean and standard deviation of the scores of target pixels, and of the background."""
-        return np.array([[x.moments for x in each] for each in (self.scored, [p.background for p in self.pixels])])
+        return np.array([[x.moments for x in group] for group in (self.scored, [p.background for p in self.pixels])])
 
     def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, None]]:
-        """How the background scores in some truths, by draws; the preset P_FA of (3.30) is not known."""
+        """Score distributions of the background in some truths, by draws; without the preset P_FA of (3.30)."""
         return [(_distribution(self.pixels[u].background), None) for u in at]
 
     def target(self, at: Index, *, densities: bool) -> list[ScoreDistribution]:
-        """How the population scores in some truths."""
+        """Score distributions of the population in some truths."""
         return [_distribution(self.scored[u]) for u in at]
 
     def note(self, u: int) -> str:
-        """Standard errors of what is drawn in one truth, in words."""
+        """Standard errors of the draws of one truth, in words."""
         host, drawn = self.pixels[u].background, max(float(x.standard_error.max()) for x in self.pixels[u].at_nodes)
         lowest = ace_threshold(self.pfa[0], [1.0], [host])
-        first = int(np.searchsorted(host.scores, lowest).clip(0, host.scores.size - 1))
-        error = host.standard_error[first] / max(host.probability[first], 1e-300)
+        index = int(np.searchsorted(host.scores, lowest).clip(0, host.scores.size - 1))
+        error = host.standard_error[index] / max(host.probability[index], 1e-300)
         return f"standard error of P_D at most {drawn:.2g}, of P_FA at {self.pfa[0]:.1g} {100 * error:.2g} %"
 
 
@@ -504,20 +504,20 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     """One truth: exceedance of the background, and of target pixels at nodes over all fills of its populations."""
     processing, named = e.scenario.processing, e.targets[target]
     v, view = int(e.which[u]), e.view.rows(e.which[u : u + 1])
-    of, base, signatures = view.of, filter_base(e.stated, e.view, v), view.signatures[named.name][0]
+    classes, base, signatures = view.classes, filter_base(e.stated, e.view, v), view.signatures[named.name][0]
     space = ace_space(base.of(signatures), base.of(base.mean), base.factor)
-    slope, surroundings = view.slope[0], e.view.of.covariance(v)
+    slope, surroundings = view.slope[0], e.view.classes.covariance(v)
 
-    def spread_of(surface: Array, around: Array, noise: Array) -> Array:
+    def spread_of(surface: Array, d_b: Array, noise: Array) -> Array:
         """(F, F) of pixels of a surface, from that of its reflectance, D_B / k and its noise (3.11-3.21)."""
-        spread = surface * np.outer(slope, slope) + surroundings * np.outer(around, around)
+        spread = surface * np.outer(slope, slope) + surroundings * np.outer(d_b, d_b)
         return np.asarray(spread + np.diag(noise))
 
-    def above(
+    def p_above(
         mean: Array, covariance: Array, dof: float, stream: Sequence[int], decades: Sequence[float],
         normal: Array | None = None,
     ) -> Exceedance:  # fmt: skip
-        """P(ACE > eta) of pixels with a mean and a covariance, and of a normal part whatever the tails."""
+        """P(ACE > eta) of pixels with a mean, a covariance with tails, and a normal part."""
         normal = None if normal is None else base.spread(normal)
         return ace_exceedance(
             space, base.of(mean), base.spread(covariance), processing.samples,
@@ -525,70 +525,70 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
             normal=normal,
         )  # fmt: skip
 
-    fractions, dof = of.law_fraction[0], of_truth(e.world.law_dof, u)
+    fractions, dof = classes.law_fraction[0], of_truth(e.world.law_dof, u)
     decades = np.linspace(0.0, -float(np.log10(e.pfa[0])), 4).tolist()
-    classes, laws = [], []
-    for j, law in enumerate(of.laws):
+    exceedances, laws = [], []
+    for j, law in enumerate(classes.laws):
         m = law.owner
-        gain, stretch = float(of.gain[0, m]), of.stretch[0, m] * np.ones(e.bands.size)
+        gain, stretch = float(classes.gain[0, m]), classes.stretch[0, m] * np.ones(e.bands.size)
         mean = view.means[0, m] + np.sqrt(gain) * slope * stretch * law.offset
         surface = gain * law.covariance * np.outer(stretch, stretch)
-        whole = spread_of(surface, view.around[0, m], view.noise[0, m])
-        laws.append((mean, surface, whole))
-        classes.append(above(mean, whole, float(dof[j]), [j], decades))
-    background = _mixed(fractions, classes)
+        covariance = spread_of(surface, view.adjacency[0, m], view.noise[0, m])
+        laws.append((mean, surface, covariance))
+        exceedances.append(p_above(mean, covariance, float(dof[j]), [j], decades))
+    background = _mixed(fractions, exceedances)
     numbers, parts, _ = e.host_laws(target)
     world, number = e.world.rows(np.array([u])), e.stated.classes.index(named.host)
     material = e.material(target, world)
-    stretch = of.stretch[0, number] * np.ones(e.bands.size)
-    host = of.gain[0, number] * of.covariances[number] * np.outer(stretch, stretch)
+    stretch = classes.stretch[0, number] * np.ones(e.bands.size)
+    host = classes.gain[0, number] * classes.covariances[number] * np.outer(stretch, stretch)
     square, shift = np.outer(slope, slope), float(e.shift[u])
 
     def at_fill(fill: float) -> Exceedance:
-        share, (means, noise, (beside, on), lit) = 1.0 - fill, target_pixels(view, material, np.array([fill]))
+        share, (means, noise, (host_db, full_db), lit) = 1.0 - fill, target_pixels(view, material, np.array([fill]))
         mean = means[0, 0]
         if shift and material.error is not None:
             # The true target departs along the filter's own direction, by standard deviations of its score.
             w = base.filter("matched-filter", signatures).weights * slope
-            along = material.error @ w
-            mean = mean + shift * fill * (along @ material.error / np.linalg.norm(along)) * slope
+            gradient = material.error @ w
+            mean = mean + shift * fill * (gradient @ material.error / np.linalg.norm(gradient)) * slope
         factor = material.stretch[0] * np.ravel(lit) * np.ones(e.bands.size)
         spread = material.covariance * np.outer(factor, factor) * float(world.of_target("target_gain", target)[0])
         f2 = fill**2 + float(material.fine_texture[0]) * (fill - fill**2)
-        around = share * beside[0, 0] + fill * on[0, 0]
-        whole = spread_of(f2 * spread + share**2 * host, around, noise[0, 0])
+        d_b = share * host_db[0, 0] + fill * full_db[0, 0]
+        covariance = spread_of(f2 * spread + share**2 * host, d_b, noise[0, 0])
         by_law = []
         for k, j in enumerate(numbers):
-            # A law of the host differs from its class in mean and spread; what has its tails is what it has alone.
-            law_mean, surface, alone = laws[j]
-            total, tailed = whole + share**2 * (surface - host) * square, np.isfinite(dof[j])
-            part = share**2 * alone if tailed else total
+            # A law of the host differs from its class in mean and spread; its tails are in its own covariance alone.
+            law_mean, surface, law_covariance = laws[j]
+            total, tailed = covariance + share**2 * (surface - host) * square, np.isfinite(dof[j])
+            part = share**2 * law_covariance if tailed else total
             centre = mean + share * (law_mean - view.means[0, number])
             stream = [1_000_003, *([k] if k else [])]
-            by_law.append(above(centre, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
+            by_law.append(p_above(centre, part, float(dof[j]), stream, _DECADES, total - part if tailed else None))
         return _mixed(parts, by_law)
 
-    # Those of whole objects too, even where their curve is not asked for.
+    # Fills of objects too, even without their curves.
     spread = [i for i, (t, _, _) in enumerate(e.stated.populations) if t == target]
-    every = [of_truth(e.fills(i, objects).values, u) for i in spread for objects in (False, True)]
-    every = [fills[np.isfinite(fills)] for fills in every]
-    ends = sorted({float(end) for fills in every for end in (fills.min(), fills.max())})
+    fill_sets = [of_truth(e.fills(i, objects).values, u) for i in spread for objects in (False, True)]
+    fill_sets = [fills[np.isfinite(fills)] for fills in fill_sets]
+    ends = sorted({float(end) for fills in fill_sets for end in (fills.min(), fills.max())})
     nodes, asked = {fill: at_fill(fill) for fill in ends}, background.probability >= e.pfa[0]
-    spans = [(a, b) for a, b in pairwise(ends) if any(fills.min() <= a and b <= fills.max() for fills in every)]
-    while spans:
-        low, high = spans.pop()
+    gaps = [(a, b) for a, b in pairwise(ends) if any(fills.min() <= a and b <= fills.max() for fills in fill_sets)]
+    while gaps:
+        low, high = gaps.pop()
         middle = 0.5 * (low + high)
         nodes[middle] = at_fill(middle)
         if high - low > 1e-3 and not _is_straight(*(nodes[f].probability[asked] for f in (low, middle, high))):
-            spans += [(low, middle), (middle, high)]
+            gaps += [(low, middle), (middle, high)]
     return AcePixels(background, np.array(sorted(nodes)), [nodes[fill] for fill in sorted(nodes)])
 
 
 def _is_straight(low: Array, middle: Array, high: Array) -> bool:
-    """Whether P_D over the fill is linear in probit: what the ends say of the middle of a gap between nodes.
+    """Whether P_D over the fill is linear in probit: the middle of a gap between nodes against its ends.
 
-    It is where it is neither 0 nor 1; how steeply it rose towards either does not show there, so both the probability
-    and its probit within 3 are compared.  The mean over fills of felts of 0.5 to 3 m at 1 m was then known to 0.002.
+    Near 0 and 1 the probit saturates, so both the probability and its probit within 3 are compared.  The error of the
+    mean over fills of felts of 0.5 to 3 m at 1 m is then 0.002.
 
     >>> _is_straight(*ndtr([[-1.0], [0.0], [1.0]]))
     True
@@ -597,16 +597,16 @@ def _is_straight(low: Array, middle: Array, high: Array) -> bool:
     >>> _is_straight(*ndtr([[-2.0], [0.9], [2.0]]))
     False
     """
-    ends, within = roc.probit([low, high]), roc.probit([low, middle, high]).clip(-3.0, 3.0)
-    bent = np.abs(within[[0, 2]].mean(axis=0) - within[1])
-    return bool(np.all((np.abs(ndtr(ends.mean(axis=0)) - middle) < 0.05) & (bent < 1.0)))
+    ends, clipped = roc.probit([low, high]), roc.probit([low, middle, high]).clip(-3.0, 3.0)
+    curvature = np.abs(clipped[[0, 2]].mean(axis=0) - clipped[1])
+    return bool(np.all((np.abs(ndtr(ends.mean(axis=0)) - middle) < 0.05) & (curvature < 1.0)))
 
 
-def _mixed(parts: Array, each: Sequence[Exceedance]) -> Exceedance:
-    """Pixels of several laws together."""
-    pairs = list(zip(parts, each, strict=True))
-    error = np.sqrt(sum((part * one.standard_error) ** 2 for part, one in pairs))
-    return Exceedance(each[0].scores, np.asarray(sum(part * one.probability for part, one in pairs)), error)
+def _mixed(parts: Array, laws: Sequence[Exceedance]) -> Exceedance:
+    """Exceedance of a mixture of laws."""
+    pairs = list(zip(parts, laws, strict=True))
+    error = np.sqrt(sum((part * law.standard_error) ** 2 for part, law in pairs))
+    return Exceedance(laws[0].scores, np.asarray(sum(part * law.probability for part, law in pairs)), error)
 
 
 def _distribution(population: Exceedance) -> ScoreDistribution:
@@ -622,45 +622,44 @@ def detect(
     """Scores and ROC curves of all target populations (3.22-3.33) of some truths; the P_D of all into ``e.probits``,
     mean and spread of their scores into ``e.moments``.
 
-    ``densities`` : also those of the scores;  ``spectra`` : predictions of these truths that they are put into; none:
-    they stand alone
+    ``densities`` : also those of the scores;  ``spectra`` : predictions of these truths to which the results are added
 
     Raises
     ------
     UsageError : no filter, as the background can not be inverted.
     """
     processing, index = e.scenario.processing, np.array(points)
-    measured = (c.spectrum.measured and (not c.covariance or c.covariance.measured) for c in e.scenario.scene.classes)
-    n = sum(e.stated.surfaces[c].n or 0 for c in e.stated.classes) or None if all(measured) else None
-    out: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
+    from_image = (c.spectrum.measured and (not c.covariance or c.covariance.measured) for c in e.scenario.scene.classes)
+    n = sum(e.stated.surfaces[c].n or 0 for c in e.stated.classes) or None if all(from_image) else None
+    results: list[dict[str, Any]] = [{"scores": {}, "roc": {}, "exceedance": {}, "notes": []} for _ in points]
     for target in e.targets:
         for name in processing.detectors:
             pixels = [e.scores(population.name, name) for population in target.populations]
             for error in e.problems.values():
                 raise error
             objects = [e.scores(p.name, name, True) for p in target.populations] if object_curves else pixels
-            # What the background scores by one filter, all populations of its target share.
+            # All populations of a target share the background's scores.
             pfa, thresholds = e.pfa, pixels[0].thresholds(e.pfa[None])
             backgrounds = pixels[0].background(index, thresholds[index], densities=densities)
-            for population, scores, whole in zip([p.name for p in target.populations], pixels, objects, strict=True):
+            for population, scores, grouped in zip([p.name for p in target.populations], pixels, objects, strict=True):
                 pd: dict[Literal["pixel", "object"], Array] = {"pixel": scores.detection_above(thresholds)}
                 if object_curves:
-                    pd["object"] = pd["pixel"] if whole is scores else whole.detection_above(thresholds)
+                    pd["object"] = pd["pixel"] if grouped is scores else grouped.detection_above(thresholds)
                 for unit, curves in pd.items():
                     key, e.probits[population, name, unit] = (population, name, unit), roc.probit(curves)
-                    for products, u, (_, preset) in zip(out, points, backgrounds, strict=True):
+                    for products, u, (_, preset) in zip(results, points, backgrounds, strict=True):
                         products["roc"][key] = RocCurve(pfa, *(curves[u],) * 3, thresholds[u], unit, preset_pfa=preset)
                 e.moments[population, name], e.moments[background_of(population), name] = scores.moments
-                each = zip(out, scores.target(index, densities=densities), backgrounds, strict=True)
-                for products, scored, (of_background, _) in each:
+                rows = zip(results, scores.target(index, densities=densities), backgrounds, strict=True)
+                for products, scored, (background, _) in rows:
                     products["scores"][population, name] = scored
-                    products["scores"][background_of(population), name] = replace(of_background, n=n)
-            for products, u in zip(out, points, strict=True):
+                    products["scores"][background_of(population), name] = replace(background, n=n)
+            for products, u in zip(results, points, strict=True):
                 if isinstance(scores, AceScores):
                     text = f"{name} of {target.name}: {processing.samples} draws per class; {scores.note(u)}"
                     products["notes"].append(text)
                 else:
                     products["exceedance"][target.name, name] = ExceedanceCurve(thresholds[u, ::-1], *(pfa[::-1],) * 3)
     used = [f"detectors use {e.bands.size} of {len(e.axis)} bands"] if e.targets and processing.detectors else []
-    alone = zip(spectra or [PredictedProducts(e.axis) for _ in points], out, strict=True)
-    return [replace(p, **{**new, "notes": (*p.notes, *used, *new["notes"])}) for p, new in alone]
+    pairs = zip(spectra or [PredictedProducts(e.axis) for _ in points], results, strict=True)
+    return [replace(p, **{**new, "notes": (*p.notes, *used, *new["notes"])}) for p, new in pairs]

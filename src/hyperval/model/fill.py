@@ -30,7 +30,7 @@ PHASES, _LATTICE = 377, 233
 MAX_PIXELS_ACROSS = 64
 Blur = float | tuple[float, float] | None  # FWHM in both directions, or (along, across) = (y, x) [pixels]
 _FACTORS = np.log(2.0) * np.arange(-6.0, 40.0, 0.25)  # logarithms of those on sides, or on listed fills
-_MEANS = (0.3, 0.6, 0.9, 0.999)  # up to which they are looked at; beyond the last a fill is full
+_MEANS = (0.3, 0.6, 0.9, 0.999)  # greatest means of their tables; beyond the last a fill is full
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -40,8 +40,8 @@ class FillDistribution:
 
     Attributes
     ----------
-    values : (K,) fill fractions [1]; of n evaluations (n, K), of all alike (1, K); NaN: a pixel that an object of
-        fewer has not
+    values : (K,) fill fractions [1]; of n evaluations (n, K), common to all (1, K); NaN behind the last pixel of an
+        object that has fewer
     weights : likewise, probabilities, sum 1; of objects those of their places
     shape : (places, pixels) of objects, whose pixels lie along K; None where a pixel is an object
     """
@@ -107,30 +107,30 @@ def beta_fill(mean: float, sd: float, nodes: int = 48) -> FillDistribution:
     a, b = mean * total, (1 - mean) * total
     n = np.arange(1.0, nodes)
     t = 2 * n + total - 2
-    last = np.append(1.0, (n[1:] + total - 2) / (t[1:] - 1))  # of the first it is 0 / 0 where the total is 1
+    ratio = np.append(1.0, (n[1:] + total - 2) / (t[1:] - 1))  # of the first it is 0 / 0 where the total is 1
     diagonal = np.append(mean, 0.5 + 0.5 * (a - b) * (total - 2) / (t * (t + 2)))
-    beside = np.sqrt(n * (n + a - 1) * (n + b - 1) * last / (t**2 * (t + 1)))
-    values, vectors = eigh_tridiagonal(diagonal, beside)
+    off_diagonal = np.sqrt(n * (n + a - 1) * (n + b - 1) * ratio / (t**2 * (t + 1)))
+    values, vectors = eigh_tridiagonal(diagonal, off_diagonal)
     return FillDistribution(np.clip(values, 0.0, 1.0), vectors[0] ** 2)
 
 
 def touched_counts(geometry: Geometry) -> Index:
     """(K,) number of pixels that the target's outline meets (f of 3.10), for K equally likely positions."""
-    return np.asarray(_around(_outline(geometry))[1].sum(axis=(1, 2)))
+    return np.asarray(_fills_and_touched(_outline(geometry))[1].sum(axis=(1, 2)))
 
 
 def object_fills(geometry: Geometry, n: int) -> Array:
     """(K, n) fills of the ``n`` fullest pixels, in falling order, for K equally likely positions (f of 3.10).
 
-    Where those that the outline meets count, NaN follows the last of these.
+    Where the pixels that the outline meets count, NaN follows the last of these.
 
     >>> geometry = Geometry(side_m=0.25, gsd_m=1.0, psf_fwhm_pixels=1.0, pixels="touched")
     >>> sorted(set(np.isfinite(object_fills(geometry, 4)).sum(axis=1).tolist()))
     [1, 2, 4]
     """
-    fills, met = _around(_outline(geometry))
+    fills, touched = _fills_and_touched(_outline(geometry))
     if geometry.pixels == "touched":
-        fills = np.where(met, fills, np.nan)
+        fills = np.where(touched, fills, np.nan)
     fills = -np.sort(-fills.reshape(len(fills), -1), axis=1)
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
@@ -144,33 +144,33 @@ def lattice_positions(count: int) -> Array:
 
 
 def _outline(geometry: Geometry, **changes: str) -> Geometry:
-    """Without which pixels count: targets that differ in that alone have the same fills around them."""
+    """The geometry without its choice of pixels, as a key: fills do not depend on that."""
     return geometry.model_copy(update={"pixels": "best", "n": None, **changes})
 
 
 @lru_cache(maxsize=256)
-def _around(geometry: Geometry) -> tuple[npt.NDArray[Any], ...]:
-    """(K, P, P) fills of the pixels around the target at each sampled position, and which its outline meets."""
+def _fills_and_touched(geometry: Geometry) -> tuple[npt.NDArray[Any], ...]:
+    """(K, P, P) fills of the pixels around the target at each sampled position, and the mask of those it touches."""
     random = geometry.phase == "random"
     any_heading = geometry.heading_deg == "random"
     i = np.arange(count := PHASES if random or any_heading else 1)
     offset = lattice_positions(count) if random else np.zeros((count, 2))
-    any_way = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
-    heading = any_way if any_heading else np.full(count, geometry.heading_deg, dtype=float)
+    angles = 180.0 * ((0.5 + i * np.sqrt(2.0)) % 1.0)
+    heading = angles if any_heading else np.full(count, geometry.heading_deg, dtype=float)
     fills = pixel_fills(geometry, offset, heading)
-    return fills, _met(geometry, offset, heading, fills.shape[1])
+    return fills, _touched(geometry, offset, heading, fills.shape[1])
 
 
-def _met(geometry: Geometry, offset: Array, heading_deg: Array, size: int) -> Mask:
-    """(K, P, P) True for pixels whose square and the target overlap: no axis of either tells them apart."""
+def _touched(geometry: Geometry, offset: Array, heading_deg: Array, size: int) -> Mask:
+    """(K, P, P) True for pixels whose square and the target overlap: no separating axis of either."""
     a, b = (0.5 * side for side in geometry.sides_pixels)
     pixels = np.arange(size, dtype=float) - size // 2
     x = (pixels[None, None, :] - offset[:, 0, None, None]) + np.zeros((1, size, 1))
     y = pixels[None, :, None] - offset[:, 1, None, None]
     c, d = (f(np.deg2rad(heading_deg))[:, None, None] for f in (np.cos, np.sin))
     reach = 0.5 * (np.abs(c) + np.abs(d))
-    met = (np.abs(x) < 0.5 + a * np.abs(d) + b * np.abs(c)) & (np.abs(y) < 0.5 + a * np.abs(c) + b * np.abs(d))
-    return np.asarray(met & (np.abs(x * d + y * c) < a + reach) & (np.abs(x * c - y * d) < b + reach))
+    overlap = (np.abs(x) < 0.5 + a * np.abs(d) + b * np.abs(c)) & (np.abs(y) < 0.5 + a * np.abs(c) + b * np.abs(d))
+    return np.asarray(overlap & (np.abs(x * d + y * c) < a + reach) & (np.abs(x * c - y * d) < b + reach))
 
 
 def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.ArrayLike) -> Array:
@@ -193,8 +193,8 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     shift = np.asarray(offset, dtype=float)
     length, width = geometry.sides_pixels
     refuse(max(length, width) > MAX_PIXELS_ACROSS, "fill.large", most=MAX_PIXELS_ACROSS)
-    s_y, s_x = (SIGMA_PER_FWHM * fwhm for fwhm in _both(geometry.psf_fwhm_pixels))
-    least = min(s_y, s_x)  # decides how finely the integrand is cut
+    s_y, s_x = (SIGMA_PER_FWHM * fwhm for fwhm in _fwhm_yx(geometry.psf_fwhm_pixels))
+    sharpest = min(s_y, s_x)  # decides how finely the integrand is cut
     half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * max(s_y, s_x))) + 1
     borders = np.arange(-half - 0.5, half + 1.0)  # each pixel ends where the next begins
     c, d = (f(np.deg2rad(heading_deg)) for f in (np.cos, np.sin))
@@ -202,10 +202,10 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     corner = np.stack([0.5 * (i * length * c + j * width * d) for i in (-1, 1) for j in (-1, 1)], axis=1)
     low, high = corner.min(axis=1), corner.max(axis=1)
     edges = borders[None, :] - shift[:, 1:2]
-    beyond = (edges <= low[:, None]) | (edges >= high[:, None])  # they cut nothing: behind all that do
-    breaks = np.sort(np.concatenate([corner, np.where(beyond, high[:, None], edges)], axis=1), axis=1)
+    no_cut = (edges <= low[:, None]) | (edges >= high[:, None])  # they cut nothing: behind all that do
+    breaks = np.sort(np.concatenate([corner, np.where(no_cut, high[:, None], edges)], axis=1), axis=1)
     breaks = breaks[:, : 1 + int(np.max(np.sum(breaks < high[:, None], axis=1), initial=1))]
-    parts = max(2, int(np.ceil(1.0 / max(least, 0.1)))) if least > 0 else 8
+    parts = max(2, int(np.ceil(1.0 / max(sharpest, 0.1)))) if sharpest > 0 else 8
     steps = np.arange(parts) / parts
     span = np.diff(breaks, axis=1)
     start = (breaks[:, :-1, None] + span[:, :, None] * steps).reshape(len(shift), -1)
@@ -214,8 +214,8 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     dy = (0.5 * size[:, :, None] * _NODE_WEIGHTS).reshape(len(shift), -1)
     start_x, end_x = _chord(y, c[:, None], d[:, None], length, width)
     x0 = shift[:, 0][:, None, None]
-    across = _between(_ramp(end_x[:, :, None] + x0 - borders, s_x) - _ramp(start_x[:, :, None] + x0 - borders, s_x))
-    along = _between(_step((y + shift[:, 1:2])[:, :, None] - borders, s_y)) * dy[:, :, None]
+    across = _differences(_ramp(end_x[:, :, None] + x0 - borders, s_x) - _ramp(start_x[:, :, None] + x0 - borders, s_x))
+    along = _differences(_step((y + shift[:, 1:2])[:, :, None] - borders, s_y)) * dy[:, :, None]
     return np.asarray(np.clip(np.matmul(along.transpose(0, 2, 1), across), 0.0, 1.0))  # rounding alone leaves 0-1
 
 
@@ -230,10 +230,10 @@ def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixe
     """
     borders = first + np.arange(count + 1)
     ramps = _ramp(np.asarray(edges, dtype=float)[:, None] - borders, psf_fwhm_pixels * SIGMA_PER_FWHM)
-    return np.diff(_between(ramps), axis=0).T
+    return np.diff(_differences(ramps), axis=0).T
 
 
-def _both(blur: Blur) -> tuple[float, float]:
+def _fwhm_yx(blur: Blur) -> tuple[float, float]:
     """FWHM of the Gaussian along y and x [pixels]."""
     return blur if isinstance(blur, tuple) else (blur or 0.0, blur or 0.0)
 
@@ -249,7 +249,7 @@ def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[A
     return low, np.maximum(low, np.minimum(ends[0][1], ends[1][1]))
 
 
-def _between(at_borders: Array) -> Array:
+def _differences(at_borders: Array) -> Array:
     """(..., P) difference between the near and the far border of each pixel, from values at borders (..., P + 1).
 
     The response of a pixel is a unit box convolved with a Gaussian: that of one border less that of the other.
@@ -280,19 +280,19 @@ def shared_pixel_fills(
 ) -> tuple[Array, Array]:
     """Fills of the ``n`` fullest pixels of a target, by itself and by each of its neighbours (f of 3.10).
 
-    The place on the pixel grid is random (or centred, as ``own`` says), and neighbours move with the target.  Where
-    places that are known roughly let targets overlap, the fills of such a pixel are scaled to sum to 1.
+    The place on the pixel grid is random (or centred, as in ``target``), and neighbours move with the target.  Where
+    targets overlap by errors of their places, the fills of a pixel are scaled to sum to 1.
 
     Parameters
     ----------
-    own : with a stated heading
-    neighbours : other targets, each with its centre (2,) from one's own (lines, samples) [pixels]
+    target : with a stated heading
+    neighbours : other targets, each with its centre (2,) from the target's (lines, samples) [pixels]
     shifts : (K, J, 2) departures of the neighbours' places at each position (lines, samples) [pixels]
 
     Returns
     -------
-    (K, n) own fills in falling order, NaN behind those of an object that meets fewer, (K, n, J) those of the J
-    neighbours in the same pixels.
+    (K, n) fills by the target in falling order, NaN behind the last pixel of an object that meets fewer, (K, n, J)
+    those by the J neighbours in the same pixels.
 
     >>> own = Geometry(side_m=0.25, gsd_m=1.0, psf_fwhm_pixels=1.0, pixels="touched")
     >>> np.allclose(shared_pixel_fills(own, 4, [])[0], object_fills(own, 4), atol=1e-3, equal_nan=True)
@@ -303,31 +303,31 @@ def shared_pixel_fills(
 
     Raises
     ------
-    UsageError : a random heading: what lies beside a target that may lie any way is not known.
+    UsageError : a random heading, with which the places of neighbours are not known.
     """
     for geometry in (target, *(geometry for geometry, _ in neighbours)):
         refuse(geometry.heading_deg == "random", "fill.heading")
     fills, chosen = _fullest(target, n)
-    others = np.zeros((*fills.shape, len(neighbours)))
+    shared = np.zeros((*fills.shape, len(neighbours)))
     for j, (geometry, offset) in enumerate(neighbours):
-        away = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
-        others[..., j] = _looked_up(_fill_table(_outline(geometry, phase="random")), chosen - away)
-    over = np.maximum(fills + others.sum(axis=2), 1.0)  # NaN of both where there is no pixel
-    return fills / over, others / over[..., None]
+        displacement = np.asarray(offset) + (0.0 if shifts is None else shifts[:, j, None, :])
+        shared[..., j] = _interpolated_fills(_fill_table(_outline(geometry, phase="random")), chosen - displacement)
+    total = np.maximum(fills + shared.sum(axis=2), 1.0)  # NaN of both where there is no pixel
+    return fills / total, shared / total[..., None]
 
 
 @lru_cache(maxsize=64)
 def _fullest(geo: Geometry, n: int) -> tuple[Array, ...]:
-    """(K, n) fills of the fullest pixels of a target, and where they are (K, n, 2) from its centre."""
+    """(K, n) fills of the fullest pixels of a target, and their positions (K, n, 2) from its centre."""
     place = np.zeros((1, 2)) if geo.phase == "centred" else lattice_positions(PHASES)[:, ::-1]  # (K, 2) lines, samples
     table = _fill_table(_outline(geo, phase="random"))
     half = (table.shape[0] // _STEPS - 1) // 2
     grid = np.stack(np.meshgrid(*2 * (np.arange(-half, half + 1.0),), indexing="ij"), axis=-1).reshape(-1, 2)
     at_pixels = grid[None] - place[:, None]  # (K, P, 2) pixel's centre from the target's
-    fills = _looked_up(table, at_pixels)
+    fills = _interpolated_fills(table, at_pixels)
     if geo.pixels == "touched":
         heading = np.full(len(place), geo.heading_deg, dtype=float)
-        fills[~_met(geo, place[:, ::-1], heading, 2 * half + 1).reshape(fills.shape)] = np.nan
+        fills[~_touched(geo, place[:, ::-1], heading, 2 * half + 1).reshape(fills.shape)] = np.nan
     if n > fills.shape[1]:
         fills = np.pad(fills, ((0, 0), (0, n - fills.shape[1])))
         at_pixels = np.pad(at_pixels, ((0, 0), (0, n - at_pixels.shape[1]), (0, 0)), constant_values=1e6)
@@ -350,11 +350,11 @@ def _fill_table(geometry: Geometry) -> Array:
     return np.asarray(spline_filter(values, order=3, mode="constant"))
 
 
-def _looked_up(table: Array, away: Array) -> Array:
-    """Fills at distances ``away`` (..., 2) from the target's centre (lines, samples) [pixels]; 0 beyond it."""
+def _interpolated_fills(table: Array, distances: Array) -> Array:
+    """Fills at distances ``distances`` (..., 2) from the target's centre (lines, samples) [pixels]; 0 beyond it."""
     from scipy.ndimage import map_coordinates
 
-    index = away * _STEPS + 0.5 * (table.shape[0] - 1)
+    index = distances * _STEPS + 0.5 * (table.shape[0] - 1)
     fill = map_coordinates(table, np.moveaxis(index, -1, 0), order=3, mode="constant", prefilter=False)
     return np.asarray(np.clip(fill, 0.0, 1.0))
 
@@ -368,13 +368,13 @@ def fill_distribution(fill: Fill) -> FillDistribution:
     if fill.fixed is not None:
         return fixed_fill(fill.fixed)
     if fill.geometry is not None or fill.listed is not None:
-        return _of_pixels(fill)
+        return _pixel_fill_distribution(fill)
     refuse(fill.truth is not None, "fill.truth")
     return beta_fill(fill.mean or 0.0, fill.sd or 0.0)
 
 
 @lru_cache(maxsize=256)
-def _of_pixels(fill: Fill) -> FillDistribution:
+def _pixel_fill_distribution(fill: Fill) -> FillDistribution:
     """Over the pixels of its objects, each counted alike."""
     fills = fills_of_objects(fill)
     fills = fills[np.isfinite(fills)]
@@ -404,7 +404,7 @@ def pixels_of_object(fill: Fill) -> int:
 
 
 def population_fill(fill: Fill, thesis: bool) -> FillDistribution:
-    """The fill of a population; the printed form knows its mean alone."""
+    """The fill of a population; the printed form has its mean alone."""
     distribution = fill_distribution(fill)
     return fixed_fill(distribution.mean) if thesis else distribution
 
@@ -416,37 +416,37 @@ def fills_of_population(fill: Fill, thesis: bool) -> FillDistribution:
 
 
 def whole_object_fills(fill: Fill, thesis: bool) -> FillDistribution:
-    """Fills of the pixels of its objects, one after the other; those of its pixels where an object is one pixel."""
-    alone = fills_of_population(fill, thesis)
-    places = np.array([[alone.mean]]) if thesis else fills_of_objects(fill)
-    if places.shape[1] == 1 and alone.values.size >= places.shape[0]:
-        return alone
+    """Fills of the pixels of a population's objects, one after the other; of its pixels where these are objects."""
+    pixel_fill = fills_of_population(fill, thesis)
+    places = np.array([[pixel_fill.mean]]) if thesis else fills_of_objects(fill)
+    if places.shape[1] == 1 and pixel_fill.values.size >= places.shape[0]:
+        return pixel_fill
     weights = np.full((1, len(places)), 1.0 / len(places))
     return FillDistribution(places.reshape(1, -1), weights, (places.shape[0], places.shape[1]))
 
 
-def stacked_fills(each: Sequence[FillDistribution], which: Index) -> FillDistribution:
-    """The fills of several evaluations, of which (n,) ``which`` names those of each.
+def stacked_fills(fills: Sequence[FillDistribution], which: Index) -> FillDistribution:
+    """The fills of n evaluations, ``which`` (n,) being the number of those of each.
 
     Raises
     ------
     UsageError : objects of different numbers of pixels.
     """
-    if len(each) == 1:
-        return each[0]
-    refuse(any(e.shape != each[0].shape for e in each), "fill.objects")
-    width = max(e.values.size for e in each)
+    if len(fills) == 1:
+        return fills[0]
+    refuse(any(e.shape != fills[0].shape for e in fills), "fill.objects")
+    width = max(e.values.size for e in fills)
     values, weights = (
-        np.array([np.pad(getattr(e, n)[0], (0, width - e.values.size)) for e in each]) for n in ("values", "weights")
+        np.array([np.pad(getattr(e, n)[0], (0, width - e.values.size)) for e in fills]) for n in ("values", "weights")
     )
-    return FillDistribution(values[which], weights[which], each[0].shape)
+    return FillDistribution(values[which], weights[which], fills[0].shape)
 
 
 def fill_with_mean(fill: Fill, offset: float) -> Fill:
     """The fill with another mean, at most 1 and at least 0.
 
-    Where the geometry gives the fill, the sides of the target are scaled: its area changes, its place among the pixels
-    does not.  Listed fills are scaled, those that would pass 1 are 1.
+    Where the geometry gives the fill, the sides of the target are scaled, about its place on the pixel grid.  Listed
+    fills are scaled, and at most 1.
 
     >>> square = {"side_m": 1.0, "gsd_m": 1.0, "psf_fwhm_pixels": 1.0}
     >>> ways = {"geometry": {**square, "pixels": "touched"}}, {"geometry": {**square, "pixels": "ranked", "n": 2}}, {
@@ -458,7 +458,7 @@ def fill_with_mean(fill: Fill, offset: float) -> Fill:
     [-0.1, 0.05, 0.2]
     [-0.1, 0.05, 0.2]
 
-    However far it is moved:
+    For large changes too:
 
     >>> ways = {"geometry": {"side_m": 0.05, "gsd_m": 1.0, "pixels": "ranked", "n": 1}}, {"listed": [[0.02, 0.01]]}
     >>> for fill in map(Fill.model_validate, ways):
@@ -467,8 +467,8 @@ def fill_with_mean(fill: Fill, offset: float) -> Fill:
     [1e-06, 0.0015, 0.4]
     [1e-06, 0.0015, 0.4]
     """
-    before = fill_distribution(fill).mean
-    if offset == 0.0 or (fill.fixed is None and (before == 0.0 or (before > _MEANS[-1] and offset > 0.0))):
+    mean_before = fill_distribution(fill).mean
+    if offset == 0.0 or (fill.fixed is None and (mean_before == 0.0 or (mean_before > _MEANS[-1] and offset > 0.0))):
         return fill
     if fill.fixed is not None:
         return fill.model_copy(update={"fixed": float(np.clip(fill.fixed + offset, 0.0, 1.0))})
@@ -478,13 +478,13 @@ def fill_with_mean(fill: Fill, offset: float) -> Fill:
         sd = min(fill.sd or 0.0, 0.99 * float(np.sqrt(mean * (1.0 - mean))))
         return fill.model_copy(update={"mean": mean, "sd": sd})
     if fill.listed is not None and offset < 0.0:
-        return _scaled(fill, np.log(max(before + offset, 1e-12) / before))
-    sizes = _sizes(fill, next((mean for mean in _MEANS if before + offset <= mean), _MEANS[-1]))
-    wanted = min(np.log(max(before + offset, 1e-12)), sizes.x[-1])
-    inside = max(wanted, sizes.x[0])  # below goes the area
-    size, slope = sizes(inside) + 0.5 * (wanted - inside), sizes(inside, 1)
+        return _scaled(fill, np.log(max(mean_before + offset, 1e-12) / mean_before))
+    sizes = _size_over_mean(fill, next((mean for mean in _MEANS if mean_before + offset <= mean), _MEANS[-1]))
+    log_mean = min(np.log(max(mean_before + offset, 1e-12)), sizes.x[-1])
+    within_table = max(log_mean, sizes.x[0])  # below goes the area
+    size, slope = sizes(within_table) + 0.5 * (log_mean - within_table), sizes(within_table, 1)
     for _ in range(2):
-        size -= slope * (np.log(fill_distribution(_scaled(fill, size)).mean) - wanted)
+        size -= slope * (np.log(fill_distribution(_scaled(fill, size)).mean) - log_mean)
     return _scaled(fill, size)
 
 
@@ -499,13 +499,13 @@ def _scaled(fill: Fill, size: float) -> Fill:
 
 
 @lru_cache(maxsize=64)
-def _sizes(fill: Fill, most: float) -> Any:
-    """Logarithm of the factor that gives a fill a mean, over the logarithm of that mean, up to ``most``."""
-    rising = list[tuple[float, float]]()
+def _size_over_mean(fill: Fill, limit: float) -> Any:
+    """Logarithm of the factor that gives a fill a mean, over the logarithm of that mean, up to ``limit``."""
+    points = list[tuple[float, float]]()
     with suppress(UsageError):  # a target of more pixels than are taken
         for size in _FACTORS:
             mean = float(np.log(fill_distribution(_scaled(fill, size)).mean))
-            rising += [(mean, size)] if not rising or mean > rising[-1][0] + 1e-9 else []
-            if mean > np.log(most):
+            points += [(mean, size)] if not points or mean > points[-1][0] + 1e-9 else []
+            if mean > np.log(limit):
                 break
-    return scipy.interpolate.PchipInterpolator(*np.transpose(rising))
+    return scipy.interpolate.PchipInterpolator(*np.transpose(points))

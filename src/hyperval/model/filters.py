@@ -34,8 +34,8 @@ _SUSPECT = 1e8
 class PositiveDefinite:
     """A covariance that (3.22-3.25) inverts: factorised once, used for every target.
 
-    By Cholesky over scales on both sides, such as the standard deviations of the bands: how far these are apart says
-    nothing of the loss of digits.
+    By Cholesky over scales on both sides, such as the standard deviations of the bands, whose ratios cause no loss of
+    digits.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def matched_filter_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarianc
 
     Parameters
     ----------
-    target : (B,) spectrum that is looked for
+    target : (B,) spectrum sought
     mean : (B,) background mean
     covariance : (B, B) background covariance, as an array or factorised
 
@@ -173,8 +173,8 @@ def cem_correlation_weights(target: npt.ArrayLike, mean: npt.ArrayLike, covarian
     Parameters and errors as :func:`matched_filter_weights`.
     """
     t, mu, sigma = _checked(target, mean, covariance)
-    of_mean = sigma.solve(mu)
-    solved = sigma.solve(t) - of_mean * float(of_mean @ t) / (1.0 + float(of_mean @ mu))  # Sherman & Morrison 1950
+    inv_mu = sigma.solve(mu)
+    solved = sigma.solve(t) - inv_mu * float(inv_mu @ t) / (1.0 + float(inv_mu @ mu))  # Sherman & Morrison 1950
     return LinearFilter(solved / _energy(t, solved), 0.0)
 
 
@@ -240,7 +240,7 @@ def feature_covariance(psi: npt.ArrayLike, covariance: npt.ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class FilterBase:
-    """What filters of one truth are built on, in the features chosen (3.21-3.25).
+    """Background statistics of the filters of one truth, in the chosen features (3.21-3.25).
 
     Attributes
     ----------
@@ -272,36 +272,36 @@ def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
 
     Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
     divided by the gains of the empirical line (3.11, 3.16-3.21).  Over the slopes of D_A on both sides it is one
-    matrix, Sigma_ave element by element under the sum of (e_k e_k^T), the sum of (d_k d_k^T), and a diagonal: what
-    the sensor changes is the diagonal alone, and the rest of the latest truth serves again.
+    matrix: Sigma_ave times the sum of (e_k e_k^T) element by element, plus the sum of (d_k d_k^T), plus a diagonal.
+    The sensor changes the diagonal alone; the rest is cached for the next truth.
 
     Raises
     ------
     UsageError : a matrix that can not be inverted.
     """
-    of, chosen, choice = view.of, stated.scenario.processing.filter_classes, stated.scenario.processing.features
-    f = np.where([not chosen or name in chosen for name in stated.classes], of_truth(of.fraction, u), 0.0)
-    f = f / f.sum() if chosen else f
-    weights, used, slope = f * of_truth(of.gain, u), f > 0.0, of_truth(view.slope, u)
+    classes, names, space = view.classes, stated.scenario.processing.filter_classes, stated.scenario.processing.features
+    f = np.where([not names or name in names for name in stated.classes], of_truth(classes.fraction, u), 0.0)
+    f = f / f.sum() if names else f
+    weights, used, slope = f * of_truth(classes.gain, u), f > 0.0, of_truth(view.slope, u)
     f, means, noise = f[used], of_truth(view.means, u)[used], of_truth(view.noise, u)[used]
-    mean, under = f @ means, np.sqrt(f)[:, None] / slope
-    around, between = under * of_truth(view.around, u)[used], under * (means - mean)
+    mean, scale = f @ means, np.sqrt(f)[:, None] / slope
+    adjacency, between = scale * of_truth(view.adjacency, u)[used], scale * (means - mean)
 
-    def still() -> Array:
-        """The covariance over the slopes, but for the noise."""
-        inner = of.mixed(weights, u)
-        total = add_products(np.empty_like(inner), around, fresh=True)
-        total *= of.surroundings(u)
+    def noiseless() -> Array:
+        """The covariance over the slopes, without noise."""
+        inner = classes.mixed(weights, u)
+        total = add_products(np.empty_like(inner), adjacency, fresh=True)
+        total *= classes.surroundings(u)
         total += inner
         return add_products(total, between)
 
-    key = b"".join([weights.tobytes(), around.tobytes(), between.tobytes(), of.key(u)])
-    values = np.array(latest(of.kept, "still", key, still))
+    key = b"".join([weights.tobytes(), adjacency.tobytes(), between.tobytes(), classes.key(u)])
+    values = np.array(latest(classes.cache, "still", key, noiseless))
     values[diagonal_places(slope.size)] += f @ noise / slope**2
-    if choice is None:
+    if space is None:
         return FilterBase(mean, None, PositiveDefinite(values, slope))
     covariance = unpacked(values, slope.size) * np.outer(slope, slope)
-    psi = principal_components(covariance, choice.pca)
+    psi = principal_components(covariance, space.pca)
     return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
 
 
@@ -311,8 +311,8 @@ def own_mean_sampling(
     """Standard error and bias of the mean score of the n pixels that a "cem-correlation" filter was made of.
 
     With y = w x, T = 1/(w R w), P = R^-1 - T w w^T and u = 1 - mean^T P x, a pixel moves the mean w mean by y u/n, and
-    the second order is -x^T P x y u/n^2.  The variance is that of y u within strata, whose sizes are no chance, each
-    over 1 - x^T P x/n as a pixel has a part in its own filter.  Of normal pixels, with a = t^T C^-1 mean/s,
+    the second order is -x^T P x y u/n^2.  The variance is that of y u within strata, whose sizes are fixed, each over
+    1 - x^T P x/n as a pixel has a part in its own filter.  Of normal pixels, with a = t^T C^-1 mean/s,
     s = t^T C^-1 t and p = mean^T C^-1 mean - a^2 s: the mean is a/(1 + p), n times its variance
     1/(s (1 + p)) + a^2 (2 p^2 + 4 p)/(1 + p)^4.
 
@@ -320,7 +320,7 @@ def own_mean_sampling(
     ----------
     weights, mean, covariance : of the filter and its background, (F,) and (F, F)
     pixels : (m, F) some of the pixels, drawn at random
-    stratum : (m,) number of the class that each lies in
+    stratum : (m,) class of each
     """
     solved, theta = covariance.solve(mean), float(weights @ mean)
     size = 1.0 + float(mean @ solved)
@@ -331,14 +331,14 @@ def own_mean_sampling(
     u = 1.0 - v + energy * theta * y
     z = y * u / loss
     variance = bias = 0.0
-    for one in np.unique(stratum):
-        inside = stratum == one
-        part = float(np.mean(inside))
-        variance += part * float(np.var(z[inside], ddof=1)) if np.sum(inside) > 1 else 0.0
-        bias += part * float(np.mean((loss[inside] - 1.0) * z[inside]))
-        xy, xu = (np.mean(pixels[inside] * q[inside, None], axis=0) for q in (y, u))
+    for number in np.unique(stratum):
+        in_stratum = stratum == number
+        fraction = float(np.mean(in_stratum))
+        variance += fraction * float(np.var(z[in_stratum], ddof=1)) if np.sum(in_stratum) > 1 else 0.0
+        bias += fraction * float(np.mean((loss[in_stratum] - 1.0) * z[in_stratum]))
+        xy, xu = (np.mean(pixels[in_stratum] * q[in_stratum, None], axis=0) for q in (y, u))
         x_p_y = covariance.solve(xy) - solved * float(solved @ xy) / size - energy * weights * float(weights @ xy)
-        bias += part * float(xu @ x_p_y) / n
+        bias += fraction * float(xu @ x_p_y) / n
     return float(np.sqrt(variance / n)), bias
 
 
@@ -347,13 +347,13 @@ def fully_constrained(
 ) -> Array:
     """Abundances (..., 2) of spectra (..., B): non-negative, sum 1, least (x - a E)^T C^-1 (x - a E).
 
-    The point of the line between the two endmembers that is nearest, kept between its ends (problem of Heinz & Chang,
+    The point of the line between the two endmembers that is nearest, clipped to its ends (problem of Heinz & Chang,
     IEEE TGRS 39, 529-545, 2001).
 
     Parameters
     ----------
     endmembers : (2, B), or (..., 2, B) with a pair of its own for each spectrum
-    noise : covariance C; None weighs all bands alike
+    noise : covariance C; None: equal weights
 
     Raises
     ------
@@ -366,6 +366,6 @@ def fully_constrained(
     # The endmembers are weighted and not the spectra, of which there are many.
     weighted = d if noise is None else noise.solve(d.reshape(-1, d.shape[-1]).T).T.reshape(d.shape)
     length = np.einsum("...b,...b->...", d, weighted)
-    along = np.einsum("...b,...b->...", x, weighted) - np.einsum("...b,...b->...", e[..., 1, :], weighted)
-    a = np.clip(along / length, 0.0, 1.0)
+    projection = np.einsum("...b,...b->...", x, weighted) - np.einsum("...b,...b->...", e[..., 1, :], weighted)
+    a = np.clip(projection / length, 0.0, 1.0)
     return np.stack([a, 1.0 - a], axis=-1)

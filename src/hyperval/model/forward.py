@@ -38,24 +38,24 @@ Key = tuple[str, ...]
 Changes = tuple[Array, Array]  # (D, K) by one standard uncertainty up, and down, along each direction
 _CURVES = 2048  # drawn for the limits of a ROC curve
 DRAWN_SHIFT = 1.0  # standard deviations: beyond, even parts of directions moved alone do not add up to that of all
-_SHIFT = 0.3  # of a standard deviation: 95 % intervals that are off by it hold 94 %, and ever fewer beyond
-_SEEN = 1e-6  # of a probit: below it a change is rounding
-_INNER = 3.0  # probits of P_D between which it is looked for
+_SHIFT = 0.3  # standard deviations by which a mean may be off: 95 % intervals then cover 94 %, and fewer beyond
+_PROBIT_ROUNDING = 1e-6  # of a probit: below it a change is rounding
+_INNER_PROBIT = 3.0  # shifts are measured within +- this probit of P_D
 
 
 def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, RocCurve]:
     """The curves with 95 % intervals of P_D from drawn curves.
 
-    Each draw moves a whole curve along all directions of all inputs at once: by as many times the change that one
-    standard uncertainty up or down makes of it, in probit.  A ROC curve rises with P_FA; a draw that does not,
-    being extrapolated, is put in rising order, which brings it nearer to any curve that rises (Chernozhukov,
-    Fernandez-Val & Galichon, Biometrika 96, 559, 2009), and so are the limits.
+    Each draw moves the curve along all directions of all inputs at once, by multiples of its change, in probit, for
+    one standard uncertainty up or down.  A ROC curve rises with P_FA; a draw that does not, being extrapolated, is
+    sorted, which brings it nearer to any rising curve (Chernozhukov, Fernandez-Val & Galichon, Biometrika 96, 559,
+    2009), and so are the limits.
 
     Parameters
     ----------
     changes : key -> changes (D, K) of probit P_D by one standard uncertainty up, and down, along each direction
 
-    What leaves a curve alone, such as an error of another target, leaves its limits alone:
+    An input without effect, such as an error of another target, does not change the limits:
 
     >>> pfa, key = np.array([1e-3, 1e-2, 1e-1]), ("plank", "cem", "pixel")
     >>> curve, up = RocCurve(pfa, *(pfa**0.3,) * 3, pfa), np.array([[0.3, 0.2, 0.1], [0.1, 0.2, 0.2]])
@@ -64,42 +64,41 @@ def with_bands(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]
     >>> np.array_equal(*each)
     True
     """
-    out = dict(roc)
-    for key, (up, down) in changes.items():
-        if not (np.any(up) or np.any(down)):
+    curves = dict(roc)
+    for key, (plus, minus) in changes.items():
+        if not (np.any(plus) or np.any(minus)):
             continue
         curve, z = roc[key], probit(roc[key].pd)
-        size = (up**2 + down**2) @ np.exp(-(z**2))  # of the change of P_D
-        up, down = (of[size >= _SEEN**2 * size.max()] for of in (up, down))
-        c, even = _normal_draws(len(up)), 0.5 * (up - down)
-        drawn = np.sort(z + np.maximum(c, 0.0) @ up + np.maximum(-c, 0.0) @ down, axis=1)
-        # The even part has its limits in closed form: the draws say by how much the whole differs from it.
-        half, plain = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
-        (low, high), (even_low, even_high) = limits(drawn), limits(plain)
-        low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half, high - even_high + z + half))
-        out[key] = drawn_curve(curve, (low, high))
-    return out
+        size = (plus**2 + minus**2) @ np.exp(-(z**2))  # of the change of P_D
+        plus, minus = (change[size >= _PROBIT_ROUNDING**2 * size.max()] for change in (plus, minus))
+        c, even = _normal_draws(len(plus)), 0.5 * (plus - minus)
+        drawn = np.sort(z + np.maximum(c, 0.0) @ plus + np.maximum(-c, 0.0) @ minus, axis=1)
+        # The odd part has limits in closed form; the draws give the difference of all from it.
+        half_width, even_draws = Z95 * np.sqrt((even**2).sum(axis=0)), z + c @ even
+        (low, high), (even_low, even_high) = limits(drawn), limits(even_draws)
+        low, high = (ndtr(np.sort(x)) for x in (low - even_low + z - half_width, high - even_high + z + half_width))
+        curves[key] = drawn_curve(curve, (low, high))
+    return curves
 
 
 def mean_shifts(roc: Mapping[RocKey, RocCurve], changes: Mapping[RocKey, Changes]) -> dict[RocKey, float]:
-    """How far both signs of the errors move a curve the same way, in standard deviations of its probit, at most.
+    """Greatest shift of the mean of a curve by its errors to second order, in standard deviations of its probit.
 
-    Half the sum of the changes up and down, over all directions, is by how much the mean of draws would be off the
-    stated curve if the directions did not hold each other back; it says how far one evaluation up and down of each
-    can be trusted.
+    Half the sum of the changes up and down, over all directions, is the shift of the mean of draws from the stated
+    curve if the effects of directions add up; it limits the validity of one evaluation up and down of each.
     """
     shifts = {}
-    for key, (up, down) in changes.items():
-        inner = np.abs(probit(roc[key].pd)) < _INNER
-        sd = np.sqrt(((0.5 * (up - down)) ** 2).sum(axis=0))
-        shown = inner & (sd > _SEEN)
+    for key, (plus, minus) in changes.items():
+        in_range = np.abs(probit(roc[key].pd)) < _INNER_PROBIT
+        sd = np.sqrt(((0.5 * (plus - minus)) ** 2).sum(axis=0))
+        shown = in_range & (sd > _PROBIT_ROUNDING)
         if shown.any():
-            shifts[key] = float(np.max(np.abs(0.5 * (up + down).sum(axis=0))[shown] / sd[shown]))
+            shifts[key] = float(np.max(np.abs(0.5 * (plus + minus).sum(axis=0))[shown] / sd[shown]))
     return shifts
 
 
 def shift_notes(shifts: Mapping[RocKey, float], drawn: Collection[RocKey], samples: int) -> list[str]:
-    """Words for intervals that shifts of the mean make rough, and for those that are drawn for it."""
+    """Notes on intervals that shifts of the mean make approximate, and on those drawn for that reason."""
     named = {key: f"{' '.join(key)} ({shift:.2g})" for key, shift in shifts.items() if shift > _SHIFT}
     by_draws, rough = (", ".join(named[key] for key in named if (key in drawn) is wanted) for wanted in (True, False))
     texts = {
@@ -133,19 +132,18 @@ def _normal_draws(directions: int) -> Array:
 
 def joined(parts: Iterable[tuple[Index, Mapping[Any, Array]]], size: int) -> dict[Any, Array]:
     """Values (U, ...) of all truths, in their order, from those (n or 1, ...) of parts of them."""
-    out: dict[Any, Array] = {}
+    values_of_all: dict[Any, Array] = {}
     for index, values in parts:
         for key, value in values.items():
-            out.setdefault(key, np.empty((size, *value.shape[1:])))[index] = value
-    return out
+            values_of_all.setdefault(key, np.empty((size, *value.shape[1:])))[index] = value
+    return values_of_all
 
 
 def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origins, truth: Truth) -> PredictedProducts:
     """The prediction with 95 % limits of P_FA where the law was fitted to pixels.
 
-    By the scenario as it truly is without each part of a region whose law is known from its pixels: ln P_FA (3.33) at
-    the thresholds of the curve, (G, K).  The filters stay: they look at both sides through the same weights.  The
-    parts of a region are independent of each other: the squares of their directions add up.
+    By a jackknife over the parts of each region that a law was fitted to: ln P_FA (3.33) at the thresholds of the
+    curve, (G, K), with the same filters.  The regions are independent: the squares of their directions add up.
 
     Parameters
     ----------
@@ -161,45 +159,45 @@ def with_law_errors(prediction: PredictedProducts, e: Evaluation, origins: Origi
         (t.name, d): e.scores(t.populations[0].name, d).thresholds(e.pfa[None])[0]
         for t in e.targets for d in e.stated.linear_detectors
     }  # fmt: skip
-    out: dict[tuple[str, str], dict[str, Array]] = {key: {} for key in thresholds}
-    for region, without in origins.left_out():
-        parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in without)
-        of_parts = [settled(with_truths(read_world(free, part), [truth]))[0][1] for part in parts]
-        laws = [(w.law_fraction, w.law_dof, radiance.retrieved(radiance.light_of(w), w, e.bands)) for w in of_parts]
+    log_pfa: dict[tuple[str, str], dict[str, Array]] = {key: {} for key in thresholds}
+    for region, replicates in origins.left_out():
+        parts = (replace(origins, measured={**(origins.measured or {}), region: part}) for part in replicates)
+        worlds = [settled(with_truths(read_world(free, part), [truth]))[0][1] for part in parts]
+        laws = [(w.law_fraction, w.law_dof, radiance.retrieved(radiance.light_of(w), w, e.bands)) for w in worlds]
         for key, x in thresholds.items():
-            row, one = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
-            scores = [ClassScores(fraction, *class_scores(view, one), dof) for fraction, dof, view in laws]
-            out[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
-    for key, regions in out.items():
+            row, row_filter = np.zeros(x.size, int), e.filters[key][0].rows(e.which[:1])
+            scores = [ClassScores(fraction, *class_scores(view, row_filter), dof) for fraction, dof, view in laws]
+            log_pfa[key][region] = np.array([log_false_alarm(x, s.rows(row))[0] for s in scores])
+    for key, regions in log_pfa.items():
         if regions:
-            squares = sum((jackknife_directions(of) ** 2).sum(axis=0) for of in regions.values())
+            squares = sum((jackknife_directions(rates) ** 2).sum(axis=0) for rates in regions.values())
             half, p = Z95 * np.sqrt(squares)[::-1], curves[key].probability
             limits = p * np.exp(-half), np.minimum(p * np.exp(half), 1.0)
-            rising = {region: of[:, ::-1] for region, of in regions.items()}
+            rising = {region: rates[:, ::-1] for region, rates in regions.items()}
             curves[key] = replace(curves[key], lower=limits[0], upper=limits[1], left_out=rising)
     return replace(prediction, exceedance=curves)
 
 
 def with_law_limits(curve: RocCurve, alarms: ExceedanceCurve) -> RocCurve:
-    """The curve with the limits of P_FA at its thresholds taken into those of P_D.
+    """The curve with the limits of P_FA at its thresholds included in those of P_D.
 
-    Where the background has more alarms than the law says, the threshold of a P_FA lies higher and P_D lower: the
+    Where the background has more alarms than the law predicts, the threshold of a P_FA is higher and P_D lower: the
     limits are the curve drawn against those of P_FA, in quadrature with the curve's own, in probit.
     """
     z, low, high = (probit(pd) for pd in (curve.pd, curve.pd_lower, curve.pd_upper))
-    # Limits of P_FA rise with it; far out, where the law says little, they need not.
-    less = np.maximum.accumulate(np.log(alarms.lower[::-1]))
-    more = np.minimum.accumulate(np.log(alarms.upper))[::-1]
+    # Limits of P_FA rise with it, but need not far in the tail, where the law is uncertain.
+    log_lower = np.maximum.accumulate(np.log(alarms.lower[::-1]))
+    log_upper = np.minimum.accumulate(np.log(alarms.upper))[::-1]
     log_pfa = np.log(curve.pfa)
-    up = z + np.hypot(high - z, np.maximum(_read(log_pfa, less, z) - z, 0.0))
-    down = z - np.hypot(z - low, np.maximum(z - _read(log_pfa, more, z), 0.0))
-    return replace(curve, pd_lower=ndtr(np.maximum.accumulate(down)), pd_upper=ndtr(np.maximum.accumulate(up)))
+    upper = z + np.hypot(high - z, np.maximum(_extrapolated(log_pfa, log_lower, z) - z, 0.0))
+    lower = z - np.hypot(z - low, np.maximum(z - _extrapolated(log_pfa, log_upper, z), 0.0))
+    return replace(curve, pd_lower=ndtr(np.maximum.accumulate(lower)), pd_upper=ndtr(np.maximum.accumulate(upper)))
 
 
-def _read(y: Array, x: Array, z: Array) -> Array:
-    """A curve z over x, both rising, at places ``at``; beyond its ends with the slope over ``at`` there."""
-    below, above = (z[1] - z[0]) / (y[1] - y[0]), (z[-1] - z[-2]) / (y[-1] - y[-2])
-    return np.asarray(np.interp(y, x, z) + below * np.minimum(y - x[0], 0.0) + above * np.maximum(y - x[-1], 0.0))
+def _extrapolated(y: Array, x: Array, z: Array) -> Array:
+    """A curve z over x, both rising, at ``y``; beyond its ends with the slope there."""
+    low, high = (z[1] - z[0]) / (y[1] - y[0]), (z[-1] - z[-2]) / (y[-1] - y[-2])
+    return np.asarray(np.interp(y, x, z) + low * np.minimum(y - x[0], 0.0) + high * np.maximum(y - x[-1], 0.0))
 
 
 FALSE_ALARMS = (1e-2, 1e-3)  # where predicted P_D is compared
@@ -208,17 +206,17 @@ _PROBABILITIES = ("P_D", "AUC")
 
 def product_values(p: PredictedProducts) -> dict[Key, Array]:
     """(product, subject, ...) -> (n,) numbers: bands of spectra, P_D at each of FALSE_ALARMS, scores and areas."""
-    out: dict[Key, Array] = {}
+    numbers: dict[Key, Array] = {}
     for product in SPECTRA:
         for subject, estimate in getattr(p, product).items():
-            out[product, subject] = estimate.mean
+            numbers[product, subject] = estimate.mean
     for (subject, detector), score in p.scores.items():
-        out["score mean", subject, detector] = np.array([score.mean])
-        out["score sd", subject, detector] = np.array([score.sd])
+        numbers["score mean", subject, detector] = np.array([score.mean])
+        numbers["score sd", subject, detector] = np.array([score.sd])
     for (subject, detector, unit), curve in p.roc.items():
-        out["P_D", subject, detector, unit] = detection_at(curve, FALSE_ALARMS)
-        out["AUC", subject, detector, unit] = np.array([curve_area(curve, WHOLE)])
-    return out
+        numbers["P_D", subject, detector, unit] = detection_at(curve, FALSE_ALARMS)
+        numbers["AUC", subject, detector, unit] = np.array([curve_area(curve, WHOLE)])
+    return numbers
 
 
 def tabulated(predictions: Iterable[PredictedProducts]) -> dict[Key, Array]:
@@ -259,20 +257,20 @@ def limit_tolerance(u: Array, samples: int) -> Array:
 
 
 def agreement(key: Key, stated: Array, linear: Array, drawn: Array, samples: int, at: float = np.nan) -> dict[str, Any]:
-    """The two ways compared for one product, ``stated`` (n,), by :func:`linear_spread` and the same of draws (3, n).
+    """Both propagations compared for one product, ``stated`` (n,): :func:`linear_spread` and that of draws, (3, n).
 
     Of a spectrum the median over bands, of a ROC one P_FA, ``at``.  ``sd_ratio`` and ``interval_ratio`` are drawn over
     linearised; ``gap`` is the greater difference of the two limits in units of the tolerance: they agree up to 1.
     """
-    live = np.isfinite(linear[0]) & np.isfinite(drawn[0])
-    live &= np.maximum(linear[0], drawn[0]) > 1e-12 * np.abs(stated) + 1e-14
+    valid = np.isfinite(linear[0]) & np.isfinite(drawn[0])
+    valid &= np.maximum(linear[0], drawn[0]) > 1e-12 * np.abs(stated) + 1e-14
     names, numbers = ("linear_sd", "drawn_sd", "sd_ratio", "interval_ratio", "gap"), [0.0, 0.0, 1.0, 1.0, 0.0]
-    if live.any():
-        (u, *one), (v, *other) = linear[:, live], drawn[:, live]
+    if valid.any():
+        (u, *linear_ends), (v, *drawn_ends) = linear[:, valid], drawn[:, valid]
         with np.errstate(divide="ignore", invalid="ignore"):
-            gap = np.abs(np.subtract(one, other)).max(axis=0) / limit_tolerance(np.maximum(u, v), samples)
-            each = [u, v, v / u, np.subtract(*other) / np.subtract(*one), gap]
-        numbers = np.median(each, axis=1).tolist()
+            gap = np.abs(np.subtract(linear_ends, drawn_ends)).max(axis=0) / limit_tolerance(np.maximum(u, v), samples)
+            columns = [u, v, v / u, np.subtract(*drawn_ends) / np.subtract(*linear_ends), gap]
+        numbers = np.median(columns, axis=1).tolist()
     return {"key": key, "at": at, **dict(zip(names, numbers, strict=True)), "agrees": numbers[-1] <= 1.0}
 
 
@@ -287,10 +285,10 @@ def interpolated_world(world: World, inputs: Sequence[UncertainInput]) -> tuple[
     """The world with the engine run at the nodes of every uncertain field of its atmosphere alone, and what it costs.
 
     Terms are then quadratic in each uncertain field, without cross terms.  The error is that of the radiance over a
-    grey ground of reflectance 0.3, where there is light and all fields are one standard uncertainty off [1]; there is
-    none where nothing of the atmosphere is uncertain.
+    grey ground of reflectance 0.3, in bands with light and with all fields one standard uncertainty off [1]; None
+    where nothing of the atmosphere is uncertain.
     """
-    stated, nodes, off = world.stated, dict[str, list[float]](), dict[str, float]()
+    stated, nodes, step = world.stated, dict[str, list[float]](), dict[str, float]()
     state, engine = stated.scenario.atmosphere, stated.atmosphere
     for item in inputs:
         room, _, name = item.path.partition(".")
@@ -299,14 +297,14 @@ def interpolated_world(world: World, inputs: Sequence[UncertainInput]) -> tuple[
             ends = [float(item.direction(0, z)[item.path][0]) for z in (-_NODE, _NODE)]
             ends = [end for end in ends if abs(end - value) > 1e-12]  # a node at the end of the range may be the stated
             if ends:
-                nodes[name], off[name] = [value, *ends], float(item.direction(0, 1.0)[item.path][0])
+                nodes[name], step[name] = [value, *ends], float(item.direction(0, 1.0)[item.path][0])
     if not nodes:
         return world, None
-    star = replace(engine, nodes=nodes, star=True, kept={})
-    guess, truth = star({f"atmosphere.{name}": np.array([x]) for name, x in off.items()}, 1), engine.run(off)
+    star = replace(engine, nodes=nodes, star=True, cache={})
+    guess, truth = star({f"atmosphere.{name}": np.array([x]) for name, x in step.items()}, 1), engine.run(step)
     totals = [t.path_radiance + 0.3 * (t.direct + t.adjacency) / (1 - 0.3 * t.spherical_albedo) for t in (guess, truth)]
     relative = np.abs(totals[0] / totals[1] - 1.0)[..., truth.direct > 1e-3 * truth.direct.max()]
-    moved = replace(world, stated=replace(stated, atmosphere=star, kept={}))
+    moved = replace(world, stated=replace(stated, atmosphere=star, cache={}))
     runs = 2 + sum(len(values) - 1 for values in nodes.values())
     return moved, (runs, float(relative.max()), float(np.median(relative)))
 
@@ -315,7 +313,7 @@ def with_intervals(
     stated: PredictedProducts, world: World, inputs: Sequence[UncertainInput], draws: Mapping[Key, Array],
     cost: Cost | None,
 ) -> PredictedProducts:  # fmt: skip
-    """The prediction with intervals from the draws: of P_D where the two ways differ, or everywhere.
+    """The prediction with intervals from the draws: of P_D where linearisation disagrees, or everywhere.
 
     With ``method`` "monte-carlo" all curves take the limits of the draws, and the errors of a spectrum are the
     linearised ones times the median over bands of drawn over linearised: the covariance of a few hundred draws, or
@@ -337,7 +335,7 @@ def with_intervals(
         key: drawn_curve(curve, limits(draws["curve", *key])) if everywhere or key in differs else curve
         for key, curve in stated.roc.items()
     }
-    notes = [_words(table, u, cost)]
+    notes = [_comparison_note(table, u, cost)]
     if not everywhere and differs:
         which = ", ".join(sorted(map(" ".join, differs)))
         notes.append(f"P_D intervals from the draws, where linearisation differs by more than the tolerance: {which}")
@@ -357,20 +355,20 @@ def with_uncertainty(
 
     Parameters
     ----------
-    inputs : to be drawn from where the scenario asks for it, or errors shift the mean of P_D by so much that their
+    inputs : drawn where the scenario has draws, or where errors shift the mean of P_D by so much that the effects of
         directions do not add up
     changes : of probit P_D, as :func:`with_bands` takes them
     """
     stated, u = world.stated, world.stated.scenario.uncertainty
     shifts, drawn = mean_shifts(products.roc, changes), dict[RocKey, Array]()
-    far = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
-    if draws := bool(inputs) and (bool(far) or u.method != "linear"):
-        near, cost = interpolated_world(world, inputs)
+    nonlinear = [key for key, shift in shifts.items() if shift > DRAWN_SHIFT]
+    if draws := bool(inputs) and (bool(nonlinear) or u.method != "linear"):
+        star_world, cost = interpolated_world(world, inputs)
         truths = track(drawn_truths(inputs, u.samples, u.seed), "draws of the budget")
-        if u.method == "linear":  # nothing but these curves is looked at
-            whole = any(unit == "object" for *_, unit in far)
-            each = [p.roc for p in _predictions(near, truths, object_curves=whole, spectra=False)]
-            drawn = {key: np.array([roc[key].pd for roc in each]) for key in far}
+        if u.method == "linear":  # these curves alone are drawn
+            with_objects = any(unit == "object" for *_, unit in nonlinear)
+            rocs = [p.roc for p in _predictions(star_world, truths, object_curves=with_objects, spectra=False)]
+            drawn = {key: np.array([roc[key].pd for roc in rocs]) for key in nonlinear}
     roc: dict[RocKey, RocCurve] = with_bands(products.roc, changes)
     roc |= {key: drawn_curve(products.roc[key], limits(curves)) for key, curves in drawn.items()}
     filters = {p.name: stated.targets[t].name for t, _, p in stated.populations}
@@ -381,18 +379,18 @@ def with_uncertainty(
     limited = replace(products, roc=roc, notes=(*products.notes, *shift_notes(shifts, drawn, u.samples)))
     if not draws or u.method == "linear":
         return limited
-    return with_intervals(limited, near, inputs, tabulated(_predictions(near, truths)), cost)
+    return with_intervals(limited, star_world, inputs, tabulated(_predictions(star_world, truths)), cost)
 
 
 def _widened(estimate: SpectralEstimate, sd: Array) -> SpectralEstimate:
     linear = estimate.standard_uncertainty
-    some = (linear > 0) & np.isfinite(sd)
-    factor = float(np.median(sd[some] / linear[some])) if some.any() else 1.0
+    valid = (linear > 0) & np.isfinite(sd)
+    factor = float(np.median(sd[valid] / linear[valid])) if valid.any() else 1.0
     budget = {k: v * factor for k, v in estimate.budget.items()}
     return replace(estimate, error_covariance=factor**2 * estimate.error_covariance, budget=budget)
 
 
-def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, cost: Cost | None) -> str:
+def _comparison_note(table: Sequence[Mapping[str, Any]], u: Uncertainty, cost: Cost | None) -> str:
     ratios: dict[str, list[float]] = {}
     for row in table:
         if np.isfinite(row["sd_ratio"]):
@@ -411,8 +409,8 @@ def _words(table: Sequence[Mapping[str, Any]], u: Uncertainty, cost: Cost | None
 
 SpectralErrors = Mapping[tuple[str, str], Mapping[str, Errors]]  # (product, subject) -> source -> its errors
 _DIRECTIONS = 32  # directions whose spectra are in memory at once
-_ROUNDING = 1e-9  # of an error: what rounding leaves where nothing follows
-_SEEN_BY_NO_SPECTRUM = ("dark", "bright", "line_gain", "line_offset", "spread", "tail", "fine_texture")
+_ROUNDING = 1e-9  # of an error: smaller effects are rounding
+_NOT_IN_SPECTRA = ("dark", "bright", "line_gain", "line_offset", "spread", "tail", "fine_texture")
 
 
 def without_calibration_error(subject: str) -> str:
@@ -422,37 +420,37 @@ def without_calibration_error(subject: str) -> str:
 
 def combined(errors: Mapping[str, Errors], dense: Mapping[str, Array], bands: int) -> tuple[Array, dict[str, Array]]:
     """Error covariance (B, B) and budget from independent sources, some of them as covariances (B, B)."""
-    every = {source: np.nan_to_num(c) for source, c in dense.items()}
-    budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in every.items()}
-    return sum((*(e.covariance for e in errors.values()), *every.values()), np.broadcast_to(0.0, 2 * (bands,))), budget
+    full = {source: np.nan_to_num(c) for source, c in dense.items()}
+    budget = {s: e.budget for s, e in errors.items()} | {s: np.sqrt(np.diag(c)) for s, c in full.items()}
+    return sum((*(e.covariance for e in errors.values()), *full.values()), np.broadcast_to(0.0, 2 * (bands,))), budget
 
 
 def reflectances(e: Evaluation) -> dict[str, tuple[Array, Array]]:
-    """Subject -> (U or 1, 1, B) what it reflects, as a surface in the open would have to, and what meets light of the
-    surroundings (3.10).
+    """Subject -> (U or 1, 1, B) equivalent reflectance in the open, and reflectance times sky view, which enters D_B
+    (3.10).
     """
     world, scene = e.world, e.scenario.scene
     shares = [shares_at(world, number) for number in range(len(e.stated.populations))]
     light = e.light.rows(e.which)
     means = {name: world.mean[:, number : number + 1] for number, name in enumerate(e.stated.names["surface"])}
-    out = {s.name: 2 * (means[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
+    surfaces = {s.name: 2 * (means[s.name],) for s in (*scene.classes, *scene.panels, *scene.sites)}
     full = {t.name: radiance.target_light(world, light, number)[:2] for number, t in enumerate(scene.targets)}
     for (t, _, population), fills, placed in zip(e.stated.populations, world.pixel_fills, shares, strict=True):
         host = means[scene.targets[t].host]
         parts = {scene.targets[t].name: (fills.weights * fills.values).sum(axis=1)}
         if placed is not None:
             parts = {name: np.array([s.of(name) for s in placed[0]])[placed[1]] for name in full}
-        within = [(part[:, None, None], full[name]) for name, part in parts.items() if part.any()]
-        one, under = tuple(host + sum(f * (target[k] - host) for f, target in within) for k in (0, 1))  # (3.10)
-        out[population.name] = one, under
-    return out
+        lit_parts = [(part[:, None, None], full[name]) for name, part in parts.items() if part.any()]
+        pixel, sky = tuple(host + sum(f * (target[k] - host) for f, target in lit_parts) for k in (0, 1))  # (3.10)
+        surfaces[population.name] = pixel, sky
+    return surfaces
 
 
 def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
-    """The different shares of an object's pixels at its place, and which (U,) of them each truth has; None where there
-    is no place, or the printed form.
+    """The distinct shares of an object's pixels at its place, and the number (U,) of those of each truth; None without
+    a place, or in the printed form.
 
-    What lies beside it has the fills of the same truth, whatever truths are evaluated with it:
+    Its neighbours have the fills of the same truth, whatever truths are evaluated with it:
 
     >>> from hyperval.scenario import load_scenario
     >>> from hyperval.model import with_values
@@ -468,82 +466,82 @@ def shares_at(world: World, number: int) -> tuple[list[Shares], Index] | None:
     population, position = stated.populations[number][2], scenario.uncertainty.position_m
     if scenario.formulation == "thesis" or population.fill.geometry is None or population.position_m is None:
         return None
-    each, which = world.populations
-    return [shares_of(*every[number], every, position, scenario.processing.seed) for every in each], which
+    by_truth, which = world.populations
+    return [shares_of(*subjects[number], subjects, position, scenario.processing.seed) for subjects in by_truth], which
 
 
 def mean_spectra(e: Evaluation) -> dict[tuple[str, str], Array]:
     """(product, subject) -> (U or 1, B) mean spectra of all truths (3.7-3.20)."""
-    names, out = e.stated.names, dict[tuple[str, str], Array]()
-    bare = {name: without_calibration_error(name) for name in names["surface"] if name not in names["target"]}
-    each, light = e.once("reflectances", partial(reflectances, e)), e.light.rows(e.which)
-    for name, (rho, _) in each.items():
+    names, spectra = e.stated.names, dict[tuple[str, str], Array]()
+    without_c_r = {name: without_calibration_error(name) for name in names["surface"] if name not in names["target"]}
+    surfaces, light = e.once("reflectances", partial(reflectances, e)), e.light.rows(e.which)
+    for name, (rho, _) in surfaces.items():
         level = light.level(rho)
         if not light.radiant or light.elm is not None:
-            # What the empirical line is off by belongs to collected reflectance, not to the predicted one.
-            out["reflectance", name] = radiance.retrieved_reflectance(light.library_line, level)[:, 0]
+            # Errors of the empirical line belong to measured reflectance, not to the predicted one.
+            spectra["reflectance", name] = radiance.retrieved_reflectance(light.library_line, level)[:, 0]
         if light.radiant:
-            out["radiance", name] = level[:, 0]
+            spectra["radiance", name] = level[:, 0]
             white = light.terms.diffuser_radiance
             if white is not None and e.stated.is_of_space:
-                out["toa_reflectance", name] = radiance.toa_reflectance(level, white)[:, 0]
-            if light.noise is not None and name in bare:
+                spectra["toa_reflectance", name] = radiance.toa_reflectance(level, white)[:, 0]
+            if light.noise is not None and name in without_c_r:
                 parts = e.once(("noise", name), partial(light.noise.breakdown, level))
-                for key, variance in ((name, parts.total), (bare[name], parts.detector)):
-                    out["snr", key] = signal_to_noise(level, variance)[:, 0]
-    return out
+                for key, variance in ((name, parts.total), (without_c_r[name], parts.detector)):
+                    spectra["snr", key] = signal_to_noise(level, variance)[:, 0]
+    return spectra
 
 
 def spread_scales(e: Evaluation) -> dict[tuple[str, str], Array]:
-    """What the spread from pixel to pixel goes by, (U or 1, B): ("signal", product) -> logarithm of the change of the
-    signal per reflectance (D_A of 3.11); ("noise", subject) -> as a variance of reflectance.
+    """Scales of the spread from pixel to pixel, (U or 1, B): ("signal", product) -> logarithm of the change of the
+    signal per reflectance (D_A of 3.11); ("noise", subject) -> noise as a variance of reflectance.
 
-    Noise that the covariance of pixels of the image holds does not move with the model's.
+    Noise in covariances measured on the image does not change with the model's.
     """
     light, names, images = e.light.rows(e.which), e.stated.names["surface"], e.stated.of_pixels
-    held = {name for name, of_image in zip(names, images, strict=True) if of_image}
+    image_surfaces = {name for name, of_image in zip(names, images, strict=True) if of_image}
     hosts = {population.name: e.stated.targets[t].host for t, _, population in e.stated.populations}
-    each, slope = e.once("reflectances", partial(reflectances, e)), light.slope()
+    surfaces, slope = e.once("reflectances", partial(reflectances, e)), light.slope()
     with np.errstate(divide="ignore", invalid="ignore"):
         scales = {"radiance": slope, "reflectance": slope / light.library_line.gain}
-        out = {("signal", product): np.log(scale)[:, 0] for product, scale in scales.items()}
-        for name, (rho, _) in each.items():
-            if light.noise is not None and hosts.get(name, name) not in held:
+        scales_by_key = {("signal", product): np.log(scale)[:, 0] for product, scale in scales.items()}
+        for name, (rho, _) in surfaces.items():
+            if light.noise is not None and hosts.get(name, name) not in image_surfaces:
                 parts = e.once(("noise", name), partial(light.noise.breakdown, light.level(rho)))
-                out["noise", name] = (parts.total / slope**2)[:, 0]
-    return out
+                scales_by_key["noise", name] = (parts.total / slope**2)[:, 0]
+    return scales_by_key
 
 
 def spectral_errors(world: World, inputs: Iterable[UncertainInput]) -> SpectralErrors:
     """Errors of the mean spectra of one truth, and of :func:`spread_scales`: half the difference of up and down along
     each direction of each input, the rest held.
     """
-    out: dict[tuple[str, str], dict[str, Errors]] = {}
+    errors: dict[tuple[str, str], dict[str, Errors]] = {}
     day = str(state.time_utc or "")[:10] if (state := world.stated.scenario.atmosphere) else ""
     for number, item in enumerate(inputs):
-        if find(world.stated, item.path).field in _SEEN_BY_NO_SPECTRUM:
+        if find(world.stated, item.path).field in _NOT_IN_SPECTRA:
             continue
         least = _ROUNDING * float(np.abs(item.rows).max(initial=0.0))
         source = "field spectrum" if item.subject and item.kind == "surface" else item.name
         size, unit = item.scale  # without light what is recorded is reflectance
         scale = size, unit if state else unit.replace(RADIANCE_UNIT, ""), day * item.path.startswith("atmosphere.")
         for start in range(0, len(item.rows), _DIRECTIONS):
-            some = range(start, min(start + _DIRECTIONS, len(item.rows)))
-            moved = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in some])
+            chunk = range(start, min(start + _DIRECTIONS, len(item.rows)))
+            moved = with_truths(world, [item.direction(k, z) for z in (1.0, -1.0) for k in chunk])
             parts = ((index, Evaluation(part)) for index, part in settled(moved))
-            whole = joined(((index, mean_spectra(e) | spread_scales(e)) for index, e in parts), moved.size)
-            for key, values in whole.items():
-                rows = 0.5 * (values[: len(some)] - values[len(some) :])
-                if item.kind == "engine" and key[0] == "reflectance":  # the empirical line takes it off
+            moved_values = joined(((index, mean_spectra(e) | spread_scales(e)) for index, e in parts), moved.size)
+            for key, values in moved_values.items():
+                rows = 0.5 * (values[: len(chunk)] - values[len(chunk) :])
+                if item.kind == "engine" and key[0] == "reflectance":  # the empirical line cancels it
                     continue
                 if item.subject and not np.nanmax(np.abs(rows), initial=0.0) > least:
                     continue
-                each = out.setdefault(key, {})
+                by_source = errors.setdefault(key, {})
                 # Signal and noise go by the same directions: those of one step have one name.
                 name = source if key[0] in SPECTRA else f"{number:05} {start:05}"
-                before = each[name].rows if name in each else rows[:0]
-                each[name] = Errors(np.concatenate([before, np.nan_to_num(rows)]), np.inf, *scale)
-    return {key: {name: e for name, e in each.items() if e.rows.any()} for key, each in out.items()}
+                earlier = by_source[name].rows if name in by_source else rows[:0]
+                by_source[name] = Errors(np.concatenate([earlier, np.nan_to_num(rows)]), np.inf, *scale)
+    return {key: {name: e for name, e in by_source.items() if e.rows.any()} for key, by_source in errors.items()}
 
 
 def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) -> PredictedProducts:
@@ -552,41 +550,41 @@ def spectral_prediction(e: Evaluation, u: int, errors: SpectralErrors | None) ->
     ``errors`` : None: mean spectra alone, whose matrices are 0
     """
     stated, world, v = e.stated, e.world.rows(np.array([u])), int(e.which[u])
-    out: dict[str, Any] = {p: {} for p in ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")}
+    data: dict[str, Any] = {p: {} for p in ("radiance", "snr", "reflectance", "toa_reflectance", "noise", "full_scale")}
     bands, populations = len(e.axis), [p.name for _, _, p in stated.populations]
     means = {key: radiance.of_truth(values, u) for key, values in e.once("spectra", lambda: mean_spectra(e)).items()}
-    each = e.once("reflectances", partial(reflectances, e))
+    surfaces = e.once("reflectances", partial(reflectances, e))
     light = e.light.row(v)
     terms = light.terms if light.radiant else None
     notes = [f"formulation: {e.scenario.formulation}", *(terms.notes if terms else ()), *stated.notes]
     if not e.scenario.uncertainty.model_dump(exclude_defaults=True):
         notes.append("the scenario states no uncertainty: intervals and tests contain little but the collection's own")
-    levels = {name: light.level(radiance.of_truth(rho, u)[0]) for name, (rho, _) in each.items()}
+    levels = {name: light.level(radiance.of_truth(rho, u)[0]) for name, (rho, _) in surfaces.items()}
     if light.radiant and light.noise is not None:
         if light.noise.full_scale is not None:
-            out["full_scale"] = {name: light.noise.full_scale_fraction(level) for name, level in levels.items()}
-        out["noise"] = {n: asdict(light.noise.breakdown(x)) for n, x in levels.items() if n not in populations}
-        notes += saturation_notes(out["full_scale"], e.axis)
-    out["distribution"] = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
-    out |= {"notes": tuple(notes), "provenance": provenance_of(stated, terms)}
+            data["full_scale"] = {name: light.noise.full_scale_fraction(level) for name, level in levels.items()}
+        data["noise"] = {n: asdict(light.noise.breakdown(x)) for n, x in levels.items() if n not in populations}
+        notes += saturation_notes(data["full_scale"], e.axis)
+    data["distribution"] = {name: _distribution(world, m) for m, name in enumerate(stated.classes)}
+    data |= {"notes": tuple(notes), "provenance": provenance_of(stated, terms)}
     spreads = {} if errors is None else pixel_spreads(e, u, levels)
     for (product, key), mean in means.items():
         pixel, shapes = spreads.get((product, key), (None, {}))
         sources = (errors or {}).get((product, key), {})
         total, budget = combined(sources, shapes, bands)
-        if pixel is not None and np.isnan(np.sum(pixel)):  # a look takes less than a copy
+        if pixel is not None and np.isnan(np.sum(pixel)):  # the check is faster than a copy
             pixel = np.nan_to_num(pixel)
         sources = {} if product == "snr" else sources
         spread = spread_errors(errors, light, product, key) if errors and product in ("radiance", "reflectance") else []
         if (gain := sources.get("compensation (gain)")) is not None:  # of an image: it stretches the spread as the mean
             spread.append(np.stack([gain.rows / mean, 0.0 * gain.rows]))
         moved = np.concatenate(spread, axis=1) if spread else None
-        out[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=sources, spread_errors=moved)
-    return PredictedProducts(e.axis, **out)
+        data[product][key] = SpectralEstimate(mean, total, pixel, None, budget, errors=sources, spread_errors=moved)
+    return PredictedProducts(e.axis, **data)
 
 
 def spread_errors(errors: SpectralErrors, light: radiance.Light, product: str, subject: str) -> list[Array]:
-    """(2, K, B) of each step of directions: of a band's standard deviation as a part of it, and of its noise.
+    """(2, K, B) errors by each chunk of directions: relative ones of a band's standard deviation, and of its noise.
 
     >>> from hyperval.api import load_scenario
     >>> made = predict(load_scenario("green-planks-grass").with_values(
@@ -596,15 +594,15 @@ def spread_errors(errors: SpectralErrors, light: radiance.Light, product: str, s
     >>> bool(np.allclose(ground, line, rtol=1e-9) and np.median(np.abs(ground)) > 1e-4)
     True
     """
-    both = [errors.get(key, {}) for key in (("signal", product), ("noise", subject))]
+    pair = [errors.get(key, {}) for key in (("signal", product), ("noise", subject))]
     scale = light.slope() / (1.0 if product == "radiance" else light.library_line.gain)
-    steps = ([of[step].rows if step in of else 0.0 for of in both] for step in sorted(set(chain(*both))))
+    steps = ([entries[step].rows if step in entries else 0.0 for entries in pair] for step in sorted(set(chain(*pair))))
     return [np.stack(np.broadcast_arrays(signal, noise * scale**2)) for signal, noise in steps]
 
 
 Spread = tuple[Array, Mapping[str, Array]]
-# Covariance (B, B) of pixels with its gain, gain, errors (B, B) of the mean of one object at its place by source, and
-# the surfaces whose covariances are in that of the pixels, with their parts.
+# Covariance (B, B) of pixels with its gain, the gain, errors (B, B) of the mean of one object at its place by source,
+# and the surfaces in that covariance, with their factors.
 Spreading = tuple[Array, float, Mapping[str, Array], Mapping[str, float]]
 
 
@@ -616,30 +614,30 @@ def pixel_spreads(e: Evaluation, u: int, levels: Mapping[str, Array]) -> dict[tu
     """
     world, v, bands = e.world.rows(np.array([u])), int(e.which[u]), np.arange(len(e.axis))
     populations = [p.name for _, _, p in e.stated.populations]
-    light, one = e.light.row(v), e.light.rows(np.array([v]))
-    full = {o.name: radiance.target_light(world, one, i)[0][0, 0] for i, o in enumerate(e.stated.targets)}
+    light, row = e.light.row(v), e.light.rows(np.array([v]))
+    full = {o.name: radiance.target_light(world, row, i)[0][0, 0] for i, o in enumerate(e.stated.targets)}
     pixels = {
-        name: _mixed(world, one, full, populations.index(name)) if name in populations else _of_surface(world, name)
+        name: _mixed(world, row, full, populations.index(name)) if name in populations else _of_surface(world, name)
         for name in levels
     }
-    bare = {**levels, **{name: light.level(reflectance) for name, reflectance in full.items()}}  # of surfaces alone
-    around, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
-    out: dict[tuple[str, str], Spread] = {}
-    for name, (_, met) in e.once("reflectances", partial(reflectances, e)).items():
-        covariance, gain, others, parts = pixels[name]
+    pure = {**levels, **{name: light.level(reflectance) for name, reflectance in full.items()}}
+    average, line, slope = radiance.Background.of(e.at, bands).covariance(v), light.library_line, light.slope()
+    spreads: dict[tuple[str, str], Spread] = {}
+    for name, (_, sky) in e.once("reflectances", partial(reflectances, e)).items():
+        covariance, gain, errors, parts = pixels[name]
         # The covariance of pixels of the image holds their noise.
-        held = [s for s in parts if e.stated.of_pixels[world.surface(s)]]
-        noise = light.noise_variance(levels[name]) - sum(parts[s] * light.noise_variance(bare[s]) for s in held)
-        at_sensor = light.pixel_covariance(noise, radiance.of_truth(met, u)[0], covariance, around, gain)  # (3.11)
-        through = {source: c * np.outer(slope, slope) for source, c in others.items()}  # by the slope of the pixel
-        back = {source: radiance.retrieved_covariance(line, c) for source, c in through.items()}
-        out["radiance", name] = at_sensor, through
-        out["reflectance", name] = radiance.retrieved_covariance(line, at_sensor), back
-    return out
+        image = [s for s in parts if e.stated.of_pixels[world.surface(s)]]
+        noise = light.noise_variance(levels[name]) - sum(parts[s] * light.noise_variance(pure[s]) for s in image)
+        at_sensor = light.pixel_covariance(noise, radiance.of_truth(sky, u)[0], covariance, average, gain)  # (3.11)
+        signal = {source: c * np.outer(slope, slope) for source, c in errors.items()}  # by the slope of the pixel
+        retrieved = {source: radiance.retrieved_covariance(line, c) for source, c in signal.items()}
+        spreads["radiance", name] = at_sensor, signal
+        spreads["reflectance", name] = radiance.retrieved_covariance(line, at_sensor), retrieved
+    return spreads
 
 
 def _of_surface(world: World, name: str) -> Spreading:
-    """Of a surface in one truth; its gain is g_m of a class, 1 of any other."""
+    """The spreading of a surface in one truth; its gain is g_m for a class, else 1."""
     classes, stretch = world.stated.classes, world.stretch[0, world.surface(name)]
     gain = float(world.column("class_gain")[0, classes.index(name)]) if name in classes else 1.0
     factor = gain * (stretch[0] ** 2 if stretch.size == 1 else np.outer(stretch, stretch))  # g_m of (3.11)
@@ -648,7 +646,7 @@ def _of_surface(world: World, name: str) -> Spreading:
 
 
 def _mixed(world: World, light: radiance.Light, full: Mapping[str, Array], number: int) -> Spreading:
-    """Of target pixels of one population (3.10, 3.12) before their host, whose parts are E[f^2] and E[(1 - f)^2]."""
+    """The spreading of target pixels of one population (3.10, 3.12), with factors E[f^2] and E[(1 - f)^2]."""
     stated, t = world.stated, world.stated.populations[number][0]
     target = stated.targets[t]
     shade = radiance.target_light(world, light, t)[2].ravel()
@@ -674,7 +672,7 @@ def saturation_notes(full_scale: Mapping[str, Array], axis: SpectralAxis) -> lis
 
 
 def provenance_of(stated: Stated, terms: AtmosphericTerms | None) -> dict[str, object]:
-    """Where the numbers of a prediction come from."""
+    """Provenance of the numbers of a prediction."""
     scenario, sensor = stated.scenario, stated.sensor
     record: dict[str, object] = {
         "scenario": scenario.name,
@@ -689,7 +687,7 @@ def provenance_of(stated: Stated, terms: AtmosphericTerms | None) -> dict[str, o
     return record | {name: part.model_dump(mode="json") for name, part in stated_run.items() if part is not None}
 
 
-_TOGETHER = 16  # truths evaluated at once: their matrices and products are in memory together
+_BATCH = 16  # truths evaluated at once: their matrices and products are in memory together
 
 
 def predict(
@@ -705,8 +703,8 @@ def predict(
     Parameters
     ----------
     scenario : what to predict
-    origins : bands, measured statistics, files, engine and sensor where they are not those that the scenario says
-    truth : dotted path -> what truly stands there (:data:`hyperval.model.PATHS`); None: all is as stated
+    origins : bands, measured statistics, files, engine and sensor where they are not those of the scenario
+    truth : dotted path -> true value (:data:`hyperval.model.PATHS`); None: all as stated
     objects : also draw the scores of whole objects, which takes a few seconds where there are many; a number is
         that of draws where no input is uncertain
     object_curves : also the ROC curves of whole objects, half of the time where there are many targets
@@ -741,14 +739,14 @@ def predictions(
     objects: bool | int = False,
     object_curves: bool = True,
 ) -> Iterator[PredictedProducts]:
-    """Predictions of truths in which something is moved, in their order, each without a budget of its own.
+    """Predictions of perturbed truths, in their order, without error budgets.
 
-    Spectra are read once; truths are evaluated together.  Mean spectra, moments of scores, and curves: densities of
-    scores would take a good part of the time, matrices (B, B) most of it, and a hundred times the memory.
+    Spectra are read once; truths are evaluated together.  Mean spectra, moments of scores, and curves alone: densities
+    of scores would take a good part of the time, matrices (B, B) most of it, and a hundred times the memory.
 
     Parameters
     ----------
-    truths : dotted path -> what truly stands there (:data:`hyperval.model.PATHS`), of each
+    truths : dotted path -> true value (:data:`hyperval.model.PATHS`), of each
     """
     return _predictions(read_world(scenario, origins), truths, objects, object_curves)
 
@@ -757,20 +755,20 @@ def _predictions(
     world: World, truths: Iterable[Truth], objects: bool | int = False, object_curves: bool = True, spectra: bool = True
 ) -> Iterator[PredictedProducts]:
     certain = world.stated.scenario.model_copy(update={"uncertainty": Uncertainty()})
-    world = replace(world, stated=replace(world.stated, scenario=certain, kept={}))
-    waiting, errors = iter(truths), spectrum_errors(inputs_of(world))
-    while some := list(islice(waiting, _TOGETHER)):
-        out: dict[int, PredictedProducts] = {}
-        for index, e in evaluations(with_truths(world, some), errors):
+    world = replace(world, stated=replace(world.stated, scenario=certain, cache={}))
+    remaining, errors = iter(truths), spectrum_errors(inputs_of(world))
+    while batch := list(islice(remaining, _BATCH)):
+        by_number: dict[int, PredictedProducts] = {}
+        for index, e in evaluations(with_truths(world, batch), errors):
             of_spectra = [spectral_prediction(e, u, None) for u in range(len(e) if spectra else 0)]
-            found = detect(e, object_curves=object_curves, densities=False, points=range(len(e)), spectra=of_spectra)
-            for u, (number, prediction) in enumerate(zip(index.tolist(), found, strict=True)):
+            detected = detect(e, object_curves=object_curves, densities=False, points=range(len(e)), spectra=of_spectra)
+            for u, (number, prediction) in enumerate(zip(index.tolist(), detected, strict=True)):
                 if objects and prediction.roc:
-                    alone = e.world, [(np.arange(len(e)), e)], np.array([u])
-                    scores = object_scores(*alone, None if objects is True else objects)
+                    arguments = e.world, [(np.arange(len(e)), e)], np.array([u])
+                    scores = object_scores(*arguments, None if objects is True else objects)
                     prediction = replace(prediction, object_scores=scores)
-                out[number] = prediction
-        yield from (out[number] for number in range(len(some)))
+                by_number[number] = prediction
+        yield from (by_number[number] for number in range(len(batch)))
 
 
 def _prediction(
@@ -778,9 +776,9 @@ def _prediction(
     object_curves: bool, origins: Origins, truth: Truth,
 ) -> tuple[PredictedProducts, dict[RocKey, Changes]]:  # fmt: skip
     """One truth, and the changes of probit P_D by one standard uncertainty up and down, for each direction of each
-    input; of the targets' field spectra for the one that their filter looks along.
+    input; of the targets' field spectra for the one along their filter.
 
-    Errors of scores are of second order: haze answers a change of visibility more one way than the other.
+    Errors of scores are to second order, as haze is not linear in visibility.
 
     >>> from hyperval.api import load_scenario
     >>> changes = {"atmosphere.engine": "emulator", "uncertainty.meteorological_range_km": 4.0}
@@ -792,40 +790,40 @@ def _prediction(
     True
     """
     stated, errors = world.stated, spectrum_errors(inputs)
-    # Light goes first, then what the filters look along: draws take their columns in the order of the inputs.
+    # Light comes first, then the direction along the filters: draws take their columns in the order of the inputs.
     is_lit = stated.scenario.atmosphere is not None
     light = [i for i in inputs if is_lit and i.of_light and i.kind != "engine"]
-    # Errors of the engine go by the ground, which the empirical line takes off; a target's spectrum by its filter.
-    others = [i for i in inputs if not (is_lit and i.of_light) and (i.subject in stated.classes or i.kind != "surface")]
-    others.sort(key=lambda i: not i.subject)
-    of_light, of_others = ([(i, k) for i in some for k in range(i.size)] for some in (light, others))
-    along = [None] if any(t.name in errors for t in stated.targets) else []
-    moves = [*of_light, *along, *of_others]
+    # The empirical line cancels errors of the engine; those of a target's spectrum act along its filter.
+    scene = [i for i in inputs if not (is_lit and i.of_light) and (i.subject in stated.classes or i.kind != "surface")]
+    scene.sort(key=lambda i: not i.subject)
+    light_moves, scene_moves = ([(i, k) for i in group for k in range(i.size)] for group in (light, scene))
+    filter_direction = [None] if any(t.name in errors for t in stated.targets) else []
+    moves = [*light_moves, *filter_direction, *scene_moves]
     signed = [(move, z) for z in (1.0, -1.0) for move in moves]
     truths = [{}, *({} if move is None else move[0].direction(move[1], z) for move, z in signed)]
-    every = with_truths(world, truths)
-    parts = evaluations(every, errors, np.array([0.0, *(z * (move is None) for move, z in signed)]))
+    worlds = with_truths(world, truths)
+    parts = evaluations(worlds, errors, np.array([0.0, *(z * (move is None) for move, z in signed)]))
     e = parts[0][1]
     prediction = detect(e, object_curves=object_curves, spectra=[spectral_prediction(e, 0, of_spectra)])[0]
     for _, part in parts[1:]:
         detect(part, object_curves=object_curves)
     if prediction.roc:
         if objects:
-            scores = object_scores(every, parts, np.arange(every.size), None if objects is True else objects)
+            scores = object_scores(worlds, parts, np.arange(worlds.size), None if objects is True else objects)
             prediction = replace(prediction, object_scores=scores, expected_scores=expected_scores(e))
         prediction = with_law_errors(prediction, e, origins, truth)
-    z = joined(((index, part.probits) for index, part in parts), every.size)
-    up, down = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
-    known = dict(prediction.scores)
-    for key, x in joined(((index, part.moments) for index, part in parts if moves), every.size).items():
-        odd, even = x[up] - x[down], x[up] + x[down] - 2.0 * x[0]
+    z = joined(((index, part.probits) for index, part in parts), worlds.size)
+    plus, minus = slice(1, len(moves) + 1), slice(len(moves) + 1, None)
+    moments = dict(prediction.scores)
+    for key, x in joined(((index, part.moments) for index, part in parts if moves), worlds.size).items():
+        odd, even = x[plus] - x[minus], x[plus] + x[minus] - 2.0 * x[0]
         mean, sd = np.sqrt((0.25 * odd**2 + 0.5 * even**2).sum(axis=0)).tolist()  # JCGM 100:2008, 5.1.2, note
-        known[key] = replace(known[key], mean_error=mean, sd_error=sd / max(known[key].sd, 1e-300))
-    return replace(prediction, scores=known), {key: (x[up] - x[0], x[down] - x[0]) for key, x in z.items()}
+        moments[key] = replace(moments[key], mean_error=mean, sd_error=sd / max(moments[key].sd, 1e-300))
+    return replace(prediction, scores=moments), {key: (x[plus] - x[0], x[minus] - x[0]) for key, x in z.items()}
 
 
 def _distribution(world: World, number: int) -> PixelDistribution:
-    """How the pixels of a class are distributed about their mean."""
+    """Distribution of the pixels of a class about their mean."""
     stated = world.stated
     name, tail = stated.classes[number], float(world.column("tail")[0, number])
     parts = stated.surfaces[name].components

@@ -1,7 +1,7 @@
-"""The uncertain inputs of a scenario: a dotted path, what stands there, and how far it may be off.
+"""The uncertain inputs of a scenario: a dotted path, its stated value, and the error of that.
 
-An input has K independent directions with factors of mean 0 and variance 1; what stands at its path follows from any
-set of factors (:data:`hyperval.model.world.PATHS`).  Budgets, draws, attribution and what-ifs are designs over inputs.
+An input has K independent directions with factors of mean 0 and variance 1, which give the value at its path
+(:data:`hyperval.model.world.PATHS`).  Budgets, draws, attribution and what-ifs are designs over inputs.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from hyperval.sensor.specification import Sensor
 from hyperval.settings import path_parts
 from hyperval.spectra.axis import SpectralAxis
 
-# Directions that hold less than this part of the variance, all together, are left out: where whole curves follow each,
-# and where a spectrum's covariance is inverted in a test, which sees what is small.
-_LEFT_OUT, _NOTHING = 1e-6, 1e-14
+# Part of the variance in the directions left out, all together: where curves are computed for each direction, and
+# where a spectrum's covariance is inverted in a test, which is sensitive to small ones.
+_TRUNCATED, _NEGLIGIBLE = 1e-6, 1e-14
 
 
 def error_rows(sd: Array, form: SpectralForm, axis: SpectralAxis, sensor: Sensor | None = None) -> Array:
@@ -50,19 +50,19 @@ def covariance_directions(covariance: Array) -> Array:
     values, vectors = np.clip(values[::-1], 0.0, None), vectors[:, ::-1]
     if values[0] <= 0.0:
         return np.zeros((0, covariance.shape[0]))
-    keep = leading(values, _NOTHING)
+    keep = leading(values, _NEGLIGIBLE)
     rows = (np.sqrt(values[:keep]) * vectors[:, :keep]).T
     return np.asarray(rows * np.where(rows.sum(axis=1) < 0, -1.0, 1.0)[:, None])
 
 
 def leading(variances: Array, left_out: float) -> int:
-    """How many of some falling variances leave out no more than a part of their sum."""
-    rest = 1.0 - np.cumsum(variances) / variances.sum()
-    return int(np.searchsorted(-rest, -left_out)) + 1
+    """Number of leading variances (falling) that leave out no more than a part of their sum."""
+    remainder = 1.0 - np.cumsum(variances) / variances.sum()
+    return int(np.searchsorted(-remainder, -left_out)) + 1
 
 
 def form_in_words(form: SpectralForm) -> str:
-    """The correlation form for people."""
+    """The correlation form in words."""
     if form.correlation_nm is not None:
         return f"correlation length {form.correlation_nm:.4g} nm"
     words = {"random": "random by band", "arms": "one error for each arm of the sensor"}
@@ -70,11 +70,11 @@ def form_in_words(form: SpectralForm) -> str:
 
 
 def _arms(axis: SpectralAxis, sensor: Sensor | None) -> Mask:
-    """(K, B) bands of each arm that are in none before; those beside all arms share one error."""
+    """(K, B) bands of each arm that are in no earlier one; bands outside all arms share one error."""
     w, arms = axis.centre_nm, sensor.specification.arms if sensor is not None else ()
     refuse(not arms, "uncertainty.arms")
-    inside = np.array([*((w >= low) & (w <= high) for low, high in (arm.range_nm for arm in arms)), w > -np.inf])
-    return np.asarray(inside & (np.cumsum(inside, axis=0) == 1))
+    in_arm = np.array([*((w >= low) & (w <= high) for low, high in (arm.range_nm for arm in arms)), w > -np.inf])
+    return np.asarray(in_arm & (np.cumsum(in_arm, axis=0) == 1))
 
 
 def spectrum_error_rows(item: SpectrumUncertainty, surface: SurfaceStatistics, sensor: Sensor | None = None) -> Array:
@@ -86,7 +86,7 @@ def spectrum_error_rows(item: SpectrumUncertainty, surface: SurfaceStatistics, s
 
     Examples
     --------
-    The mean of three readings is known as badly as their spread, whether the error is that of all bands or of some.
+    The error of the mean of three readings has Student's factor, with any correlation between bands.
 
     >>> from hyperval.spectra import SpectralAxis
     >>> axis, sampled = SpectralAxis([500.0, 510.0], 5.0), (np.arange(490.0, 521.0), np.full(31, 0.01))
@@ -120,12 +120,12 @@ class UncertainInput:
     ----------
     name : for users; one budget has each name once
     kind : what sort of input
-    path : where it stands (:data:`hyperval.model.world.PATHS`)
-    nominal : (n,) what stands there: a number, or numbers over wavelength or over the things that it moves
+    path : of its value (:data:`hyperval.model.world.PATHS`)
+    nominal : (n,) stated value: a number, or numbers over wavelength or over items
     rows : (K, n) change of it per unit along each direction, the leading one first; one unit is one standard
         uncertainty
-    low, high : where it is stopped
-    correlation : how errors hang together over wavelength, in words
+    low, high : limits of the value
+    correlation : of errors over wavelength, in words
     """
 
     name: str
@@ -139,10 +139,10 @@ class UncertainInput:
 
     @cached_property
     def size(self) -> int:
-        """Number of directions whose effects are followed one by one; the rest hold a millionth of the variance."""
+        """Number of directions whose effects are computed one by one; the rest hold a millionth of the variance."""
         variances = (self.rows**2).sum(axis=1)
         falling = np.all(np.diff(variances) <= 1e-12 * variances[:1]) and np.any(variances)
-        return min(leading(variances, _LEFT_OUT), len(self.rows)) if falling else len(self.rows)
+        return min(leading(variances, _TRUNCATED), len(self.rows)) if falling else len(self.rows)
 
     @property
     def subject(self) -> str:
@@ -152,7 +152,7 @@ class UncertainInput:
 
     @property
     def scale(self) -> tuple[float, str]:
-        """Standard uncertainty and its unit: per cent of what stands there where that is a spectrum or a factor.
+        """Standard uncertainty and its unit: per cent of the value for a spectrum or a factor.
 
         >>> UncertainInput("offset", "sensor", "sensor.offset", np.zeros(2), np.full((1, 2), 0.02)).scale
         (0.02, 'uW cm-2 sr-1 nm-1')
@@ -180,12 +180,12 @@ class UncertainInput:
 
 
 def moved_together(moves: Iterable[tuple[UncertainInput, Truth]]) -> dict[str, Any]:
-    """The truth in which several inputs are moved at once: changes of what stands at one path add up."""
-    out: dict[str, Any] = {}
+    """The truth in which several inputs are moved at once: changes at one path add up."""
+    moved: dict[str, Any] = {}
     for item, truth in moves:
         for path, value in truth.items():
-            out[path] = out[path] + value - item.nominal if path in out else value
-    return out
+            moved[path] = moved[path] + value - item.nominal if path in moved else value
+    return moved
 
 
 def drawn_truths(inputs: Sequence[UncertainInput], count: int, seed: int) -> list[dict[str, Any]]:
@@ -239,15 +239,15 @@ def inputs_of(world: World) -> list[UncertainInput]:
 
     Raises
     ------
-    UsageError : an uncertainty of what the scenario does not have.
+    UsageError : an uncertainty of a quantity that the scenario does not have.
     """
-    stated = list(_stated(world))
+    stated = list(_stated_inputs(world))
     light, sensor = ([i for i in stated if (i.kind == "sensor") is of_sensor] for of_sensor in (False, True))
-    return [*light, *_of_engine(world), *spectrum_inputs(world), *_of_scene(world), *sensor, *_of_image(world)]
+    return [*light, *_rt_inputs(world), *spectrum_inputs(world), *_scene_inputs(world), *sensor, *_image_inputs(world)]
 
 
-def _stated(world: World) -> Iterator[UncertainInput]:
-    """What the scenario states an uncertainty of, as :data:`hyperval.model.PATHS` names it."""
+def _stated_inputs(world: World) -> Iterator[UncertainInput]:
+    """Inputs with an uncertainty stated in the scenario, as named by :data:`hyperval.model.PATHS`."""
     scenario = world.stated.scenario
     for path, entry in PATHS.items():
         form = getattr(scenario.uncertainty, entry.stated) if entry.stated else None
@@ -267,9 +267,9 @@ def field_spectrum_of(subject: str) -> str:
 
 
 def spectrum_inputs(world: World) -> Iterator[UncertainInput]:
-    """Errors of field spectra, as stated or as replicate spectra say of their own mean.
+    """Errors of field spectra, as stated, or of the mean of replicate spectra.
 
-    By subject, in whatever order a file lists them: draws go by the order of inputs.
+    By subject, independent of the order in the file, as draws depend on the order of inputs.
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import predict
@@ -297,18 +297,17 @@ def spectrum_inputs(world: World) -> Iterator[UncertainInput]:
 
 
 def spectrum_errors(inputs: Iterable[UncertainInput]) -> dict[str, Array]:
-    """Subject -> (K, B) directions of the error of its field spectrum, of those of the inputs that are one.
+    """Subject -> (K, B) directions of the error of its field spectrum, from the inputs of that kind.
 
-    What replicate spectra say of their own mean stands where the scenario does not say it of the subject; several
-    entries of one subject are independent.
+    Several inputs of one subject are independent.
     """
     rows: dict[str, list[Array]] = {}
     for item in (item for item in inputs if item.kind == "surface"):
         rows.setdefault(item.subject, []).append(item.rows)
-    return {subject: np.concatenate(each) for subject, each in rows.items()}
+    return {subject: np.concatenate(blocks) for subject, blocks in rows.items()}
 
 
-def _of_engine(world: World) -> Iterator[UncertainInput]:
+def _rt_inputs(world: World) -> Iterator[UncertainInput]:
     """The engine's errors on the ground-reflected radiance and on the path."""
     atmosphere, u = world.stated.scenario.atmosphere, world.stated.scenario.uncertainty.engine
     if atmosphere is None or u is None:
@@ -316,10 +315,10 @@ def _of_engine(world: World) -> Iterator[UncertainInput]:
     haze = u.per_aerosol_depth
     if haze > 0:
         haze *= atmosphere.aerosol_optical_depth
-    for name, part, more in ((ENGINE, u, haze), (ENGINE_LINES, u.fine_structure, 0.0)):
-        if part is None or not (part.relative + more > 0 or part.per_optical_depth > 0):
+    for name, part, extra in ((ENGINE, u, haze), (ENGINE_LINES, u.fine_structure, 0.0)):
+        if part is None or not (part.relative + extra > 0 or part.per_optical_depth > 0):
             continue
-        sd = np.full(len(world.stated.axis), part.relative + more)
+        sd = np.full(len(world.stated.axis), part.relative + extra)
         if part.per_optical_depth > 0:  # greater where gases absorb
             gas = world.stated.atmosphere({}, 1).gas_transmittance[0, 0]
             sd = sd - part.per_optical_depth * np.log(np.clip(gas, 1e-6, 1.0))
@@ -328,14 +327,14 @@ def _of_engine(world: World) -> Iterator[UncertainInput]:
         yield spectral_input(world, ENGINE_PATH, "engine", "light.path", u.path_relative, u)
 
 
-def _of_scene(world: World) -> Iterator[UncertainInput]:
+def _scene_inputs(world: World) -> Iterator[UncertainInput]:
     """Fills and fractions.
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import read_world
     >>> listed = [{"subject": name, "absolute": 0.01} for name in ("soil", "grass")]
     >>> world = read_world(load_scenario("green-planks-grass").with_values({"uncertainty.fractions": listed}))
-    >>> [each.name for each in _of_scene(world)]
+    >>> [each.name for each in _scene_inputs(world)]
     ['area fraction of grass', 'area fraction of soil']
     """
     u = world.stated.scenario.uncertainty
@@ -344,11 +343,10 @@ def _of_scene(world: World) -> Iterator[UncertainInput]:
             yield number_input(world, f"{words} of {item.subject}", "scene", f"{path}.[{item.subject}]", item.absolute)
 
 
-def _of_image(world: World) -> Iterator[UncertainInput]:
-    """Blur, and what the reflectance of an image is off by that was compensated before.
+def _image_inputs(world: World) -> Iterator[UncertainInput]:
+    """Blur, and the error of the atmospheric compensation of an image in reflectance.
 
-    That is an error of each field spectrum that is compared with it, and common to them; what is measured on the image
-    has the same error.
+    It is common to all field spectra compared with the image, and cancels in spectra measured on the image.
 
     >>> from hyperval.api import load_scenario
     >>> from hyperval.model import Origins, predict, read_world
@@ -364,7 +362,7 @@ def _of_image(world: World) -> Iterator[UncertainInput]:
     >>> [set(of.ravel().round(9).tolist()) for of in (grass.budget["compensation (offset)"], grass.spread_errors[0])]
     [{0.003}, {0.04}]
 
-    Targets on ground that was measured stand out by another amount: P_D has the error by both ways of propagation.
+    It changes the contrast of targets to ground measured on the image: P_D has the error by both propagations.
 
     >>> ground = {name: read_world(scenario).stated.surfaces[name] for name in ("asphalt", "grass", "soil")}
     >>> seen = {f"scene.classes.{n}.spectrum": {"measured": n} for n in ground} | {"uncertainty.samples": 40}
@@ -389,9 +387,9 @@ def _of_image(world: World) -> Iterator[UncertainInput]:
 
 
 def inputs_of_spectra(world: World) -> Iterator[UncertainInput]:
-    """What enters the budgets of mean spectra alone.
+    """Inputs in the budgets of mean spectra alone.
 
-    Interpolation of the path radiance between the nodes of a table is off by
+    The error of interpolating path radiance between the nodes of a table is
     :func:`hyperval.atmosphere.between.path_error`, smooth over wavelength.
     """
     sigma = world.stated.atmosphere({}, 1).path_uncertainty

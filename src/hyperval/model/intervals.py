@@ -1,4 +1,4 @@
-"""Intervals of proportions, difference ratios with their errors, and what few pixels know of a covariance.
+"""Intervals of proportions, difference ratios with their errors, and the sampling of a covariance by few pixels.
 
 Proportions are detections out of targets, and false alarms out of background pixels.
 """
@@ -14,15 +14,15 @@ from hyperval.errors import refuse
 from hyperval.products import SpectralEstimate
 
 Z95 = 1.959963984540054  # normal quantile of a two-sided 95 % interval
-_TAIL = 0.025  # beyond either limit of it
+_TAIL = 0.025  # probability beyond either limit
 _MISSED = 1000.0
 
 
 def _beta_quantile(a: Array, b: Array, probability: float | Array) -> Array:
-    """Where the beta law of ``a`` and ``b`` (greater than 0, broadcast) has the cumulative ``probability``.
+    """Quantile of the beta law of ``a`` and ``b`` (greater than 0, broadcast) at the cumulative ``probability``.
 
-    SciPy's inverse misses where an argument is 1000 and the other is large, by a factor of two at worst: the next
-    number stands for it.
+    SciPy's inverse fails where an argument is 1000 and the other is large, by a factor of two at worst: the next
+    number is used in its place.
     """
     a, b = (np.where(x == _MISSED, np.nextafter(_MISSED, np.inf), x) for x in (a, b))
     return np.asarray(special.betaincinv(a, b, probability))
@@ -36,8 +36,8 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
 
     Parameters
     ----------
-    count, total : number of successes and of trials, broadcast against each other; of what comes in clusters both
-        divided by the design effect, and no whole numbers
+    count, total : number of successes and of trials, broadcast against each other; clustered ones both divided by the
+        design effect, and then no whole numbers
 
     Returns
     -------
@@ -68,9 +68,9 @@ def clopper_pearson(count: npt.ArrayLike, total: npt.ArrayLike, level: float = 0
 def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Array]:
     """95 % limits of a proportion by Jeffreys' prior: quantiles of the beta law of count + 1/2 and total - count + 1/2.
 
-    Counts may be fractions, as those of clusters are.  Coverage is 95 % on average over proportions, and goes
-    above and below it with the discreteness of counts, where Clopper and Pearson's never goes below.  None of the
-    total has a lower limit of 0, all an upper one of 1.  Source: Brown, Cai & DasGupta, Stat. Sci. 16, 101, 2001.
+    Counts may be fractions, as those of clusters are.  Coverage is 95 % on average over proportions, and oscillates
+    about it with the discreteness of counts, where Clopper and Pearson's is never below.  A count of 0 has the lower
+    limit 0, one of the total the upper limit 1.  Source: Brown, Cai & DasGupta, Stat. Sci. 16, 101, 2001.
 
     Examples
     --------
@@ -79,9 +79,9 @@ def jeffreys_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, 
     0.536 0.898
     """
     k, n = np.broadcast_arrays(np.asarray(count, dtype=float), np.asarray(total, dtype=float))
-    rest = np.maximum(n - k, 0.0)
-    lower = np.where(k > 0.0, _beta_quantile(k + 0.5, rest + 0.5, _TAIL), 0.0)
-    upper = np.where(rest > 0.0, _beta_quantile(k + 0.5, rest + 0.5, 1.0 - _TAIL), 1.0)
+    failures = np.maximum(n - k, 0.0)
+    lower = np.where(k > 0.0, _beta_quantile(k + 0.5, failures + 0.5, _TAIL), 0.0)
+    upper = np.where(failures > 0.0, _beta_quantile(k + 0.5, failures + 0.5, 1.0 - _TAIL), 1.0)
     return lower, upper
 
 
@@ -90,23 +90,22 @@ def beyond_jeffreys_limits(
 ) -> tuple[Mask, Mask]:  # fmt: skip
     """Whether a proportion lies below, and whether above, the :func:`jeffreys_limits`.
 
-    By the beta law's part below the proportion, which is told much faster than its quantiles.
+    By the cumulative beta law at the proportion, which is much faster than its quantiles.
     """
     k, n, p = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (count, total, proportion)))
-    rest = np.maximum(n - k, 0.0)
-    part = special.betainc(k + 0.5, rest + 0.5, p)
-    return (k > 0.0) & (part < _TAIL), (rest > 0.0) & (part > 1.0 - _TAIL)
+    failures = np.maximum(n - k, 0.0)
+    part = special.betainc(k + 0.5, failures + 0.5, p)
+    return (k > 0.0) & (part < _TAIL), (failures > 0.0) & (part > 1.0 - _TAIL)
 
 
 def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Array]:
-    """95 % limits of a proportion whose tails count the observed number itself by half.
+    """Mid-P 95 % limits of a proportion: tails count half of the observed number's probability.
 
     With g(p) = P(X > count | p) + P(X = count | p)/2, which rises with p, the lower limit solves g = a and the
-    upper one g = 1 - a, a = 0.025.  :func:`clopper_pearson` counts the observed number whole, on both
-    sides, so that it holds a level for every p and goes above it on average.  Coverage at 95 % of these is 0.92 at
-    least for proportions from 0.02 to 0.96, whatever the total, and 0.98 (of 5) to 0.95 (of 80 and more) on the
-    average.  Source: Lancaster, J. Am. Stat. Assoc. 56, 223-234, 1961; Berry & Armitage, The Statistician 44,
-    417-423, 1995.
+    upper one g = 1 - a, a = 0.025.  :func:`clopper_pearson` counts all of it, on both sides, so that its coverage is
+    at least the level for every p, and above it on average.  Coverage at 95 % of these is at least 0.92 for proportions
+    from 0.02 to 0.96, whatever the total, and on average 0.98 (of 5) to 0.95 (of 80 and more).  Source: Lancaster,
+    J. Am. Stat. Assoc. 56, 223-234, 1961; Berry & Armitage, The Statistician 44, 417-423, 1995.
 
     Examples
     --------
@@ -121,14 +120,14 @@ def mid_p_limits(count: npt.ArrayLike, total: npt.ArrayLike) -> tuple[Array, Arr
     for _ in range(6):  # by Newton: Jeffreys' limits lie so near that the last step is below 1e-15
         # P(X >= k) and P(X > k), incomplete beta functions, 1 and 0 at the end counts.
         at_least = np.where(k > 0, special.betainc(np.maximum(k, 1.0), n - k + 1.0, p), 1.0)
-        more = np.where(k < n, special.betainc(k + 1.0, np.maximum(n - k, 1.0), p), 0.0)
-        slope = 0.5 * (at_least - more) * (k / p + (n - k) / (1.0 - p))
-        p = np.clip(p - (0.5 * (at_least + more) - tails) / slope, 0.5 * p, 0.5 * (1.0 + p))
+        above = np.where(k < n, special.betainc(k + 1.0, np.maximum(n - k, 1.0), p), 0.0)
+        slope = 0.5 * (at_least - above) * (k / p + (n - k) / (1.0 - p))
+        p = np.clip(p - (0.5 * (at_least + above) - tails) / slope, 0.5 * p, 0.5 * (1.0 + p))
     return np.where(k > 0, p[0], 0.0), np.where(k < n, p[1], 1.0)
 
 
 def bounded_mean_limits(values: npt.ArrayLike, level: float = 0.95) -> tuple[float, float]:
-    """Limits of the mean of a population within [0, 1], of which values (m,) were drawn; nothing else is assumed.
+    """Distribution-free limits of the mean of a population within [0, 1], from a sample (m,) of it.
 
     Upper limit u_0 + sum_j (u_j - u_(j-1)) v_(j), with v_(1) >= v_(2) >= ... the values and u_j the upper limit of
     Clopper & Pearson for j of m; the lower one by 1 - v.  With values of 0 and 1 alone it is theirs.  Source:
@@ -176,7 +175,7 @@ def difference_ratio_covariance(predicted: SpectralEstimate, collected: Spectral
 
 
 def student_factor(dof: npt.ArrayLike) -> Array:
-    """t/1.96 [1], t the 97.5 % point of Student's t: makes +-1.96 u the 95 % interval where few samples tell u.
+    """t/1.96 [1], t the 97.5 % point of Student's t: makes +-1.96 u the 95 % interval of a u from few samples.
 
     Source: JCGM 100:2008 (GUM), 4.2.3 and G.3.
 
@@ -187,7 +186,7 @@ def student_factor(dof: npt.ArrayLike) -> Array:
 
 
 def jackknife_directions(values: npt.ArrayLike) -> Array:
-    """(G, ...) independent directions of error of a statistic, from its values (G, ...) with each part left out.
+    """(G, ...) independent directions of error of a statistic, from its jackknife replicates (G, ...).
 
     Their squares add up to the jackknife's variance (G - 1)/G sum (v_g - v)^2 (Miller, Biometrika 61, 1-15, 1974),
     widened by (t/1.96)^2 with G - 1 degrees of freedom, so that +-1.96 u is the 95 % interval (JCGM 100:2008, G.3).
@@ -226,7 +225,7 @@ def drawn_factor(size: int, independent: npt.ArrayLike, rng: np.random.Generator
     if least <= size:
         pixels = rng.standard_normal((max(round(least), 1), size))
         return np.asarray(np.sqrt(common / pixels.shape[0]) * pixels.T)
-    # Fewest first: what two directions share is limited by the one with fewer independent pixels.
+    # Fewest first: the covariance of two directions is limited by the one with fewer independent pixels.
     order = np.argsort(n, kind="stable")
     lower = np.tril(rng.standard_normal((size, size)), -1)
     lower[np.diag_indices(size)] = np.sqrt(rng.chisquare(n[order] - np.arange(size)))

@@ -116,12 +116,12 @@ def target_pixel_reflectance(fill: npt.ArrayLike, target: npt.ArrayLike, host: n
 def illumination_factor(
     terms: AtmosphericTerms, average_reflectance: npt.ArrayLike, beam: float | Array, sky_view: float | Array
 ) -> Array:
-    """Light on a shaded surface as a part of that on open ground (on the ground term of 3.7), (B,) [1].
+    """Irradiance of a shaded surface over that of open ground (on the ground term of 3.7), (B,) [1].
 
-    phi = (1 - S rho_ave) [(1 - q) beam + q sky_view] + S rho_ave sky_view, with q the part of the light on a black
-    ground that comes from the sky.  Light that went up from the ground and came back is sky light too, so that
-    the ground term is A rho [(1 - q) beam + q sky_view + sky_view S rho_ave / (1 - S rho_ave)].  What hides
-    the sky is taken as black.  The printed form knows no shade: there the factor goes on the reflectance.
+    phi = (1 - S rho_ave) [(1 - q) beam + q sky_view] + S rho_ave sky_view, with q the diffuse fraction on a black
+    ground.  Light reflected by ground and sky is diffuse too, so that the ground term is
+    A rho [(1 - q) beam + q sky_view + sky_view S rho_ave / (1 - S rho_ave)].  Obstacles are taken as black.  The
+    printed form has no shade: there the factor goes on the reflectance.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def illumination_factor(
 
     Raises
     ------
-    UsageError : the atmosphere does not tell sky light from the sun's beam.
+    UsageError : the atmosphere has no diffuse fraction.
     """
     q = needed(terms.diffuse_fraction, "light.sky")
     back = terms.spherical_albedo * np.asarray(average_reflectance, dtype=float)
@@ -173,7 +173,7 @@ def radiance_covariance(
     kappa: float = 0.0,
     formulation: Formulation = "corrected",
 ) -> Array:
-    """Pixel-to-pixel covariance of radiance before the sensor (3.11), also (3.12) with the target pixel's.
+    """Pixel-to-pixel covariance of radiance before the sensor (3.11), also (3.12) with that of a target pixel.
 
     Sigma_L = D_A Sigma D_A + kappa D_B g_B Sigma_ave D_B.  ``covariance`` already holds its own gain
     (:func:`target_pixel_covariance`, or g_B Sigma_m for a background class).
@@ -197,14 +197,14 @@ def radiance_covariance(
     result: Array = np.asarray(covariance, dtype=float) * d_a[:, None]
     result *= d_a
     if weight:
-        around = np.asarray(average_covariance, dtype=float) * (weight * d_b)[:, None]
-        around *= d_b
-        result += around
+        adjacency_term = np.asarray(average_covariance, dtype=float) * (weight * d_b)[:, None]
+        adjacency_term *= d_b
+        result += adjacency_term
     return result  # (3.11)
 
 
 def fill_squares(mean: float, variance: float, fine_texture: float = 0.0) -> tuple[float, float]:
-    """E[f^2] of a target, E[f] of its texture that is finer than a pixel, and E[(1 - f)^2] of its host (3.12)."""
+    """Factors on covariances of target and host: E[f^2], E[f] for texture finer than a pixel, E[(1 - f)^2] (3.12)."""
     f2 = mean**2 + variance
     return f2 + fine_texture * (mean - f2), (1.0 - mean) ** 2 + variance
 
@@ -224,15 +224,15 @@ def target_pixel_covariance(
     """Reflectance covariance of pixels partly filled by the target (3.12, extended to random fill).
 
     E[f^2] g_T Sigma_T + E[(1-f)^2] g_B Sigma_b + Var(f) (rho_T - rho_b)(rho_T - rho_b)^T; the printed
-    form is the case Var(f) = 0.  The square of f is that of a target that varies from pixel to pixel as a whole.
-    Texture finer than its part of a pixel averages out over it, to Sigma_T/f: such goes by E[f].
+    form is the case Var(f) = 0.  E[f^2] holds for a target that is uniform within a pixel.  Texture finer than its
+    part of a pixel averages out over it, to Sigma_T/f: its factor is E[f].
 
     Parameters
     ----------
     fill_mean, fill_variance : moments of the fill fraction f [1]
     target, host : (B,) means;  target_covariance, host_covariance : (B, B)
     target_gain, host_gain : g_T, g_B
-    fine_texture : part of Sigma_T that is of such texture
+    fine_texture : part of Sigma_T by such texture
 
     Returns
     -------
@@ -302,8 +302,8 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
     """Radiance of the darkest of ``pixels`` pixels of the scene, band by band: its median (before 3.21).
 
     All of n independent pixels exceed x with probability (1 - F(x))^n, F = sum f_m Phi((x - L_m) / sigma_m); the
-    median of their least is F(x) = 1 - 2^(-1/n).  Darkest-pixel compensation takes it for that of a
-    dark surface.
+    median of their least is F(x) = 1 - 2^(-1/n).  Darkest-pixel compensation takes it for the radiance of a dark
+    surface.
 
     Parameters
     ----------
@@ -322,9 +322,9 @@ def darkest_level(fractions: npt.ArrayLike, means: npt.ArrayLike, sds: npt.Array
     refuse(pixels < 1, "line.pixels", pixels=pixels)
     f, sd = f[..., None], np.maximum(sd, 1e-300)
     p = -np.expm1(-np.log(2.0) / pixels)
-    alone = mu + sd * ndtri(p)
-    high = np.where(f > 0, alone, -np.inf).max(axis=-2)  # there every class is below x with at least p
-    low = np.where(f > 0, alone, np.inf).min(axis=-2)  # there none is with more
+    quantiles = mu + sd * ndtri(p)
+    high = np.where(f > 0, quantiles, -np.inf).max(axis=-2)  # where every class is below x with p or more
+    low = np.where(f > 0, quantiles, np.inf).min(axis=-2)  # where none is with more than p
     for _ in range(60):
         middle = 0.5 * (low + high)
         below = (f * ndtr((middle[..., None, :] - mu) / sd)).sum(axis=-2) < p
@@ -336,17 +336,17 @@ T = TypeVar("T")
 
 
 def cut(covariance: Array, bands: Index) -> Array:
-    """The rows and columns ``bands`` of a covariance; the matrix itself where they are all of it."""
+    """The rows and columns ``bands`` of a covariance; the matrix itself where they are all."""
     return covariance if bands.size == covariance.shape[0] else covariance[np.ix_(bands, bands)]
 
 
 def at_rows(values: Array, index: Index) -> Array:
-    """Rows of values (U or 1, ...); what is shared stays."""
+    """Rows of values (U or 1, ...); a shared row stays."""
     return np.asarray(values[index]) if len(values) > 1 else values
 
 
 def _rows_of(value: T, arrays: Sequence[str], index: Index) -> T:
-    """A dataclass whose ``arrays`` (U or 1, ...) are those of some truths."""
+    """A dataclass with its ``arrays`` (U or 1, ...) at some truths."""
     changes: dict[str, Any] = {name: at_rows(getattr(value, name), index) for name in arrays}
     return replace(value, **changes)  # type: ignore[type-var]
 
@@ -359,7 +359,7 @@ def of_truth(values: Array, u: int) -> Array:
 def stacked(models: Sequence[NoiseModel], bands: int) -> NoiseModel:
     """U noise models as one whose arrays are (U, 1, B), so that levels (U, S, B) go through its formulas.
 
-    What is the same in all stays as it is: numbers, words, arrays that are one object.
+    Fields that are the same in all stay: numbers, words, arrays that are one object.
     """
 
     def joined(*values: Any) -> Any:
@@ -392,16 +392,16 @@ class Light:
 
     Attributes
     ----------
-    terms : of what is recorded, on the bands
+    terms : of the recorded signal, on the bands
     average : (U or 1, 1, B) reflectance of the surroundings
-    noise : None where there is none
+    noise : None without a sensor
     kappa : (U or 1, 1, 1) of (3.11), 1 in the printed form
     formulation : corrected or thesis
     radiant : whether radiance is recorded, and not reflectance itself
-    elm : the empirical line or the darkest pixel; None for detection on what is recorded
+    elm : the empirical line or the darkest pixel; None for detection on the recorded signal
     dark : (U or 1, 1, B) radiance of the darkest of the scene's pixels, for darkest-pixel compensation
     panels : (U or 1, 1, B or 1) factors on the true reflectance of the dark and the bright panel of the line
-    retrieval : likewise, gain and offset of what it gives
+    retrieval : likewise, gain and offset on the retrieved reflectance
     """
 
     terms: AtmosphericTerms
@@ -432,11 +432,11 @@ class Light:
         return mean_radiance(self.terms, np.asarray(reflectance, dtype=float), self.average, self.formulation)
 
     def shade(self, beam: float | Array, sky_view: float | Array) -> Array:
-        """(..., B) light on a target over that in the open (ground term of 3.7); (1,) where nothing shades it.
+        """(..., B) light on a target over that in the open (ground term of 3.7); (1,) without shade.
 
         Raises
         ------
-        UsageError : shade in the reflectance domain, or an atmosphere that does not know sky light.
+        UsageError : shade in the reflectance domain, or an atmosphere without a diffuse fraction.
         """
         if np.all(np.asarray(beam) == 1.0) and np.all(np.asarray(sky_view) == 1.0):
             return np.ones(1)
@@ -444,7 +444,7 @@ class Light:
         return illumination_factor(self.terms, self.average, beam, sky_view)
 
     def surface(self, mean: Array, beam: Array, sky_view: Array) -> tuple[Array, Array, Array]:
-        """A surface under its own light, as one in the open would have to be to look like it (ground term of 3.7).
+        """A shaded surface, and the surface in the open that gives the same signal (ground term of 3.7).
 
         Parameters
         ----------
@@ -452,8 +452,8 @@ class Light:
 
         Returns
         -------
-        (U or 1, 1, F) mean of that surface, (U or 1, 1, F) reflectance times sky view, what the light from the
-        surroundings meets (D_B of 3.11), and (U, 1, F) light over that in the open, (1,) without shade
+        (U or 1, 1, F) mean of the equivalent surface, (U or 1, 1, F) reflectance times sky view, which enters D_B of
+        (3.11), and (U, 1, F) light over that in the open, (1,) without shade
         """
         target, beam, sky = mean[:, None, :], beam[:, None, None], sky_view[:, None, None]
         factor = self.shade(beam, sky)
@@ -464,8 +464,8 @@ class Light:
     ) -> Array:
         """Pixel covariance (B, B) of the signal with sensor noise (3.11, 3.16-3.19), of one truth.
 
-        ``noise`` (B,) : variance of what ``covariance`` does not hold;  ``under_sky`` (B,) enters D_B;  ``around``
-        (B, B) is the covariance of the surroundings
+        ``noise`` (B,) : variance not yet in ``covariance``;  ``under_sky`` (B,) : reflectance in D_B;  ``around``
+        (B, B) : covariance of the surroundings
         """
         result = radiance_covariance(
             self.terms, under_sky, covariance, self.average, around, adjacency_gain=gain,
@@ -487,7 +487,7 @@ class Light:
         return adjacency_slope(self.terms, reflectance, self.average, self.formulation)
 
     def lit(self) -> Mask:
-        """(..., B) True where light of the ground reaches the sensor."""
+        """(..., B) True where ground-reflected light reaches the sensor."""
         return np.asarray(self.terms.direct > 1e-9 * self.terms.direct.max(axis=-1, keepdims=True))
 
     def line(self) -> TwoPanelLine:
@@ -501,19 +501,19 @@ class Light:
 
     @cached_property
     def library_line(self) -> TwoPanelLine:
-        """The line of panels that are as stated: what puts the spectra of a library into the image's units."""
+        """The line of panels of stated reflectance, from library spectra to the image's units."""
         return self._line_of(1.0, 1.0)
 
     def _line_of(self, dark_panel: float | Array, bright_panel: float | Array) -> TwoPanelLine:
-        """The line where the panels truly reflect so many times what they are taken for."""
+        """The line of panels with these factors on their assumed reflectances."""
         if self.elm is None:
             return TwoPanelLine(np.ones(self.average.shape), np.zeros(self.average.shape))
         bands = self.average.shape[-1]
         low, high = self.elm.reflectances
         dark = self.level(np.full(bands, low) * dark_panel) if self.dark is None else self.dark
         lit, bright = self.lit(), self.level(np.full(bands, high) * bright_panel)
-        inner = two_panel_line(np.where(lit, dark, 0.0), np.where(lit, bright, 1.0), low, high)
-        return TwoPanelLine(np.where(lit, inner.gain, np.nan), np.where(lit, inner.offset, np.nan))
+        line = two_panel_line(np.where(lit, dark, 0.0), np.where(lit, bright, 1.0), low, high)
+        return TwoPanelLine(np.where(lit, line.gain, np.nan), np.where(lit, line.offset, np.nan))
 
 
 def light_of(world: World) -> Light:
@@ -534,12 +534,12 @@ def light_of(world: World) -> Light:
     terms, means = world.surroundings
     e, g, offset = factor("irradiance"), factor("gain"), factor("offset")
     if radiant:
-        part, white = g * e * factor("ground"), terms.diffuser_radiance
+        ground, white = g * e * factor("ground"), terms.diffuser_radiance
         terms = replace(
             terms,
             path_radiance=g * (e * factor("path") * terms.path_radiance + factor("path_error")) + offset,
-            direct=part * terms.direct,
-            adjacency=part * terms.adjacency,
+            direct=ground * terms.direct,
+            adjacency=ground * terms.adjacency,
             spherical_albedo=factor("albedo") * terms.spherical_albedo,
             ground_irradiance=e * terms.ground_irradiance,
             diffuser_radiance=None if white is None else e * white,
@@ -565,31 +565,30 @@ def light_of(world: World) -> Light:
 
 
 def target_light(world: World, light: Light, target: int) -> tuple[Array, Array, Array]:
-    """A target under its own light, as :meth:`Light.surface` has it."""
+    """A target under its own light, as :meth:`Light.surface` returns it."""
     number = world.surface(world.stated.targets[target].name)
     return light.surface(world.mean[:, number], world.column("beam")[:, target], world.column("sky_view")[:, target])
 
 
-def _darkest(light: Light, of: Background, pixels: int) -> Array:
+def _darkest(light: Light, classes: Background, pixels: int) -> Array:
     """(U or 1, 1, B) radiance of the darkest of so many of the scene's pixels (before 3.21)."""
-    level, gain = light.level(of.means), of.gain[:, :, None]
-    noise = np.where(of.of_pixels[:, None], 0.0, light.noise_variance(level))
-    variance = gain * of.variances() * light.slope() ** 2 + noise
-    variance = variance + gain * light.kappa * of.around()[:, None, :] * light.adjacency_slope(of.means) ** 2
-    fractions = np.broadcast_to(of.fraction, variance.shape[:-1])
+    level, gain = light.level(classes.means), classes.gain[:, :, None]
+    noise = np.where(classes.of_pixels[:, None], 0.0, light.noise_variance(level))
+    variance = gain * classes.variances() * light.slope() ** 2 + noise
+    variance = variance + gain * light.kappa * classes.around()[:, None, :] * light.adjacency_slope(classes.means) ** 2
+    fractions = np.broadcast_to(classes.fraction, variance.shape[:-1])
     return darkest_level(fractions, level, np.sqrt(variance), pixels)[..., None, :]
 
 
-def latest(kept: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: Callable[[], Array]) -> Array:
-    """A matrix, kept while what it follows from stays."""
-    if name not in kept or kept[name][0] != key:
-        kept[name] = key, make()
-    return kept[name][1]
+def latest(cache: dict[str, tuple[bytes, Array]], name: str, key: bytes, make: Callable[[], Array]) -> Array:
+    """A matrix, cached until its key changes."""
+    if name not in cache or cache[name][0] != key:
+        cache[name] = key, make()
+    return cache[name][1]
 
 
-# Symmetric matrices (F, F) are in LAPACK's rectangular full packed form: half the memory, the speed of whole ones.
-# What many settings of one scene put together, element by element, is put together in vectors of F (F + 1) / 2
-# numbers.  Their order is LAPACK's (transr N, uplo L) and nobody else's business.
+# Symmetric matrices (F, F) are in LAPACK's rectangular full packed form (transr N, uplo L): vectors of F (F + 1) / 2
+# numbers, half the memory at the speed of full matrices, combined element by element.
 
 
 def packed(matrix: Array) -> Array:
@@ -599,19 +598,19 @@ def packed(matrix: Array) -> Array:
 
 
 def unpacked(values: Array, size: int) -> Array:
-    """(F, F) the whole matrix."""
+    """(F, F) the full matrix."""
     lower = np.tril(dtfttr(size, values, uplo="L")[0])
     return np.asarray(lower + np.tril(lower, -1).T)
 
 
 @lru_cache(maxsize=32)
 def diagonal_places(size: int) -> Index:
-    """(F,) where the diagonal stands."""
+    """(F,) positions of the diagonal."""
     return np.argsort(packed(np.diag(np.arange(1.0, size + 1.0))), kind="stable")[-size:]
 
 
 def add_products(values: Array, rows: Array, *, fresh: bool = False) -> Array:
-    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: in place of the matrix."""
+    """The matrix plus r^T r for rows r (K, F), in the memory of ``values``; ``fresh``: r^T r alone."""
     count, size = rows.shape
     keep = 0.0 if fresh else 1.0
     return np.asarray(dsfrk(size, count, 1.0, rows.T, keep, values, uplo="L", overwrite_c=1))
@@ -624,10 +623,10 @@ class Background:
     Attributes
     ----------
     fraction, gain : (U or 1, M) f_m, g_m
-    means, between : (U or 1, M, F) rho_m, and how far they are from their average
+    means, between : (U or 1, M, F) rho_m, and their departures from their average
     covariances : M times (F, F);  stretch : (U or 1, M, F or 1) factors on both sides of them
-    laws : what the classes are distributed as;  law_fraction : (U or 1, J) of them
-    kept : what follows from the covariances alone
+    laws : distributions of the classes;  law_fraction : (U or 1, J) of them
+    cache : of results that depend on the covariances alone
     """
 
     fraction: Array
@@ -639,7 +638,7 @@ class Background:
     laws: tuple[Law, ...]
     law_fraction: Array
     of_pixels: Mask
-    kept: dict[Any, Any]
+    cache: dict[Any, Any]
 
     @staticmethod
     def of(world: World, bands: Index) -> Background:
@@ -651,14 +650,14 @@ class Background:
             laws = (x._replace(offset=x.offset[bands], covariance=cut(x.covariance, bands)) for x in stated.laws)
             return covariances, tuple(laws), {}
 
-        covariances, laws, kept = stated.once(("background", bands.tobytes()), on_bands)
+        covariances, laws, cache = stated.once(("background", bands.tobytes()), on_bands)
         means = world.surroundings[1]
         between = means - average_reflectance(world.fraction, means)[:, None, :]
         stretch = world.stretch[:, :classes]
         return Background(
             world.fraction, world.column("class_gain"), world.mean[:, :classes, bands], between[..., bands],
             covariances, stretch[..., bands] if stretch.shape[-1] > 1 else stretch, laws, world.law_fraction,
-            stated.of_pixels[:classes], kept,
+            stated.of_pixels[:classes], cache,
         )  # fmt: skip
 
     def rows(self, index: Index) -> Background:
@@ -666,37 +665,37 @@ class Background:
         return _rows_of(self, ("fraction", "gain", "means", "between", "stretch", "law_fraction"), index)
 
     def mixed(self, weights: Array, u: int = 0) -> Array:
-        """(P,) sum over classes of w_m Sigma_m of one truth, packed; kept while it stays."""
+        """(P,) sum over classes of w_m Sigma_m of one truth, packed; cached."""
         stretch = of_truth(self.stretch, u)
-        stack = latest(self.kept, "stack", b"", lambda: np.array([packed(c) for c in self.covariances]))
+        stack = latest(self.cache, "stack", b"", lambda: np.array([packed(c) for c in self.covariances]))
 
-        def made() -> Array:
+        def mixture() -> Array:
             if stretch.shape[1] == 1:
                 return np.asarray((weights * stretch[:, 0] ** 2) @ stack)
-            each = zip(weights, stretch, stack, strict=True)
-            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in each))
+            terms = zip(weights, stretch, stack, strict=True)
+            return np.asarray(sum(w * packed(np.outer(g, g)) * c for w, g, c in terms))
 
-        return latest(self.kept, "classes", weights.tobytes() + stretch.tobytes(), made)
+        return latest(self.cache, "classes", weights.tobytes() + stretch.tobytes(), mixture)
 
     def surroundings(self, u: int = 0) -> Array:
-        """(P,) covariance of a pixel drawn from the whole scene, packed; kept while it stays.
+        """(P,) covariance of a pixel drawn from the whole scene, packed; cached.
 
         Sigma_ave = sum f_m [Sigma_m + (rho_m - rho_ave)(rho_m - rho_ave)^T]: within the classes and between them.
         """
         f, between = (of_truth(x, u) for x in (self.fraction, self.between))
 
-        def made() -> Array:
+        def mixture_covariance() -> Array:
             return add_products(self.mixed(f, u).copy(), np.sqrt(f)[:, None] * between)  # Sigma_ave of (3.11)
 
-        return latest(self.kept, "around", self.key(u), made)
+        return latest(self.cache, "around", self.key(u), mixture_covariance)
 
     def covariance(self, u: int = 0) -> Array:
-        """(F, F) Sigma_ave of (3.11), whole."""
+        """(F, F) Sigma_ave of (3.11), in full."""
         make = partial(unpacked, self.surroundings(u), self.means.shape[-1])
-        return latest(self.kept, "covariance", self.key(u), make)
+        return latest(self.cache, "covariance", self.key(u), make)
 
     def key(self, u: int) -> bytes:
-        """What Sigma_ave of one truth follows from."""
+        """The inputs of Sigma_ave of one truth, as bytes."""
         return b"".join(of_truth(x, u).tobytes() for x in (self.fraction, self.between, self.stretch))
 
     def variances(self) -> Array:
@@ -710,42 +709,42 @@ class Background:
 
 @dataclass(frozen=True)
 class Retrieved:
-    """What the detectors see in U truths, on their bands: the classes after the empirical line, (U or 1, ...) each.
+    """The classes after the empirical line in U truths, on the detectors' bands, (U or 1, ...) each.
 
     Attributes
     ----------
-    light, of : on these bands
+    light, classes : on these bands
     gain, offset : (U or 1, 1, F) of the empirical line
     slope : (U or 1, F) D_A / k of (3.11)
-    around : (U or 1, M, F) D_B / k times the root of g_m kappa, of (3.11)
+    adjacency : (U or 1, M, F) D_B / k times the root of g_m kappa, of (3.11)
     means : (U or 1, M, F) retrieved reflectances
-    noise : (U or 1, M, F) noise variances of the retrieved reflectances, 0 of classes whose covariance holds them
-    held : (U or 1, M, F) the others: covariances of pixels of the image hold the noise that these have
-    signatures : target -> (U or 1, F) what a filter looks for, in the units of the image
+    noise : (U or 1, M, F) noise variances of the retrieved reflectances, 0 for classes whose covariance holds them
+    held_noise : (U or 1, M, F) noise variances that covariances of pixels of the image already hold, 0 of others
+    signatures : target -> (U or 1, F) spectrum that its filter looks for, in the units of the image
     """
 
     light: Light
-    of: Background
+    classes: Background
     gain: Array
     offset: Array
     slope: Array
-    around: Array
+    adjacency: Array
     means: Array
     noise: Array
-    held: Array
+    held_noise: Array
     signatures: Mapping[str, Array]
 
     def rows(self, index: Index) -> Retrieved:
         """Of some truths."""
-        some = _rows_of(self, ("gain", "offset", "slope", "around", "means", "noise", "held"), index)
+        rows = _rows_of(self, ("gain", "offset", "slope", "adjacency", "means", "noise", "held_noise"), index)
         signatures = {name: at_rows(x, index) for name, x in self.signatures.items()}
-        return replace(some, light=self.light.rows(index), of=self.of.rows(index), signatures=signatures)
+        return replace(rows, light=self.light.rows(index), classes=self.classes.rows(index), signatures=signatures)
 
 
-def retrieved(whole: Light, world: World, bands: Index) -> Retrieved:
-    """What the detector sees of a world under its light, on some bands (3.7-3.21).
+def retrieved(full_light: Light, world: World, bands: Index) -> Retrieved:
+    """The classes of a world after the empirical line, on some bands (3.7-3.21).
 
-    A covariance of pixels of the image holds their noise; of one that was taken from predicted pixels the same follows:
+    A covariance measured on the image holds the noise; one measured on predicted pixels gives the same prediction:
 
     >>> from hyperval import model
     >>> from hyperval.api import load_scenario
@@ -770,22 +769,22 @@ def retrieved(whole: Light, world: World, bands: Index) -> Retrieved:
     >>> bool(np.allclose(np.nan_to_num(second.reflectance["half"].pixel_covariance), pixels["half"], rtol=2e-3))
     True
     """
-    light, of = whole.at(bands), Background.of(world, bands)
-    line, level = light.line(), light.level(of.means)
-    weight = np.sqrt(of.gain[:, :, None] * light.kappa)
-    around = light.adjacency_slope(of.means) / line.gain * weight
+    light, classes = full_light.at(bands), Background.of(world, bands)
+    line, level = light.line(), light.level(classes.means)
+    weight = np.sqrt(classes.gain[:, :, None] * light.kappa)
+    adjacency = light.adjacency_slope(classes.means) / line.gain * weight
     slope = np.ascontiguousarray((light.slope() / line.gain)[:, 0])
     signatures = {
         name: retrieved_reflectance(light.library_line, light.level(signature[None, bands]))[:, 0]
         for name, signature in world.stated.signatures.items()
     }
     means, noise = retrieved_reflectance(line, level), light.noise_variance(level) / line.gain**2
-    held = np.where(of.of_pixels[:, None], noise, 0.0)
-    return Retrieved(light, of, line.gain, line.offset, slope, around, means, noise - held, held, signatures)
+    held = np.where(classes.of_pixels[:, None], noise, 0.0)
+    return Retrieved(light, classes, line.gain, line.offset, slope, adjacency, means, noise - held, held, signatures)
 
 
 def usable_bands(world: World, light: Light) -> Mask:
-    """(U or 1, B) bands with light, on which all that the detectors need is known (3.21)."""
+    """(U or 1, B) bands with light, and with the spectra that the detectors need (3.21)."""
     names = [*world.stated.classes, *world.stated.names["target"]]
     usable = light.lit()[:, 0] & np.isfinite(world.mean[:, [world.surface(n) for n in names]]).all(axis=1)
     for spectrum in world.stated.signatures.values():
@@ -805,7 +804,7 @@ class Material:
     host : number of its host's class
     beam, sky : (U or 1,) parts of the light in the open that reach it
     error : (K, F) directions of the error of its spectrum; None where nothing is stated
-    of_pixels : its covariance is that of pixels of the image, which hold the sensor's noise
+    of_pixels : its covariance was measured on the image, and holds the sensor's noise
     """
 
     mean: Array
@@ -820,23 +819,23 @@ class Material:
 
 
 def target_pixels(view: Retrieved, material: Material, fills: Array) -> tuple[Array, Array, tuple[Array, Array], Array]:
-    """Pixels of which a target fills K parts f (K,), as the detector sees them in U truths (3.7-3.12).
+    """Retrieved pixels of which a target fills K parts f (K,), in U truths (3.7-3.12).
 
     Returns
     -------
-    Retrieved reflectance and its noise variance (U or 1, K, F), less what the covariances hold of it; D_B / k
-    times the root of g_m kappa (3.11) of a pixel of host, and of one full of target, (U or 1, 1, F) each; light on the
-    target over that in the open (U, 1, F), (1,) without shade.
+    Retrieved reflectance and its noise variance (U or 1, K, F), less the noise in the covariances; D_B / k times the
+    root of g_m kappa (3.11) of a pixel of host, and of one full of target, (U or 1, 1, F) each; light on the target
+    over that in the open (U, 1, F), (1,) without shade.
     """
-    light, of, number = view.light, view.of, material.host
+    light, classes, number = view.light, view.classes, material.host
     lit, under_sky, factor = light.surface(material.mean, material.beam, material.sky)
-    host = of.means[:, number : number + 1]
+    host = classes.means[:, number : number + 1]
     level = light.level(target_pixel_reflectance(fills, lit, host))  # (3.9), (3.10)
     means = retrieved_reflectance(TwoPanelLine(view.gain, view.offset), level)
-    weight = np.sqrt(of.gain[:, number, None, None] * light.kappa) / view.gain
-    around = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
-    held = (1.0 - fills[:, None]) ** 2 * view.held[:, number : number + 1]
+    weight = np.sqrt(classes.gain[:, number, None, None] * light.kappa) / view.gain
+    adjacency = light.adjacency_slope(host) * weight, light.adjacency_slope(under_sky) * weight
+    held = (1.0 - fills[:, None]) ** 2 * view.held_noise[:, number : number + 1]
     if material.of_pixels:
         part = fills**2 + material.fine_texture[:, None] * (fills - fills**2)
         held = held + part[:, :, None] * light.noise_variance(light.level(lit)) / view.gain**2
-    return means, light.noise_variance(level) / view.gain**2 - held, around, factor
+    return means, light.noise_variance(level) / view.gain**2 - held, adjacency, factor

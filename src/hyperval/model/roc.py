@@ -1,8 +1,8 @@
 """The ROC of the model from score statistics, a row for each evaluation (3.29-3.33), and readings of curves.
 
 One threshold x serves the whole image: P_D(x) = Phi((theta_T - x)/sigma_T) and
-P_FA(x) = sum f_m Phi((theta_m - x)/sigma_m).  Where a class has tails or clusters, Phi gives way to its law, in its
-own pixels and in those that a target fills in part.  All is in logarithms, valid at P_FA = 1e-9.
+P_FA(x) = sum f_m Phi((theta_m - x)/sigma_m).  Where a class has tails or clusters, its law replaces Phi, in its own
+pixels and in those that a target fills in part.  All is in logarithms, valid at P_FA = 1e-9.
 
 A pixel that a target fills in part is f target + (1 - f) host + noise.  A t law of nu degrees of freedom is a normal
 law whose variance is multiplied by (nu - 2) / w, w chi-square of nu.  Given w all parts are normal (3.12, 3.26-3.31):
@@ -38,9 +38,9 @@ def probit(p: npt.ArrayLike) -> Array:
 _LOG_ROOT_2PI = 0.5 * np.log(2.0 * np.pi)
 _STEPS = 80
 _FAR = 1e7  # standard deviations: beyond it even a t law of two degrees of freedom has less than 1e-14
-_TOGETHER = 16_384  # numbers of one array on the way to thresholds: they stay in the processor's cache
-# A step from nearer than this to the logarithm wanted is of third order: it ends within 1e-14 of it.
-_NEAR, _STRAIGHT = 1e-5, 1e-4
+_CHUNK = 16_384  # numbers of one array in the search for thresholds: they fit in the processor's cache
+# A third-order step from closer than this to the goal (in log P) ends within 1e-14 of it.
+_LAST_STEP, _LEAST_CURVED = 1e-5, 1e-4
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,8 @@ Laws = tuple[Array, Array, Array, Array, Array]
 
 
 def _laws(scores: ClassScores, times: int = 1) -> Laws:
-    """log f_m, theta_m, scale, log density at the middle, and degrees of freedom, (M, n) each: each evaluation so many
-    times, and the classes first, so that sums over them run along the memory.
+    """log f_m, theta_m, scale, log density at the centre, and degrees of freedom, (M, n) each: each evaluation repeated
+    so many times, classes first, so that sums over them run along the memory.
 
     For a class with nu degrees of freedom the tail is 1 - F_t,nu((x - theta_m) / (sigma_m sqrt((nu-2)/nu))).
     """
@@ -93,8 +93,8 @@ def _laws(scores: ClassScores, times: int = 1) -> Laws:
         scale[tailed] *= np.sqrt((dof - 2.0) / dof)
         peak[tailed] = gammaln(0.5 * (dof + 1)) - gammaln(0.5 * dof) - 0.5 * np.log(dof * np.pi)
     with np.errstate(divide="ignore"):
-        each = np.log(fraction), mean, scale, peak - np.log(scale), nu
-    return each if times == 1 else tuple(np.repeat(a, times, axis=1) for a in each)  # type: ignore[return-value]
+        laws = np.log(fraction), mean, scale, peak - np.log(scale), nu
+    return laws if times == 1 else tuple(np.repeat(a, times, axis=1) for a in laws)  # type: ignore[return-value]
 
 
 def _log_tails(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
@@ -113,13 +113,13 @@ def _log_tails(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
 
 def _log_false_alarm(threshold: Array, laws: Laws) -> tuple[Array, Array, Array]:
     """log P_FA(x) = log sum f_m P(score of class m > x) (3.33) and its two first derivatives (n,) at x (n,)."""
-    tail, density, bend = _log_tails(threshold, laws)
+    tail, density, log_slope = _log_tails(threshold, laws)
     tail += laws[0]
-    top = tail.max(axis=0)
-    total = top + np.log(np.exp(tail - top).sum(axis=0))  # (3.33)
+    greatest = tail.max(axis=0)
+    total = greatest + np.log(np.exp(tail - greatest).sum(axis=0))  # (3.33)
     part = np.exp(density + laws[0] - total)
     slope = -part.sum(axis=0)
-    return total, slope, -(part * bend).sum(axis=0) - slope**2
+    return total, slope, -(part * log_slope).sum(axis=0) - slope**2
 
 
 def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array]:
@@ -139,8 +139,8 @@ def log_false_alarm(threshold: Array, scores: ClassScores) -> tuple[Array, Array
 def greatest_class_false_alarm(threshold: Array, scores: ClassScores) -> Array:
     """(R,) max_m P(score of class m > x): the preset of (3.30) whose least P_D (3.32) has threshold x (R,).
 
-    x = max_m x_m(P) is where the class with the longest tail gives P and all others less.  A curve drawn against P
-    is the reading of (3.32) without (3.33): it counts the worst class as if it covered the image.
+    At x = max_m x_m(P) the class with the longest tail gives P and all others less.  A curve drawn against P is (3.32)
+    without (3.33), as if the worst class covered the image.
     """
     tail, _, _ = _log_tails(threshold, _laws(scores))
     return np.asarray(np.exp(np.where(scores.fraction.T > 0, tail, -np.inf).max(axis=0)))
@@ -157,78 +157,77 @@ def score_density(score: Array, scores: ClassScores) -> Array:
 
 
 def thresholds_at(pfa: Array, scores: ClassScores) -> Array:
-    """Thresholds (R, K) at which the whole background gives ``pfa`` (R, K) (inverse of 3.33).
+    """Thresholds (R, K) at which the background gives ``pfa`` (R, K) (inverse of 3.33).
 
-    Evaluations without scores, or with a probability outside 0-1, have NaN.
+    NaN for evaluations without scores, or with a probability outside 0-1.
 
     Raises
     ------
-    UsageError : no class has an area.
+    UsageError : all area fractions are 0.
     """
     refuse(not np.any(scores.fraction > 0, axis=1).all(), "roc.fraction")
     finite = np.isfinite(scores.mean).all(axis=1) & np.isfinite(scores.sd).all(axis=1)
     rows, roots = np.flatnonzero(finite & np.all((pfa > 0) & (pfa <= 1), axis=1)), np.full(pfa.shape, np.nan)
-    together = max(1, _TOGETHER // max(1, pfa.shape[1] * scores.fraction.shape[1]))
-    for start in range(0, rows.size, together):
-        some = rows[start : start + together]
-        roots[some] = _thresholds(np.log(pfa[some]), scores.rows(some))
+    chunk = max(1, _CHUNK // max(1, pfa.shape[1] * scores.fraction.shape[1]))
+    for start in range(0, rows.size, chunk):
+        chunk_rows = rows[start : start + chunk]
+        roots[chunk_rows] = _thresholds(np.log(pfa[chunk_rows]), scores.rows(chunk_rows))
     return roots
 
 
 def _thresholds(log_pfa: Array, scores: ClassScores) -> Array:
-    """Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class alone already
-    gives P.  Inside by steps of third order, halved where they leave the bracket.
+    """Bracketed in closed form: at max_m x_m(P) no class exceeds P; at the largest x_m(P / f_m) one class gives P.
+    Then by third-order (Halley) steps, and bisection where they leave the bracket.
     """
     used = scores.fraction.T[:, :, None] > 0
     with np.errstate(divide="ignore"):
         share = log_pfa - np.log(scores.fraction.T[:, :, None])
     classes = range(len(used))
-    each = np.array([class_threshold(log_pfa, scores, m) for m in classes])
-    alone = np.array([class_threshold(np.minimum(share[m], -1e-300), scores, m) for m in classes])
-    low, high = np.where(used, each, np.inf).min(axis=0), np.where(used, each, -np.inf).max(axis=0)
-    low = np.minimum(np.maximum(low, np.where(used & (share < 0), alone, -np.inf).max(axis=0)), high).ravel()
-    high, goal, laws = high.ravel(), log_pfa.ravel(), _laws(scores, log_pfa.shape[1])
-    x, roots, open_rows = low, low.copy(), np.arange(goal.size)  # those not yet there
+    class_x = np.array([class_threshold(log_pfa, scores, m) for m in classes])
+    single_x = np.array([class_threshold(np.minimum(share[m], -1e-300), scores, m) for m in classes])
+    low, high = np.where(used, class_x, np.inf).min(axis=0), np.where(used, class_x, -np.inf).max(axis=0)
+    low = np.minimum(np.maximum(low, np.where(used & (share < 0), single_x, -np.inf).max(axis=0)), high).ravel()
+    high, target, laws = high.ravel(), log_pfa.ravel(), _laws(scores, log_pfa.shape[1])
+    x, roots, active = low, low.copy(), np.arange(target.size)  # those not yet there
     for _ in range(_STEPS):
-        value, slope, curve = _log_false_alarm(x, laws)
-        value -= goal
+        value, slope, curvature = _log_false_alarm(x, laws)
+        value -= target
         low, high = np.where(value > 0, x, low), np.where(value > 0, high, x)
         with np.errstate(divide="ignore", invalid="ignore"):
-            step = x - 2.0 * value * slope / (2.0 * slope**2 - value * curve)
-        inside = (step > low) & (step < high)  # False for NaN
-        last = inside & (np.abs(value) < _NEAR) & (np.abs(value * curve) < _STRAIGHT * slope**2)
-        roots[open_rows] = np.where(last, step, x)
-        go = ~last & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
-        if not go.any():
+            step = x - 2.0 * value * slope / (2.0 * slope**2 - value * curvature)
+        bracketed = (step > low) & (step < high)  # False for NaN
+        final = bracketed & (np.abs(value) < _LAST_STEP) & (np.abs(value * curvature) < _LEAST_CURVED * slope**2)
+        roots[active] = np.where(final, step, x)
+        unfinished = ~final & (np.abs(value) > 1e-12) & (high - low > 1e-14 * np.maximum(1.0, np.abs(x)))
+        if not unfinished.any():
             break
-        x = np.where(inside, step, 0.5 * (low + high))[go]
-        open_rows, low, high, goal = open_rows[go], low[go], high[go], goal[go]
-        laws = tuple(a[:, go] for a in laws)  # type: ignore[assignment]
+        x = np.where(bracketed, step, 0.5 * (low + high))[unfinished]
+        active, low, high, target = active[unfinished], low[unfinished], high[unfinished], target[unfinished]
+        laws = tuple(a[:, unfinished] for a in laws)  # type: ignore[assignment]
     return np.asarray(roots.reshape(log_pfa.shape))
 
 
 def class_threshold(log_pfa: Array, scores: ClassScores, m: int) -> Array:
     """x_m = theta_m - sigma_m Phi^-1(P_FA) (R, K): threshold at which class m alone gives P_FA (R, K) (3.30).
 
-    The printed form has the sign of Phi^-1 the other way round, which puts the threshold below the
-    class mean for P_FA < 0.5.
+    The printed form has the opposite sign of Phi^-1, which puts the threshold below the class mean for P_FA < 0.5.
     """
     mean, sd, nu = (a[:, m, None] for a in (scores.mean, scores.sd, scores.dof))
-    # Most batches ask all rows for the same probabilities: the quantile is looked up once.
-    same = bool(np.all(log_pfa == log_pfa[:1]))
-    x: Array = mean - sd * ndtri_exp(log_pfa[:1] if same else log_pfa)  # (3.30)
+    # Most batches have the same probabilities in all rows: one quantile serves them.
+    shared = bool(np.all(log_pfa == log_pfa[:1]))
+    x: Array = mean - sd * ndtri_exp(log_pfa[:1] if shared else log_pfa)  # (3.30)
     t = np.isfinite(nu[:, 0])
     if t.any():
-        quantile = stdtrit(nu[t], np.exp(log_pfa[:1] if same else log_pfa[t]))
+        quantile = stdtrit(nu[t], np.exp(log_pfa[:1] if shared else log_pfa[t]))
         x[t] = mean[t] - sd[t] * np.sqrt((nu[t] - 2.0) / nu[t]) * quantile
     return x
 
 
-# The trapezoid rule in ln w converges with e^(-10 / step) [step of the exponent, of its standard deviation], and
-# what lies beyond its ends has this probability: 1e-7 of P from 0.5 to 1e-8.
+# The trapezoid rule in ln w converges as e^(-10 / step), the step in units of the exponent or of its standard
+# deviation; beyond its ends lies the probability _BEYOND: P from 0.5 to 1e-8 is right to 1e-7.
 _STEP, _STEP_OF_SD, _BEYOND = 0.4, 0.8, 1e-16
-# More fills than that are read between as many of them: P_D within 0.1 %.
-_NODES, _LAWS_TOGETHER = 24, 100_000
+# More fills than nodes are interpolated between these: P_D within 0.1 %.
+_NODES, _CHUNK_LAWS = 24, 100_000
 
 
 def chi_square_mixing(dof: Array) -> tuple[Array, Array]:
@@ -247,13 +246,13 @@ def chi_square_mixing(dof: Array) -> tuple[Array, Array]:
     part = np.minimum(np.arange(steps[tailed].max() + 1.0) / steps, 1.0)
     y = low + (high - low) * part
     weight = np.exp(half * (y - np.log(2.0)) - 0.5 * np.exp(y) - gammaln(half))
-    weight[:, 1:][part[:, :-1] == 1.0] = 0.0  # each row has its own number of steps, whatever stands beside it
+    weight[:, 1:][part[:, :-1] == 1.0] = 0.0  # each row has its own number of steps
     weight /= weight.sum(axis=1, keepdims=True)
     return np.where(tailed[:, None], 2.0 * (half - 1.0) * np.exp(-y), 1.0), weight
 
 
 def host_part(total: Array, share: Array, law: Array, whole: Array) -> tuple[Array, Array]:
-    """Variance of a score where the host's pixels are of one of its laws, and the part of it with its tails (3.28).
+    """Variance of a score for one law of the host's pixels, and its part that has the tails of that law (3.28).
 
     Parameters
     ----------
@@ -267,13 +266,13 @@ def host_part(total: Array, share: Array, law: Array, whole: Array) -> tuple[Arr
 
 @dataclass(frozen=True)
 class Host:
-    """The class that fills the rest of the pixels, in n evaluations.
+    """The class that fills the pixels beside the target, in n evaluations.
 
     Attributes
     ----------
     share : (n or 1, J) its part of the pixel, 1 - f
     mean, variance : (n,) score of its pixels alone (3.27, 3.29)
-    laws : the C laws that it is made of; ``fraction`` (n, C) are their parts of the class
+    laws : its C components; ``fraction`` (n, C) are their parts of the class
     """
 
     share: Array
@@ -298,24 +297,24 @@ class Host:
         """
         for fraction, mean, sd, dof in zip(*(a.T for a in vars(self.laws).values()), strict=True):
             total, tailed = host_part(sds**2, self.share, sd[:, None] ** 2, self.variance[:, None])
-            away = self.share * (mean - self.mean)[:, None]
-            yield fraction, means + away, total - tailed, tailed, dof
+            offset = self.share * (mean - self.mean)[:, None]
+            yield fraction, means + offset, total - tailed, tailed, dof
 
     def exceedance(self, threshold: Array, means: Array, sds: Array, *, density: bool = False) -> Array:
         """(n, K, J) P(score > x) of pixels at x (n, K), or the density of their score there (3.31)."""
-        out = np.zeros((*threshold.shape, means.shape[1]))
+        result = np.zeros((*threshold.shape, means.shape[1]))
         for part, mean, normal, tailed, dof in self.parts(means, sds):
-            away = mean[:, None, :] - threshold[:, :, None]
+            distance = mean[:, None, :] - threshold[:, :, None]
             for factor, probability in zip(*(a.T[:, :, None] for a in chi_square_mixing(dof)), strict=True):
                 sd = np.sqrt(np.maximum(normal + tailed * factor, SMALLEST_SD**2))[:, None, :]
                 weight = (part[:, None] * probability)[:, :, None]
-                z = away / sd
-                above = np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * sd) if density else ndtr(z)
-                out += weight * above  # (3.31)
-        return out
+                z = distance / sd
+                value = np.exp(-0.5 * z**2) / (np.sqrt(2.0 * np.pi) * sd) if density else ndtr(z)
+                result += weight * value  # (3.31)
+        return result
 
     def between(self, threshold: Array, means: Array, sds: Array) -> Callable[[slice], Array]:
-        """The same of many fills, read between some of them, in probit: some thresholds -> (n, k, J).
+        """The same for many fills, interpolated in probit between nodes: slice of thresholds -> (n, k, J).
 
         >>> share = np.append(np.linspace(0.011815697982720898, 0.9997432737033439, 2000), np.ones(5))
         >>> laws, means = ClassScores(*np.array([1.0, 0.0, 1.0, 5.0])[:, None, None]), np.ones((1, 2005))
@@ -327,40 +326,40 @@ class Host:
         """
         from scipy.interpolate import PchipInterpolator, PPoly  # a quarter of a second, which single fills do not need
 
-        first, alike = distinct([self.share], len(self.share))
-        alike, curves = np.broadcast_to(alike, len(means)), []
+        first, group = distinct([self.share], len(self.share))
+        group, curves = np.broadcast_to(group, len(means)), []
         for number, share in enumerate(self.share[first]):
-            rows = np.flatnonzero(alike == number)
+            rows = np.flatnonzero(group == number)
             order = np.argsort(share)
             order = order[~np.isneginf(means[rows][:, order]).any(axis=0)]
             low, high = share[order[[0, -1]]]
-            wanted = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _NODES))
-            chosen = order[np.searchsorted(share[order], wanted).clip(0, order.size - 1)]
+            spaced = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _NODES))
+            chosen = order[np.searchsorted(share[order], spaced).clip(0, order.size - 1)]
             chosen = chosen[np.unique(share[chosen], return_index=True)[1]]
-            some, index = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
-            p = some.exceedance(threshold[rows], means[index], sds[index])
+            subset, index = replace(self.rows(rows), share=share[None, chosen]), np.ix_(rows, chosen)
+            p = subset.exceedance(threshold[rows], means[index], sds[index])
             z, nodes = np.nan_to_num(probit(p)), share[chosen]
-            one = nodes.size == 1
-            curve = PPoly([[z[:, :, 0]]], nodes[0] + [0.0, 1.0]) if one else PchipInterpolator(nodes, z, axis=2)
+            single = nodes.size == 1
+            curve = PPoly([[z[:, :, 0]]], nodes[0] + [0.0, 1.0]) if single else PchipInterpolator(nodes, z, axis=2)
             curves.append((rows, share, curve.c, curve.x))
 
         def read(part: slice) -> Array:
-            out = np.empty((means.shape[0], threshold[:, part].shape[1], means.shape[1]))
+            values = np.empty((means.shape[0], threshold[:, part].shape[1], means.shape[1]))
             for rows, share, coefficients, nodes in curves:
-                out[rows] = ndtr(PPoly.construct_fast(coefficients[..., part], nodes, axis=2)(share))
-            out[np.isnan(means[:, 0])] = np.nan
-            out.transpose(0, 2, 1)[np.isneginf(means)] = 0.0
-            return out
+                values[rows] = ndtr(PPoly.construct_fast(coefficients[..., part], nodes, axis=2)(share))
+            values[np.isnan(means[:, 0])] = np.nan
+            values.transpose(0, 2, 1)[np.isneginf(means)] = 0.0
+            return values
 
         return read
 
 
 def _exceedance(threshold: Array, means: Array, sds: Array, host: Host | None) -> Iterator[tuple[slice, Array]]:
-    """Some thresholds at a time, (n, k, J) P(score > x) of pixels (n, J) at x (n, K) (3.31)."""
+    """Slices of thresholds, and (n, k, J) P(score > x) there, of pixels (n, J) at x (n, K) (3.31)."""
     read = host.between(threshold, means, sds) if host is not None and means.shape[1] > _NODES else None
-    together = max(1, _LAWS_TOGETHER // means.size)
-    for start in range(0, threshold.shape[1], together):
-        part = slice(start, start + together)
+    chunk = max(1, _CHUNK_LAWS // means.size)
+    for start in range(0, threshold.shape[1], chunk):
+        part = slice(start, start + chunk)
         if read is not None:
             yield part, read(part)
         elif host is not None:
@@ -382,7 +381,7 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     Parameters
     ----------
     curve : with ``pfa`` in rising order
-    values : (K,) what is read in place of P_D, such as a limit of it [1]
+    values : (K,) in place of P_D, such as a limit of it [1]
 
     Examples
     --------
@@ -398,24 +397,24 @@ def detection_at(curve: RocCurve, pfa: npt.ArrayLike, values: Array | None = Non
     lower = np.maximum(upper - 1, 0)
 
     def share(scale: Callable[[Array], Array]) -> Array:
-        """Where ``at`` lies between two points on a scale, 0 to 1."""
+        """Position of ``pfa`` between the two points on a scale, 0 to 1."""
         low = scale(grid[lower])
         return np.clip((scale(x) - low) / (scale(grid[upper]) - low), 0.0, 1.0)
 
     with np.errstate(divide="ignore", invalid="ignore"):
-        low, high, part = y[lower], y[upper], share(ndtri)
-        bent = ndtr((1.0 - part) * ndtri(low) + part * ndtri(high))
-        straight = low + share(np.log) * (high - low)
+        low, high, weight = y[lower], y[upper], share(ndtri)
+        probit_pd = ndtr((1.0 - weight) * ndtri(low) + weight * ndtri(high))
+        log_pd = low + share(np.log) * (high - low)
     ends = np.stack([low, high, grid[lower], grid[upper]])
-    pd = np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), bent, straight)
-    for index in (lower, upper):  # at points of the curve; of equal ones the last, which declares the most
+    pd = np.where(np.all((ends > 0.0) & (ends < 1.0), axis=0), probit_pd, log_pd)
+    for index in (lower, upper):  # at points of the curve; of equal ones the last, with the greatest P_D
         pd = np.where(np.abs(grid[index] - x) <= _SAME * x, y[index], pd)
-    inside = (x >= grid[0] * (1.0 - _SAME)) & (x <= grid[-1] * (1.0 + _SAME))
-    return np.asarray(np.where(inside, pd, np.nan))
+    covered = (x >= grid[0] * (1.0 - _SAME)) & (x <= grid[-1] * (1.0 + _SAME))
+    return np.asarray(np.where(covered, pd, np.nan))
 
 
 def log10_false_alarm_at(curve: RocCurve, pd: float, values: Array) -> float:
-    """log10 P_FA at which ``values`` (K,), P_D or a limit of it, reach ``pd``, by the same reading; NaN outside."""
+    """log10 P_FA at which ``values`` (K,), P_D or a limit of it, reach ``pd``, linear in probit; NaN outside."""
     x, y = probit([curve.pfa, np.maximum.accumulate(np.nan_to_num(values))])
     return float(np.log10(ndtr(np.interp(ndtri(pd), y, x, np.nan, np.nan))))
 
@@ -442,16 +441,16 @@ def detection_probability(
     """
     pd, shape = np.empty(threshold.shape), (len(means), means.shape[1], -1)
     for part, above in _exceedance(threshold, means.reshape(len(means), -1), sds.reshape(len(sds), -1), host):
-        passed, *others = np.moveaxis(above.reshape(*above.shape[:2], *shape[1:]), 3, 0)  # (J, n, k, P)
-        for other in others:
-            passed = passed + other * (1.0 - passed)  # small probabilities keep their digits
+        passed, *pixels = np.moveaxis(above.reshape(*above.shape[:2], *shape[1:]), 3, 0)  # (J, n, k, P)
+        for pixel in pixels:
+            passed = passed + pixel * (1.0 - passed)  # small probabilities keep their digits
         pd[:, part] = np.matmul(passed, weights[:, :, None])[:, :, 0]  # (3.31)
     return np.asarray(np.clip(pd, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
 class RocArea:
-    """Which area: P_FA from ``low`` to ``high``, evenly in P_FA or, ``logarithmic``, in its logarithm."""
+    """Area over P_FA from ``low`` to ``high``, evenly in P_FA or, ``logarithmic``, in its logarithm."""
 
     low: float = 0.0
     high: float = 1.0
@@ -462,7 +461,7 @@ class RocArea:
         refuse(wrong, "roc.range", low=self.low, high=self.high)
 
     def share(self, s: Array) -> Array:
-        """g(s): the part of the range in which a target is declared that a share ``s`` of the background tops."""
+        """g(s): the part of the range in which a target is declared that a share ``s`` of the background outscores."""
         x = np.clip(s, self.low, self.high)
         if self.logarithmic:
             return np.asarray(np.log(self.high / x) / np.log(self.high / self.low))
@@ -473,17 +472,17 @@ class RocArea:
         a, b = self.low, self.high
         x = np.clip(s, a, b)
         if self.logarithmic:
-            inside = (x * (np.log(b / x) + 1.0) - a * (np.log(b / a) + 1.0)) / np.log(b / a)
+            partial = (x * (np.log(b / x) + 1.0) - a * (np.log(b / a) + 1.0)) / np.log(b / a)
         else:
-            inside = (b * (x - a) - (x**2 - a**2) / 2.0) / (b - a)
-        return np.asarray(np.minimum(s, a) + inside)
+            partial = (b * (x - a) - (x**2 - a**2) / 2.0) / (b - a)
+        return np.asarray(np.minimum(s, a) + partial)
 
     def averaged(self, over: Array, tie: Array) -> Array:
         """Mean of g along a tie that goes from ``over`` to ``over + tie``."""
-        flat = tie <= 0.0
-        step = np.where(flat, 1.0, tie)
-        slanted = (self.integral(over + tie) - self.integral(over)) / step
-        return np.clip(np.where(flat, self.share(over), slanted), 0.0, 1.0)  # rounding leads beyond both
+        no_tie = tie <= 0.0
+        step = np.where(no_tie, 1.0, tie)
+        mean = (self.integral(over + tie) - self.integral(over)) / step
+        return np.clip(np.where(no_tie, self.share(over), mean), 0.0, 1.0)  # against rounding
 
 
 WHOLE = RocArea()
@@ -499,11 +498,11 @@ AREAS = {
 
 @dataclass(frozen=True)
 class RocScores:
-    """What the ROC of n evaluations needs.
+    """Score statistics for the ROC of n evaluations.
 
     Attributes
     ----------
-    classes : of the different backgrounds;  which (n,) of them each evaluation has
+    classes : of the distinct backgrounds;  which : (n,) number of that of each evaluation
     means, sds : (n, P) of the target pixels over their fills, or (n, P, J) of the J pixels of an object at P places
     weights : (n, P) probabilities of these
     host : the class that fills the rest of these pixels; None: one normal law in all evaluations
@@ -530,43 +529,43 @@ class RocScores:
         return thresholds_at(np.broadcast_to(pfa, (len(self.classes.mean), pfa.shape[1])), self.classes)[self.which]
 
     def detection_above(self, thresholds: Array) -> Array:
-        """P_D (n, K) above ``thresholds`` (n, K) (3.31); evaluations whose pixels score the same share it."""
-        first, same = distinct([self.means, self.sds, self.weights, self.which, thresholds], self.which.size)
-        pd, some, x = np.empty((first.size, thresholds.shape[1])), self.rows(first), thresholds[first]
-        normal = np.ones(first.size, dtype=bool) if some.host is None else some.host.normal
+        """P_D (n, K) above ``thresholds`` (n, K) (3.31), once for evaluations with equal scores."""
+        first, group = distinct([self.means, self.sds, self.weights, self.which, thresholds], self.which.size)
+        pd, subset, x = np.empty((first.size, thresholds.shape[1])), self.rows(first), thresholds[first]
+        normal = np.ones(first.size, dtype=bool) if subset.host is None else subset.host.normal
         for rows in filter(np.size, (np.flatnonzero(normal), np.flatnonzero(~normal))):
-            of = some.rows(rows)
-            pd[rows] = detection_probability(x[rows], of.means, of.sds, of.weights, of.host)
-        return np.asarray(pd[same])
+            scores = subset.rows(rows)
+            pd[rows] = detection_probability(x[rows], scores.means, scores.sds, scores.weights, scores.host)
+        return np.asarray(pd[group])
 
     def detection(self, pfa: Array) -> Array:
         """P_D (n, K) at ``pfa`` (n, K) or (1, K) (3.31, 3.33)."""
         return self.detection_above(self.thresholds(pfa))
 
     def target(self, at: Index, *, densities: bool) -> list[ScoreDistribution]:
-        """How the target pixels score in some evaluations."""
+        """Score distributions of the target pixels in some evaluations."""
         return score_distributions(self.moments[0][at], self.rows(at).target_density if densities else None)
 
     @cached_property
     def moments(self) -> Array:
         """(2, n, 2) mean and standard deviation of the scores of target pixels, and of the background."""
-        c, out = self.classes.rows(self.which), []
+        c, moments = self.classes.rows(self.which), []
         for weights, means, sds in ((self.weights, self.means, self.sds), (c.fraction, c.mean, c.sd)):
             mean = (weights * means).sum(axis=1)
-            out.append([mean, np.sqrt((weights * (sds**2 + (means - mean[:, None]) ** 2)).sum(axis=1))])
-        return np.swapaxes(out, 1, 2)
+            moments.append([mean, np.sqrt((weights * (sds**2 + (means - mean[:, None]) ** 2)).sum(axis=1))])
+        return np.swapaxes(moments, 1, 2)
 
     def background(self, at: Index, thresholds: Array, *, densities: bool) -> list[tuple[ScoreDistribution, Array]]:
-        """How the background scores in some evaluations, and the preset P_FA (K,) of (3.30) whose least P_D (3.32) has
-        ``thresholds`` (n, K) of these.
+        """Score distributions of the background in some evaluations, and the preset P_FA (K,) of (3.30) whose least P_D
+        (3.32) has ``thresholds`` (n, K) of these.
         """
-        which, first, same = np.unique(self.which[at], return_index=True, return_inverse=True)
+        which, first, group = np.unique(self.which[at], return_index=True, return_inverse=True)
         c, x = self.classes.rows(which), thresholds[first]
         density = partial(score_density, scores=c) if densities else None
         distributions = score_distributions(self.moments[1][at[first]], density)
         rows = self.classes.rows(np.repeat(which, x.shape[1]))
         preset = greatest_class_false_alarm(x.ravel(), rows).reshape(x.shape)
-        return [(distributions[i], preset[i]) for i in same]
+        return [(distributions[i], preset[i]) for i in group]
 
     def target_density(self, score: Array) -> Array:
         """Density of the target pixels' score at ``score`` (n, K), the derivative of (3.31) [per unit of score]."""
@@ -600,7 +599,7 @@ _GRID, _REACH = 201, 6.0
 
 
 def score_distributions(moments: Array, density: Callable[[Array], Array] | None) -> list[ScoreDistribution]:
-    """Mean and standard deviation (n, 2) of a score in n evaluations, and its density where that is wanted."""
+    """Score distributions by mean and standard deviation (n, 2) in n evaluations, with the density if given."""
     mean, sd = moments.T
     if density is None:
         return [ScoreDistribution(m, s) for m, s in zip(mean.tolist(), sd.tolist(), strict=True)]
@@ -612,7 +611,7 @@ def score_distributions(moments: Array, density: Callable[[Array], Array] | None
 _POINTS = 4001
 
 
-_DECIMALS = 15  # of a P_D; what is below is rounding
+_DECIMALS = 15  # of a P_D; the rest is rounding
 
 
 def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> float:
@@ -620,7 +619,7 @@ def curve_area(curve: RocCurve, area: RocArea, values: Array | None = None) -> f
 
     Parameters
     ----------
-    values : (K,) what stands for P_D, such as a limit of its band
+    values : (K,) in place of P_D, such as a limit of it
     """
     pfa, pd = curve.pfa, curve.pd if values is None else values
     valid = (pfa > 0) & np.isfinite(pd)
@@ -634,8 +633,8 @@ def mean_detection(pfa: Array, pd: Array, area: RocArea) -> Array:
     """Mean (n,) of P_D (n, K) over the range of ``area``, of curves at false-alarm probabilities ``pfa`` (K,).
 
     P_D is interpolated over log P_FA by a monotone cubic.  Every ROC ends at (1, 1), where everything is declared;
-    a curve that stops before is joined to that point.  Below its first point P_D is taken as there, which counts
-    only where the range begins at 0.
+    a curve that stops before is extended to that point.  Below its first point P_D is constant, which matters only
+    where the range begins at 0.
 
     Examples
     --------
@@ -646,14 +645,14 @@ def mean_detection(pfa: Array, pd: Array, area: RocArea) -> Array:
         pfa, pd = np.append(pfa, 1.0), np.concatenate([pd, np.ones((*pd.shape[:-1], 1))], axis=-1)
     from scipy.interpolate import PchipInterpolator  # a tenth of a second, which spectra alone do not need
 
-    # A rise from 0 to 1e-300 has an inverse slope that overflows in the harmonic means of the cubic; it is no P_D.
+    # Rounded, as a rise from 0 to 1e-300 has an inverse slope that overflows in the harmonic means of the cubic.
     curve_of = PchipInterpolator(np.log(pfa), np.round(pd.T, _DECIMALS))
     low = max(area.low, float(pfa[0]))
     u = np.linspace(np.log(low), np.log(area.high), _POINTS)
     # Over P_FA itself: the trapezoids of a P_D of 1 then add up to the range, and no area exceeds it.
     width = np.gradient(u if area.logarithmic else np.exp(u))
     width[[0, -1]] *= 0.5
-    inside = width @ curve_of(u)
+    integral = width @ curve_of(u)
     if area.logarithmic:
-        return np.asarray(inside / (u[-1] - u[0]))
-    return np.asarray((inside + (low - area.low) * pd[..., 0]) / (area.high - area.low))
+        return np.asarray(integral / (u[-1] - u[0]))
+    return np.asarray((integral + (low - area.low) * pd[..., 0]) / (area.high - area.low))

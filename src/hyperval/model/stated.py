@@ -1,8 +1,8 @@
-"""What a scenario and its files say, as arrays on the bands: read once, shared by all truths.
+"""A scenario and its files as arrays on the bands: read once, shared by all truths.
 
 Spectra and their spread from the sources that the scenario names; the sensor and its noise (3.13-3.20); the
 atmosphere at the bands in any of its states (3.7).  Several field spectra of one surface give their mean, their spread,
-and how well they know the mean.
+and the error of the mean.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from hyperval.spectra.axis import SpectralAxis, band_average, band_weights
 from hyperval.statistics_library import ClassStatistics, builtin_class, on_bands, read_statistics_library
 
 Values = npt.NDArray[Any]
-Truth = Mapping[str, Any]  # dotted path -> what stands there, of one truth; what is not named is as stated
+Truth = Mapping[str, Any]  # dotted path -> value, of one truth; others are as stated
 Engine = Callable[[AtmosphericState], AtmosphericTerms]
 Read = dict[object, Any]  # spectra of files, by the file and how it is read
 Made = TypeVar("Made")
@@ -57,25 +57,25 @@ Made = TypeVar("Made")
 SAME_BAND_NM = 0.05  # centres this close are the same band
 # Below this many spectra for each band the sample covariance is shrunk (Ledoit & Wolf 2004), as for pixels.
 FEW_PER_BAND = 3
-MOST_UNCOVERED = 0.1  # of the usable bands; a spectrum that lacks more is another one than was meant
+MOST_UNCOVERED = 0.1  # of the usable bands; a spectrum that lacks more is taken for a mistake
 _SUN, _VIEW = ("solar_zenith_deg", "solar_azimuth_deg"), ("view_zenith_deg", "view_azimuth_deg")
 MOST_RUNS = 400  # of the engine, at about four seconds each where nothing is cached
-# What decides which files an engine finds.
+# Variables that select the files of an engine.
 _ENVIRONMENT = (
     "HYPERVAL_CACHE", "HYPERVAL_DATA", "HYPERVAL_MODTRAN", "HYPERVAL_MODTRAN_VERSION", "HYPERVAL_MODTRAN_DATA"
 )  # fmt: skip
 
 
-class Keeps:
-    """What keeps what follows from it, once it was asked for."""
+class Cached:
+    """An object that caches results derived from it."""
 
-    kept: dict[Any, Any]
+    cache: dict[Any, Any]
 
     def once(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What ``make`` gives, made the first time that ``key`` is asked for."""
-        if key not in self.kept:
-            self.kept[key] = make()
-        made: Made = self.kept[key]
+        """The result of ``make``, computed at the first use of ``key``."""
+        if key not in self.cache:
+            self.cache[key] = make()
+        made: Made = self.cache[key]
         return made
 
 
@@ -95,7 +95,7 @@ class SurfaceStatistics(ClassStatistics):
     mean_error: Array | None = None
 
     def __post_init__(self) -> None:
-        """What it is made of has passed the checks."""
+        """Its parts are already checked."""
 
 
 def replicate_statistics(
@@ -110,11 +110,11 @@ def replicate_statistics(
     InputError : missing or corrupt files.
     UsageError : fewer than two spectra, records that no file has, or spectra that share no band.
     """
-    spectra, where = replicate_spectra(source, resolve), ", ".join(source.references)
-    refuse(len(spectra) < 2, "replicates.single", where)
+    spectra, references = replicate_spectra(source, resolve), ", ".join(source.references)
+    refuse(len(spectra) < 2, "replicates.single", references)
     values = np.array([in_bands(s.wavelength_nm, s.values, axis, nominal) for s in spectra])
     valid = np.all(np.isfinite(values), axis=0)
-    refuse(not valid.any(), "replicates.bands", where, low=axis.centre_nm[0], high=axis.centre_nm[-1])
+    refuse(not valid.any(), "replicates.bands", references, low=axis.centre_nm[0], high=axis.centre_nm[-1])
     sample, mean, deviation = statistics_of(values[:, valid]), *np.full((2, len(axis)), np.nan)
     mean[valid], deviation[valid] = sample.mean, np.sqrt(np.diag(sample.covariance))
     covariance, error, block = *np.zeros((2, len(axis), len(axis))), np.ix_(valid, valid)
@@ -130,46 +130,45 @@ def replicate_statistics(
 
 
 def error_of_mean(covariance: Array, n: int) -> Array:
-    """(t/1.96)^2 S/n with n - 1 degrees of freedom [unit of S]: few spectra know their own spread badly.
+    """(t/1.96)^2 S/n with n - 1 degrees of freedom [unit of S], as few spectra estimate their spread badly.
 
-    S itself of a single one, whose difference from others is its error (:func:`student_factor`).
+    S itself for a single one, whose difference from others is its error (:func:`student_factor`).
     """
     return np.asarray(student_factor(n - 1) ** 2 * covariance / n) if n > 1 else covariance
 
 
 def replicate_spectra(source: Replicates, resolve: Resolve) -> list[FieldSpectrum]:
     """The spectra that ``source`` names, file by file in the order of the list, by name within a pattern."""
-    out: list[FieldSpectrum] = []
-    how = {k: getattr(source, k) for k in ("records", "wavelength_unit", "reflectance_unit")}
+    spectra: list[FieldSpectrum] = []
+    options = {k: getattr(source, k) for k in ("records", "wavelength_unit", "reflectance_unit")}
     for reference in source.references:
         path = resolve(reference)
         files = matching(path) or [path]  # a file that is missing is the reader's to report
         refuse(len(files) > MAX_MATCHES, "spectra.matches", reference, most=MAX_MATCHES)
         for file in files:
-            out += read_records(file, **how)
-    names = {s.name for s in out}
+            spectra += read_records(file, **options)
+    names = {s.name for s in spectra}
     for wanted in source.records or ():
         if isinstance(wanted, str) and wanted not in names:
             raise UsageError(f"no spectrum {wanted!r}", where=", ".join(source.references))
-    return out
+    return spectra
 
 
 def sampled_bands(wavelength_nm: Array, axis: SpectralAxis) -> Index | None:
-    """Bands at whose centres the samples stand, where each stands at one of its own; None otherwise."""
+    """Bands whose centres the samples are at, where each is at another one; None otherwise."""
     if wavelength_nm.size != len(axis) and not 1 < wavelength_nm.size < len(axis):
         return None
     nearest = np.argmin(np.abs(wavelength_nm[:, None] - axis.centre_nm), axis=1)
-    apart = np.abs(axis.centre_nm[nearest] - wavelength_nm)
-    return nearest if np.all(apart <= SAME_BAND_NM) and np.unique(nearest).size == nearest.size else None
+    distance_nm = np.abs(axis.centre_nm[nearest] - wavelength_nm)
+    return nearest if np.all(distance_nm <= SAME_BAND_NM) and np.unique(nearest).size == nearest.size else None
 
 
 def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: SpectralAxis | None = None) -> Array:
-    """(B,) values in the bands: as they stand where they are sampled at the bands' centres, else band averages.
+    """(B,) values in the bands: unchanged where they are sampled at the bands' centres, else band averages.
 
     A library at the sensor's own bands, or at some of them, was convolved when it was made; a second time would
-    smooth it and lose its first and last bands. NaN in bands that the samples do not cover. Where the samples
-    stand at the bands as they are labelled (``nominal``) but those truly stand elsewhere, a cubic spline leads
-    from one to the other.
+    smooth it and lose its first and last bands. NaN in bands that the samples do not cover. Where the samples are at
+    the labelled bands (``nominal``) and the true bands are elsewhere, a cubic spline interpolates between them.
 
     >>> axis = SpectralAxis(np.arange(400.0, 460.0, 10.0), 10.0)
     >>> nm, values = np.array([400.0, 410.01, 430.0, 450.0]), np.array([0.4, 0.41, 0.43, 0.45])
@@ -178,31 +177,31 @@ def in_bands(wavelength_nm: Array, values: Array, axis: SpectralAxis, nominal: S
     >>> in_bands(nm, values, SpectralAxis(axis.centre_nm + 1.0, 10.0), axis).round(3)
     array([0.401, 0.411,   nan, 0.431,   nan, 0.45 ])
     """
-    out = np.full(len(axis), np.nan)
-    if (some := sampled_bands(wavelength_nm, axis)) is not None:
-        out[some] = values
-        return out
+    means = np.full(len(axis), np.nan)
+    if (sampled := sampled_bands(wavelength_nm, axis)) is not None:
+        means[sampled] = values
+        return means
     valid = np.isfinite(values)
     if valid.sum() < 2:
-        return out
-    if nominal is not None and (some := sampled_bands(wavelength_nm, nominal)) is not None:
-        nm = np.clip(axis.centre_nm[some], wavelength_nm[valid][0], wavelength_nm[valid][-1])
-        out[some] = np.where(valid, scipy.interpolate.CubicSpline(wavelength_nm[valid], values[valid])(nm), np.nan)
-        return out
+        return means
+    if nominal is not None and (sampled := sampled_bands(wavelength_nm, nominal)) is not None:
+        nm = np.clip(axis.centre_nm[sampled], wavelength_nm[valid][0], wavelength_nm[valid][-1])
+        means[sampled] = np.where(valid, scipy.interpolate.CubicSpline(wavelength_nm[valid], values[valid])(nm), np.nan)
+        return means
     return band_average(wavelength_nm[valid], values[valid], axis, outside="nan")
 
 
 def covariance_in_bands(nm: Array, covariance: Array, axis: SpectralAxis) -> Array:
-    """(B, B) error covariance of what :func:`in_bands` makes of samples from theirs (n, n); 0 in bands without one.
+    """(B, B) error covariance of the result of :func:`in_bands` from that of samples (n, n); 0 in bands without one.
 
     >>> axis = SpectralAxis(np.arange(400.0, 460.0, 10.0), 10.0)
     >>> np.diag(covariance_in_bands(np.array([400.0, 410.0, 430.0, 450.0]), np.eye(4), axis))
     array([1., 1., 0., 1., 0., 1.])
     """
-    some = sampled_bands(nm, axis)
-    weights, short = band_weights(nm, axis) if some is None else (np.eye(len(axis))[:, some], np.zeros(len(axis), bool))
-    few = scipy.sparse.csr_array(np.where(short[:, None], 0.0, weights))  # a band has a part in few of the samples
-    return np.asarray((few @ (few @ covariance).T).T)
+    bands = sampled_bands(nm, axis)
+    weights, gap = band_weights(nm, axis) if bands is None else (np.eye(len(axis))[:, bands], np.zeros(len(axis), bool))
+    sparse = scipy.sparse.csr_array(np.where(gap[:, None], 0.0, weights))  # a band covers few of the samples
+    return np.asarray((sparse @ (sparse @ covariance).T).T)
 
 
 def band_error_covariance(
@@ -210,22 +209,22 @@ def band_error_covariance(
 ) -> Array:
     """(B, B) covariance in the bands of an error of standard deviation (n,) and correlation length at its samples.
 
-    Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): errors that are each sample's own partly cancel within a band,
-    which the band average of their standard deviation alone does not know.  None: one error for all.
+    Of C_kl = u_k u_l exp(-(dl / length)^2 / 2): independent errors of samples partly cancel within a band, unlike in
+    the band average of their standard deviation.  None: one error for all.
     """
     u, gap = np.nan_to_num(standard_deviation), (wavelength_nm[:, None] - wavelength_nm) / (correlation_nm or np.inf)
-    covariance = np.outer(u, u) * np.exp(np.maximum(-0.5 * gap**2, -100.0))  # below it nothing is left
+    covariance = np.outer(u, u) * np.exp(np.maximum(-0.5 * gap**2, -100.0))  # below it the correlation is 0
     return covariance_in_bands(wavelength_nm, covariance, axis)
 
 
 @dataclass(frozen=True)
-class Sources(Keeps):
-    """Where spectra come from: the axis, statistics handed in, and how file names become paths.
+class Sources(Cached):
+    """Sources of spectra: the axis, measured statistics, and the function from file names to paths.
 
-    ``nominal`` are the bands as they are labelled, where they are not those of ``axis`` (a shifted spectrometer);
-    what was measured stands on them.  ``kept`` holds the spectra of files that were read before.
+    ``nominal`` are the labelled bands, where they are not those of ``axis`` (a shifted spectrometer); measurements are
+    on them.  ``cache`` holds the spectra of files that were read before.
 
-    What a library says at the labels is so where the bands are, its standard deviation too:
+    A library at the labelled bands moves with them, its standard deviation too:
 
     >>> from tempfile import NamedTemporaryFile
     >>> labels = SpectralAxis(np.array([500.0, 510.0, 520.0]), 5.0)
@@ -240,7 +239,7 @@ class Sources(Keeps):
     measured: Mapping[str, ClassStatistics]
     resolve: Resolve
     nominal: SpectralAxis | None = None
-    kept: Read = field(default_factory=dict, repr=False, compare=False)
+    cache: Read = field(default_factory=dict, repr=False, compare=False)
 
     def surface(self, surface: Surface) -> SurfaceStatistics:
         """Mean and covariance of one surface of the scene (rho_m, Sigma_m of 3.8-3.12).
@@ -260,7 +259,7 @@ class Sources(Keeps):
             region = (source or surface.spectrum).measured
             single = region is not None and pixels.n is not None and pixels.n < 2
             refuse(single, "surface.single", region=region, name=name)
-            # Tails are those of the pixels that the covariance is of; several spectra have none of their own.
+            # Tails are those of the pixels of the covariance; replicate spectra have none.
             tails = base if source is not None and source.replicates is not None else pixels
             base = replace(
                 base, covariance=pixels.covariance, tail_dof=tails.tail_dof, tail_scale=tails.tail_scale,
@@ -269,7 +268,7 @@ class Sources(Keeps):
         return replace(base, components=_components(surface, base.components))
 
     def spectrum(self, source: SpectrumSource | CovarianceSource, name: str) -> SurfaceStatistics:
-        """The statistics that a source brings along."""
+        """The statistics of a source."""
         axis, kind = self.axis, "covariance" if isinstance(source, CovarianceSource) else "spectrum"
         if source.replicates is not None:
             with told_of(f"replicates of {name!r}", ", ".join(source.replicates.references)):
@@ -289,27 +288,27 @@ class Sources(Keeps):
         return SurfaceStatistics(**vars(stored) | named)
 
     def _once(self, reader: Callable[..., Made], reference: str, **how: Any) -> Made:
-        """What a file says, read the first time that it is asked for."""
+        """The contents of a file, read at the first use."""
         path = self.resolve(reference)
         return self.once((path, *how.values()), lambda: reader(path, **how))
 
     def _from_file(self, source: SpectrumSource, name: str) -> SurfaceStatistics:
-        axis, zero, more = self.axis, np.zeros((len(self.axis), len(self.axis))), dict[str, Any]()
+        axis, zero, errors = self.axis, np.zeros((len(self.axis), len(self.axis))), dict[str, Any]()
         if source.constant is not None:
             flat = np.full(len(axis), source.constant)
             return SurfaceStatistics(name, axis, flat, zero, source="constant reflectance")
-        how = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}
-        read = self._once(read_spectrum, str(source.file), **how)
-        w, sd = read.wavelength_nm, read.standard_deviation
-        mean = in_bands(w, read.values, axis, self.nominal)
+        options = {k: getattr(source, k) for k in ("record", "wavelength_unit", "reflectance_unit")}
+        spectrum = self._once(read_spectrum, str(source.file), **options)
+        w, sd = spectrum.wavelength_nm, spectrum.standard_deviation
+        mean = in_bands(w, spectrum.values, axis, self.nominal)
         refuse(np.isnan(mean).all(), "surface.bands", name=name, file=source.file, ends=axis.centre_nm[[0, -1]])
         labelled = None if self.nominal is None else sampled_bands(w, self.nominal)
-        at = w if labelled is None else axis.centre_nm[labelled]  # what stands at labels moves with the bands
+        sample_nm = w if labelled is None else axis.centre_nm[labelled]  # samples at labels move with the bands
         if sd is not None:
-            more = {"standard_deviation": in_bands(w, sd, axis, self.nominal), "sampled_deviation": (at, sd)}
-        if read.errors is not None:  # as the file states them; an entry of the scenario's stands in their place
-            more["mean_error"] = covariance_in_bands(at, read.errors.covariance(), axis)
-        return SurfaceStatistics(name, axis, mean, zero, read.n, str(source.file), **more)
+            errors = {"standard_deviation": in_bands(w, sd, axis, self.nominal), "sampled_deviation": (sample_nm, sd)}
+        if spectrum.errors is not None:  # unless the scenario states its own
+            errors["mean_error"] = covariance_in_bands(sample_nm, spectrum.errors.covariance(), axis)
+        return SurfaceStatistics(name, axis, mean, zero, spectrum.n, str(source.file), **errors)
 
     def _measured(self, region: str, name: str) -> ClassStatistics:
         names = one_of(self.measured, "a region of a collection in reflectance, or in radiance with an empirical_line")
@@ -320,10 +319,10 @@ class Sources(Keeps):
 
 
 def _components(surface: Surface, stored: Components | None) -> Components | None:
-    """The components that a class asks for, of those that its source has."""
+    """The components of a class, of those of its source."""
     if not isinstance(surface, BackgroundClass) or surface.mixture in (None, 1):
         return None
-    if surface.mixture == "auto":  # one law is an answer too
+    if surface.mixture == "auto":  # which may choose one law
         return stored
     count = "none" if stored is None else len(stored)
     refuse(count != surface.mixture, "surface.mixture", name=surface.name, asked=surface.mixture, there=count)
@@ -343,7 +342,7 @@ def without_gaps(values: Array) -> Array:
 
 
 def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics], axis: SpectralAxis) -> Iterator[str]:
-    """What is to be said of spectra that end before usable bands do: these are left out.
+    """Notes on spectra that do not cover all usable bands: these bands are left out.
 
     One band at each end may lack, and bands within the spectrum that its file marks as unknown.
 
@@ -353,15 +352,15 @@ def uncovered_bands(scenario: Scenario, surfaces: Mapping[str, SurfaceStatistics
     """
     for key in ("classes", "panels", "sites", "targets"):
         for i, surface in enumerate(getattr(scenario.scene, key)):
-            valid, beyond = np.flatnonzero(np.isfinite(surfaces[surface.name].mean)), axis.good.copy()
-            # One band at each end may lack: its centre is covered where its response reaches a little further.
-            beyond[max(valid.min(initial=beyond.size) - 1, 0) : valid.max(initial=-2) + 2] = False
-            if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed" or not beyond.any():
+            valid, uncovered = np.flatnonzero(np.isfinite(surfaces[surface.name].mean)), axis.good.copy()
+            # One band at each end may lack: the spectrum may cover its centre and not its whole response.
+            uncovered[max(valid.min(initial=uncovered.size) - 1, 0) : valid.max(initial=-2) + 2] = False
+            if surface.spectrum.measured is not None or surface.spectrum.gaps == "allowed" or not uncovered.any():
                 continue
-            w = axis.centre_nm[beyond]
+            w = axis.centre_nm[uncovered]
             bands = f"{w.size} usable band{'s' * (w.size > 1)} (first {w[0]:g} nm, last {w[-1]:g} nm)"
-            about = {"at": f"scene.{key}.{i}.spectrum", "low": axis.centre_nm[0], "high": axis.centre_nm[-1]}
-            refuse(w.size > MOST_UNCOVERED * axis.good.sum(), "surface.cover", name=surface.name, bands=bands, **about)
+            facts = {"at": f"scene.{key}.{i}.spectrum", "low": axis.centre_nm[0], "high": axis.centre_nm[-1]}
+            refuse(w.size > MOST_UNCOVERED * axis.good.sum(), "surface.cover", name=surface.name, bands=bands, **facts)
             yield f"the spectrum of {surface.name!r} does not reach {bands}, left out"
 
 
@@ -372,14 +371,14 @@ def with_sensor_blur(scenario: Scenario, sensor: Sensor | None) -> Scenario:
         for k, population in enumerate(target.populations):
             geometry = population.fill.geometry
             if psf and geometry is not None and geometry.psf_fwhm_pixels is None:
-                where = f"subjects.{k}." if target.subjects else ""
-                widths[f"scene.targets.{t}.{where}fill.geometry.psf_fwhm_pixels"] = psf.fwhm
+                prefix = f"subjects.{k}." if target.subjects else ""
+                widths[f"scene.targets.{t}.{prefix}fill.geometry.psf_fwhm_pixels"] = psf.fwhm
     return with_settings(scenario, widths) if widths else scenario
 
 
 @dataclass(frozen=True)
 class Origins:
-    """Where the numbers of a scenario come from, besides what it says itself.
+    """Inputs of a scenario besides its own entries.
 
     Attributes
     ----------
@@ -388,12 +387,12 @@ class Origins:
     resolve : turns a file reference of the scenario into a path; None: relative to the scenario's file, or
         ``data:`` for a registered data set
     cache_dir : of the atmosphere engine
-    engine : stands in for the atmosphere engine
-    emulated_steps : whether steps from the stated atmosphere may be told by the emulator of its engine
-    sensor : stands in for the sensor that the scenario names
-    left_out : (region, its measured statistics without each of the parts of the image that it lies in), of the
-        regions whose law is known from their pixels alone
-    read : spectra of the scenario's files, once they were read
+    engine : in place of the atmosphere engine
+    emulated_steps : whether steps from the stated atmosphere may be computed by the emulator of its engine
+    sensor : in place of the sensor that the scenario names
+    left_out : (region, its measured statistics without each part of the image), of the regions whose law is fitted to
+        their pixels
+    read : cache of spectra of the scenario's files
     """
 
     axis: SpectralAxis | None = None
@@ -412,31 +411,31 @@ class Origins:
 
 
 def state_entries(state: AtmosphericState, changes: Truth) -> dict[str, Any]:
-    """Entries of a state in which some stand at other values, and those that give way to them.
+    """Changes of a state, with the entries that must change along with them.
 
-    A sun that follows from place and time is stated by its angles; sun or sensor that passes the zenith comes down
-    on the other side:
+    A sun computed from place and time is then stated by its angles; sun or sensor beyond the zenith has the opposite
+    azimuth:
 
     >>> from hyperval.scenario import load_scenario
     >>> state_entries(load_scenario("panels").atmosphere, {"view_zenith_deg": -5.0})
     {'view_zenith_deg': 5.0, 'view_azimuth_deg': 180.0}
     """
-    out = dict(changes)
-    if "aot550" in out:
-        out.setdefault("meteorological_range_km", None)
+    entries = dict(changes)
+    if "aot550" in entries:
+        entries.setdefault("meteorological_range_km", None)
     for names in (_SUN, _VIEW):
-        if out.keys() & names:
-            zenith, azimuth = (out.get(name, state_value(state, name)) for name in names)
-            across, most = 180.0 * (zenith < 0.0), MAX_SOLAR_ZENITH_DEG - 0.1
-            out |= dict(zip(names, (min(abs(zenith), most), (azimuth + across) % 360.0), strict=True))
-    if out.keys() & _SUN and state.time_utc is not None:
-        out["earth_sun_distance_au"] = state.distance_au
-        out |= dict.fromkeys(("latitude_deg", "longitude_deg", "time_utc"))
-    return out
+        if entries.keys() & names:
+            zenith, azimuth = (entries.get(name, state_value(state, name)) for name in names)
+            half_turn, limit = 180.0 * (zenith < 0.0), MAX_SOLAR_ZENITH_DEG - 0.1
+            entries |= dict(zip(names, (min(abs(zenith), limit), (azimuth + half_turn) % 360.0), strict=True))
+    if entries.keys() & _SUN and state.time_utc is not None:
+        entries["earth_sun_distance_au"] = state.distance_au
+        entries |= dict.fromkeys(("latitude_deg", "longitude_deg", "time_utc"))
+    return entries
 
 
 def state_value(state: AtmosphericState, name: str) -> float:
-    """The number that a state has for a field, also where it follows from others.
+    """The number that a state has for a field, also where it is derived from others.
 
     Raises
     ------
@@ -449,13 +448,13 @@ def state_value(state: AtmosphericState, name: str) -> float:
 
 
 def plain(value: Any) -> Any:
-    """A value as a model takes it: a whole number where it is one."""
+    """A value as a Python scalar: an int where it is whole."""
     value = value.item() if hasattr(value, "item") else value
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
-    """First of the n rows of each different combination of the columns, and which (n,) of these each row has."""
+    """First of the n rows of each distinct combination of the columns, and the number (n,) of that of each row."""
     which = np.zeros(n, dtype=int)
     for column in columns:
         if which.max(initial=0) + 1 < n:  # else no further column tells more of them apart
@@ -469,11 +468,11 @@ def distinct(columns: Iterable[Values], n: int) -> tuple[Index, Index]:
 @lru_cache(maxsize=32)
 def _terms_in_memory(
     engine: Callable[..., AtmosphericTerms], state: AtmosphericState, centre_nm: bytes, fwhm_nm: bytes,
-    environment: tuple[str | None, ...], cache_dir: Path | None, near: AtmosphericState | None,
+    environment: tuple[str | None, ...], cache_dir: Path | None, base: AtmosphericState | None,
 ) -> AtmosphericTerms:  # fmt: skip
-    """Terms at bands: engines are deterministic, and give the same to the same state, files and bands."""
+    """Terms at bands, cached, as engines are deterministic functions of state, files and bands."""
     axis = SpectralAxis(np.frombuffer(centre_nm), np.frombuffer(fwhm_nm))
-    terms = engine(state, cache_dir=cache_dir, near=near)
+    terms = engine(state, cache_dir=cache_dir, near=base)
     return _noted(terms.at_bands(axis), state)
 
 
@@ -482,15 +481,15 @@ def _noted(terms: AtmosphericTerms, state: AtmosphericState) -> AtmosphericTerms
 
 
 @dataclass(eq=False)
-class Atmosphere(Keeps):
+class Atmosphere(Cached):
     """The atmosphere over a scenario, at its bands: terms of (3.7) in any of its states.
 
     Attributes
     ----------
     nodes : entry -> nodes between which terms are interpolated; empty: a run of the engine for each state
-    star : whether each entry moves alone from its first node, beyond its nodes too, and changes add up; else all
-        combinations are run
-    kept : terms by the entries that differ from the stated state
+    star : each entry moves alone from its first node, beyond its nodes too, and changes add up; else all combinations
+        are run
+    cache : terms by the entries that differ from the stated state
     """
 
     scenario: Scenario
@@ -498,11 +497,11 @@ class Atmosphere(Keeps):
     axis: SpectralAxis
     nodes: Mapping[str, Sequence[float]] = field(default_factory=dict)
     star: bool = False
-    kept: dict[Any, Any] = field(default_factory=dict)
+    cache: dict[Any, Any] = field(default_factory=dict)
     _between: InterpolatedTerms | None = None
 
     def run(self, changes: Truth) -> AtmosphericTerms:
-        """The engine at the bands, where some entries of the state differ; once for each state."""
+        """The engine's terms at the bands with some entries of the state changed; run once for each state."""
         return self.once(repr(sorted(changes.items())), lambda: self._run(changes))
 
     def _run(self, changes: Truth) -> AtmosphericTerms:
@@ -513,9 +512,9 @@ class Atmosphere(Keeps):
             engine = source.engine or partial(atmospheric_terms, resolve=source.find(self.scenario))
             return _noted(engine(state).at_bands(self.axis), state)
         bands = self.axis.centre_nm.tobytes(), self.axis.fwhm_nm.tobytes()
-        near = self.scenario.atmosphere if source.emulated_steps else None
-        how = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, near
-        return _terms_in_memory(atmospheric_terms, state, *bands, *how)
+        base = self.scenario.atmosphere if source.emulated_steps else None
+        options = tuple(map(os.environ.get, _ENVIRONMENT)), source.cache_dir, base
+        return _terms_in_memory(atmospheric_terms, state, *bands, *options)
 
     def prepare(self, states: Sequence[Truth]) -> None:
         """Run the engine, before truths go to other processes: in some states, or at all combinations of the nodes.
@@ -542,7 +541,7 @@ class Atmosphere(Keeps):
     def __call__(self, moved: Mapping[str, Values], size: int) -> AtmosphericTerms:
         """Terms (U or 1, 1, B) where entries (U or 1,) of the state are moved; None leaves one as it is.
 
-        Without an atmosphere reflectance is seen as it is: A = 1, L_a = B = S = 0.
+        Without an atmosphere reflectance is recorded: A = 1, L_a = B = S = 0.
 
         Raises
         ------
@@ -566,9 +565,9 @@ class Atmosphere(Keeps):
         names = [path.partition(".")[2] for path in moved]
         rows = [[v[u if len(v) > 1 else 0] for v in moved.values()] for u in first]
         runs = [self.run({n: plain(v) for n, v in zip(names, row, strict=True) if v is not None}) for row in rows]
-        every: Any = which if len(runs) > 1 else slice(None)
+        index: Any = which if len(runs) > 1 else slice(None)
         spectra = [n for n, v in vars(runs[0]).items() if n not in NOT_AVERAGED and v is not None]
-        return replace(runs[0], **{n: np.stack([getattr(t, n) for t in runs])[:, None, :][every] for n in spectra})
+        return replace(runs[0], **{n: np.stack([getattr(t, n) for t in runs])[:, None, :][index] for n in spectra})
 
 
 def unstated_notes(state: AtmosphericState) -> Iterator[str]:
@@ -588,9 +587,9 @@ def engine_notes(state: AtmosphericState, terms: AtmosphericTerms) -> list[str]:
     notes, sun, w = [], terms.provenance.get("solar_spectrum"), terms.wavelength_nm
     if sun in SPECTRA:
         first, last = source_samples(sun)[0][[0, -1]]
-        if beyond := np.count_nonzero((w < first) | (w > last)):
+        if count := np.count_nonzero((w < first) | (w > last)):
             notes.append(
-                f"the solar spectrum {sun} covers {first:g}-{last:g} nm: in {beyond} of {w.size} bands, beyond it, the "
+                f"the solar spectrum {sun} covers {first:g}-{last:g} nm: in {count} of {w.size} bands, beyond it, the "
                 "sunlight has the shape of astm-g173"
             )
     if sun == "of the table" and "solar_spectrum" in state.model_fields_set:
@@ -628,29 +627,29 @@ class Law(NamedTuple):
 
 
 @dataclass(eq=False)
-class Stated(Keeps):
-    """What a scenario and its files say on its bands: read once, shared by all truths.
+class Stated(Cached):
+    """A scenario and its files on its bands: read once, shared by all truths.
 
     Attributes
     ----------
     scenario : with the sensor's blur where it states none
     sensor : None where it has none
-    axis, true_axis : the bands as they are labelled, and where they truly stand; the same where nothing is shifted
+    axis, true_axis : labelled and true bands; the same without a shift
     noise : (3.13)-(3.20) as stated; None without a sensor
-    surfaces : name -> statistics of every class, panel, site and target, where the bands truly stand
-    signatures : target -> (B,) reflectance that its filter looks for, where the bands are labelled
+    surfaces : name -> statistics of every class, panel, site and target, in the true bands
+    signatures : target -> (B,) reflectance that its filter looks for, in the labelled bands
     surroundings : (B,) their reflectance where the scenario states it; None: the average of the classes
-    notes : what is to be said of the sensor, and of bands that spectra do not reach
-    before, nominal : what the values of paths refer to, where this was read again after the change of some; None: this
-    kept : what follows from it alone, once it was asked for
-    shift_nm, width : by which the true bands were moved and widened beside what the scenario says
-    names : class, surface or target -> names of them all, which the star of a path stands for
+    notes : on the sensor, and on bands that spectra do not cover
+    before, nominal : the scenario that values of paths refer to, where this one was read again; None: this one
+    cache : results derived from it alone
+    shift_nm, width : of the true bands, besides those of the scenario
+    names : class, surface or target -> names of all items that the star of a path may name
     populations : number of the target, number in it, and population of target pixels
     mean : (S, B) mean reflectance of the surfaces
     columns : field of the world -> (1, items) as stated
     of_pixels : (S,) surfaces whose covariance is of pixels of the image, which hold the sensor's noise already
-    laws : what the scores of the classes are distributed as: a class each, or the components of a mixture
-    linear_detectors : whose score is linear in the pixel
+    laws : distributions of the classes: one each, or the components of a mixture
+    linear_detectors : detectors with a score linear in the pixel
     """
 
     scenario: Scenario
@@ -665,7 +664,7 @@ class Stated(Keeps):
     atmosphere: Atmosphere
     notes: Sequence[str] = ()
     before: Stated | None = None
-    kept: dict[Any, Any] = field(default_factory=dict)
+    cache: dict[Any, Any] = field(default_factory=dict)
     shift_nm: float | Array = 0.0
     width: float = 1.0
 
@@ -675,9 +674,9 @@ class Stated(Keeps):
         self.classes = [c.name for c in scene.classes]
         self.names = {"class": self.classes, "surface": list(self.surfaces), "target": [t.name for t in scene.targets]}
         self.mean = np.array([s.mean for s in self.surfaces.values()])
-        every = *scene.classes, *scene.panels, *scene.sites, *scene.targets
-        self.of_pixels = np.array([_region_of(s) is not None for s in every], dtype=bool)
-        of: dict[str, list[float]] = {
+        listed = *scene.classes, *scene.panels, *scene.sites, *scene.targets
+        self.of_pixels = np.array([_region_of(s) is not None for s in listed], dtype=bool)
+        columns: dict[str, list[float]] = {
             "fraction": [c.fraction for c in scene.classes],
             "class_gain": [c.gain for c in scene.classes],
             "tail": [class_tail(c, self.surfaces[c.name]) for c in scene.classes],
@@ -688,7 +687,7 @@ class Stated(Keeps):
             "spread": [1.0] * len(self.surfaces),
             "fine_texture": [0.0] * len(self.surfaces),
         }
-        self.columns = {name: np.array([values], dtype=float) for name, values in of.items()}
+        self.columns = {name: np.array([values], dtype=float) for name, values in columns.items()}
         self.laws = [law for m, c in enumerate(scene.classes) for law in _laws(m, c, self.surfaces[c.name])]
         self.populations: list[tuple[int, int, TargetSubject]] = [
             (t, k, p) for t, target in enumerate(scene.targets) for k, p in enumerate(target.populations)
@@ -696,29 +695,29 @@ class Stated(Keeps):
         self.linear_detectors, self.is_of_space = self.scenario.processing.linear_detectors, self.scenario.is_of_space
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "kept": {}}
+        return {**vars(self), "cache": {}}
 
 
 def _region_of(surface: Surface) -> str | None:
-    """The region of the collection that a surface has its law from."""
+    """The region of the collection that the covariance of a surface is measured on."""
     return surface.spectrum.measured if surface.covariance is None else surface.covariance.measured
 
 
 def class_tail(c: BackgroundClass, surface: SurfaceStatistics) -> float:
     """Degrees of freedom of a class; infinity: Gaussian.
 
-    A tail that was fitted to a region of the collection counts where the class says ``tail_dof: measured``.  It is of
-    the pixels that the covariance is of; where that is a stated one, or of field spectra, of those of the mean.
+    A tail fitted to a region of the collection is used where the class has ``tail_dof: measured``.  It is that of the
+    pixels of the covariance; where that is stated, or of field spectra, of the pixels of the mean.
     """
     source = c.covariance
-    of = source if source is not None and (source.measured or source.library or source.builtin) else c.spectrum
-    if c.tail_dof is None and of.measured is not None:
+    tail_source = source if source is not None and (source.measured or source.library or source.builtin) else c.spectrum
+    if c.tail_dof is None and tail_source.measured is not None:
         return np.inf
     return (c.tail_dof if isinstance(c.tail_dof, float) else surface.tail_dof) or np.inf
 
 
 def unmeasured_tails(classes: Iterable[BackgroundClass], surfaces: Mapping[str, SurfaceStatistics]) -> Iterator[str]:
-    """What is to be said of classes with tails as measured, of which nothing was measured.
+    """Warnings of classes with tails as measured, without a measurement.
 
     >>> from hyperval.api import load_scenario, predict
     >>> plain = load_scenario("yellow-planks-asphalt")
@@ -728,12 +727,12 @@ def unmeasured_tails(classes: Iterable[BackgroundClass], surfaces: Mapping[str, 
     for c in classes:
         is_known = _region_of(c) is not None or surfaces[c.name].tail_dof is not None or surfaces[c.name].components
         if c.tail_dof == "measured" and not is_known:
-            of = "whose spectrum and covariance are of no region of an image"
-            yield f"warning: tail_dof: measured of {c.name!r}, {of}: it is normal"
+            reason = "whose spectrum and covariance are of no region of an image"
+            yield f"warning: tail_dof: measured of {c.name!r}, {reason}: it is normal"
 
 
 def _laws(number: int, c: BackgroundClass, surface: SurfaceStatistics) -> list[Law]:
-    """What the pixels of a class are distributed as."""
+    """The distribution of a class's pixels: one law, or the components of a mixture."""
     parts = surface.components
     if parts is None:
         scale = surface.tail_scale if c.tail_dof == "measured" else 1.0
@@ -747,7 +746,7 @@ def read_files(
     scenario: Scenario, source: Origins, shift_nm: float | Array = 0.0, width: float = 1.0,
     nodes: Mapping[str, Sequence[float]] | None = None, star: bool = False,
 ) -> Stated:  # fmt: skip
-    """What a scenario and all its files say (3.7-3.20).
+    """Read a scenario and all its files (3.7-3.20).
 
     Parameters
     ----------
@@ -762,11 +761,11 @@ def read_files(
     sensor = source.sensor or (sensor_named(scenario.sensor, find) if scenario.sensor else None)
     axes = [source.axis, sensor.axis if sensor else None, *(s.axis for s in measured.values())]
     axis = needed(next((a for a in axes if a is not None), None), "scenario.bands")
-    true, noise, kept = axis, None, dict[Any, Any]()
+    true, noise, cache = axis, None, dict[Any, Any]()
     count = operation.spectral_binning if operation else 1
     refuse(count > 1 and source.axis is not None, "scenario.binned")
     if sensor is not None:
-        noise = sensor.operated_noise(axis, operation, scenario.sensor_changes, kept)
+        noise = sensor.operated_noise(axis, operation, scenario.sensor_changes, cache)
         true = sensor.true_axis(axis, operation)
         if count > 1:
             refuse(count > len(axis), "scenario.bins", count=count, bands=len(axis))
@@ -779,10 +778,10 @@ def read_files(
     surfaces = {s.name: sources.surface(s) for s in (*scene.classes, *scene.panels, *scene.sites, *scene.targets)}
     notes += uncovered_bands(scenario, surfaces, true)
     notes += unmeasured_tails(scene.classes, surfaces)
-    labelled, around = replace(sources, axis=axis, nominal=None), scene.adjacency.spectrum
+    labelled, neighbourhood = replace(sources, axis=axis, nominal=None), scene.adjacency.spectrum
     signatures = {t.name: labelled.spectrum(t.filter_spectrum or t.spectrum, t.name).mean for t in scene.targets}
-    surroundings = None if around is None else without_gaps(sources.spectrum(around, "surroundings").mean)
+    surroundings = None if neighbourhood is None else without_gaps(sources.spectrum(neighbourhood, "surroundings").mean)
     return Stated(
         scenario, source, sensor, axis, true, noise, surfaces, signatures, surroundings,
-        Atmosphere(scenario, source, true, nodes or {}, star), notes, kept=kept, shift_nm=shift_nm, width=width,
+        Atmosphere(scenario, source, true, nodes or {}, star), notes, cache=cache, shift_nm=shift_nm, width=width,
     )  # fmt: skip

@@ -1,11 +1,10 @@
-"""U truths of one scenario as arrays, and the one table of what can be moved in them.
+"""U truths of one scenario as arrays, and the one table of quantities that can be perturbed in them.
 
 :func:`read_world` makes the world that a scenario states (U = 1); :func:`with_values` is the only way anything in it is
-moved.  The scenario is what is believed: filters look for the spectra it names, products are labelled by its bands.
-What is moved is what is there to be seen.
+moved.  Filters and labels stay those of the stated scenario; moved values are the truth that the sensor observes.
 
-An array has U rows, or one where all truths share it, so that what nothing moves is computed once.  What several paths
-move (:data:`PATHS`) composes: factors multiply, what is added adds up.
+An array has U rows, or one where all truths share it, so that unperturbed quantities are computed once.  Perturbations
+by several paths (:data:`PATHS`) compose: factors multiply, addends add up.
 """
 
 from __future__ import annotations
@@ -45,13 +44,13 @@ class Path(NamedTuple):
     Attributes
     ----------
     field : array of the world; empty: an entry of the scenario's file, after whose change it is read again
-    of : what its star names: class, target or surface
+    of : kind of item that its star names: class, target or surface
     shape : of a value: a number, or a spectrum or list of numbers (vector)
-    low, high : between which it can be
-    name, stated : what it is called, and the entry of a scenario's ``uncertainty`` that says how far it may be off
-    neutral : what stands there where nothing is moved, of a factor 1, of what is added 0; None: what the scenario says
-    item, populations : of a scenario, what its star names, by number; and of fills the populations that it moves, by
-        number, with the part of its values that is of each
+    low, high : limits of a value
+    name, stated : its name, and the entry of a scenario's ``uncertainty`` that states its standard uncertainty
+    neutral : value without perturbation, 1 of a factor, 0 of an addend; None: the scenario's value
+    item, populations : in a scenario, number of the item that the star names; and of fills the populations that it
+        moves, by number, each with its slice of the values
 
     Limits that the state of the atmosphere has are the same here:
 
@@ -79,17 +78,17 @@ SHIFT, WIDTH = "sensor.wavelength_shift_nm", "sensor.band_width"
 # One number for all bands, or one for each, as it is where nothing is moved.
 NEUTRAL = {entry.field: float(entry.neutral) for entry in PATHS.values() if entry.neutral is not None}
 NOT_WITHOUT_LIGHT = ("light.*", "sensor.noise", "sensor.electrons", "sensor.fixed_noise", "atmosphere.*")
-_OF_SENSOR = ("sensor_operation", "sensor_changes")
-# What leaves light, sensor and classes alone, and with them the filters.
-_OF_TARGETS = ("tail", "fill", "fill entry", "blur", "target_gain", "beam", "sky_view", "fine_texture")
+_SENSOR_KEYS = ("sensor_operation", "sensor_changes")
+# Fields that do not change light, sensor and classes, nor the filters made of them.
+_TARGET_FIELDS = ("tail", "fill", "fill entry", "blur", "target_gain", "beam", "sky_view", "fine_texture")
 
 
 def fits(pattern: str, path: str) -> bool:
     """Whether a path is of a pattern of :data:`PATHS`."""
-    of, parts = pattern.split("."), path_parts(path)
-    if of[-1] == "**":
-        of, parts = of[:-1], parts[: len(of) - 1]
-    return len(of) == len(parts) and all(a in ("*", b) for a, b in zip(of, parts, strict=True))
+    names, parts = pattern.split("."), path_parts(path)
+    if names[-1] == "**":
+        names, parts = names[:-1], parts[: len(names) - 1]
+    return len(names) == len(parts) and all(a in ("*", b) for a, b in zip(names, parts, strict=True))
 
 
 def in_file(path: str) -> bool:
@@ -109,16 +108,16 @@ def column_of(values: Sequence[Any]) -> Values:
 
 
 def _numbers(values: Values) -> Array:
-    """A column of numbers, NaN where an entry is as stated."""
+    """A column of numbers, NaN for entries as stated."""
     return np.array([np.nan if v is None else v for v in values], dtype=float)
 
 
 def find(stated: Stated, path: str) -> Path:
-    """Where a path of a scenario leads, to which of its items.
+    """The field that a path of a scenario moves, and the number of its item.
 
     Raises
     ------
-    UsageError : to something that the scenario does not have.
+    UsageError : a quantity that the scenario does not have.
 
     Examples
     --------
@@ -129,29 +128,29 @@ def find(stated: Stated, path: str) -> Path:
     Traceback (most recent call last):
     hyperval.errors.UsageError: sensor.fixed_noise: the scenario has no atmosphere
     """
-    return stated.once(("path", path), lambda: _found(stated, path))
+    return stated.once(("path", path), lambda: _path_entry(stated, path))
 
 
-def _found(stated: Stated, path: str) -> Path:
+def _path_entry(stated: Stated, path: str) -> Path:
     pattern = next(p for p in PATHS if fits(p, path))
     entry, parts, scenario = PATHS[pattern], path_parts(path), stated.scenario
-    again = PATHS["**"]
+    reread = PATHS["**"]
     if scenario.atmosphere is None:
         refuse(any(fits(p, path) for p in NOT_WITHOUT_LIGHT[:-1]), "path.light", path=path)
         if entry.field in ("atmosphere", "sensor"):
-            return again
+            return reread
     refuse(entry.field in ("dark", "bright") and not isinstance(scenario.processing.elm, ElmPanels), "path.panels")
     if entry.field == "atmosphere":
         nodes = stated.atmosphere.nodes
-        return again if parts[1] in ("engine", "table") or (nodes and parts[1] not in nodes) else entry
+        return reread if parts[1] in ("engine", "table") or (nodes and parts[1] not in nodes) else entry
     if entry.field == "fill entry":
         number = item_number(stated.names["target"], parts[2], path)
         subjects = [s.name for s in stated.targets[number].subjects]
         if (parts[3] == "subjects") != bool(subjects):
-            return again  # and refused there
-        within = item_number(subjects, parts[4], path) if subjects else 0
-        number_of = next(i for i, (t, k, _) in enumerate(stated.populations) if (t, k) == (number, within))
-        return entry._replace(populations={number_of: slice(None)})
+            return reread  # and refused there
+        subject = item_number(subjects, parts[4], path) if subjects else 0
+        population_number = next(i for i, (t, k, _) in enumerate(stated.populations) if (t, k) == (number, subject))
+        return entry._replace(populations={population_number: slice(None)})
     if entry.field in ("fill", "blur"):
         moves = _moved_fills(stated, entry.field, parts[1] if len(parts) > 1 else None)
         refuse(not moves, "path.fill" if entry.field == "fill" else "path.blur", path=path)
@@ -167,28 +166,28 @@ def _found(stated: Stated, path: str) -> Path:
 
 
 def _moved_fills(stated: Stated, field: str, name: str | None) -> dict[int, slice]:
-    """Populations with a fill of some name or any, or those whose fill is blurred, and their part of the values."""
-    out, end = {}, 0
+    """Populations of some name or all, or those with a blur, each with its slice of the values."""
+    slices, end = {}, 0
     for i, (t, _, p) in enumerate(stated.populations):
         if field == "fill":
             size = int(name in (None, p.name, stated.targets[t].name))
         else:
             size = np.size(p.fill.geometry.psf_fwhm_pixels or 0.0) if p.fill.geometry else 0
         if size:
-            out[i], end = slice(end, end + size), end + size
-    return out
+            slices[i], end = slice(end, end + size), end + size
+    return slices
 
 
 def value_at(world: World, path: str) -> Any:
-    """What stands at a path: (U or 1, ...), or of one truth as stated.
+    """The value at a path: (U or 1, ...), or of one truth as stated.
 
     Raises
     ------
-    UsageError : it leads nowhere, or to something that the scenario does not state.
+    UsageError : no such path, or a quantity that the scenario does not state.
 
     Examples
     --------
-    What was read again with bands elsewhere has them there: an uncertainty of the shift is about that.
+    A scenario that was read again with shifted bands has that shift as its value:
 
     >>> from hyperval.scenario import load_scenario
     >>> ((_, elsewhere),) = settled(with_values(read_world(load_scenario("panels")), {SHIFT: np.array([[2.0]])}))
@@ -222,56 +221,56 @@ def value_at(world: World, path: str) -> Any:
     try:
         return column_of([setting(stated.scenario, path)])
     except UsageError as error:
-        near = nearest(path, every_path(world))
-        if error.mend or not near:
+        suggestions = nearest(path, every_path(world))
+        if error.mend or not suggestions:
             raise
-        mend = f"did you mean {near[0]}?"
+        mend = f"did you mean {suggestions[0]}?"
         raise UsageError(error.what, where=error.where, expected=error.expected, mend=mend) from error
 
 
 def check_numbers(world: World, truth: Truth) -> None:
-    """Refuse what is beyond the limits of a path of the model, or is neither a number nor a list of as many as it has.
+    """Refuse values beyond the limits of a path of the model, and lists of another length than it has.
 
     Raises
     ------
     UsageError : the path, what was given, and what was expected.
     """
-    for path, given in truth.items():
-        entry, is_zenith = find(world.stated, path), path.endswith("_zenith_deg")  # which is taken beyond the zenith
-        of_column = isinstance(given, Real) and entry.field and not path.startswith("atmosphere.")
+    for path, raw in truth.items():
+        entry, is_zenith = find(world.stated, path), path.endswith("_zenith_deg")  # which may pass the zenith
+        of_column = isinstance(raw, Real) and entry.field and not path.startswith("atmosphere.")
         if in_file(path) and not is_zenith and not of_column:  # the file's own rules hold
             continue
-        value = np.asarray(column_of(given) if isinstance(given, list | tuple) else given)
+        value = np.asarray(column_of(raw) if isinstance(raw, list | tuple) else raw)
         counts = {1, *((np.size(value_at(world, path)), len(world.stated.axis)) if entry.shape == "vector" else ())}
         is_number = value.dtype.kind in "fiu" and value.ndim <= (entry.shape == "vector") and value.size in counts
-        is_taken = is_number and np.all((entry.low <= value) & (value <= entry.high))
+        is_valid = is_number and np.all((entry.low <= value) & (value <= entry.high))
         ends = {"above" if entry.low > float(f"{entry.low:g}") else "from": entry.low, "to": entry.high}
         words = [f" {word} {end:g}" for word, end in ends.items() if np.isfinite(end)]
         words += [f", or a list of {count}" for count in sorted(counts - {1})]
-        refuse(not is_taken, "study.limits", path=path, given=f"{given!r:.80}", words="".join(words))
+        refuse(not is_valid, "study.limits", path=path, given=f"{raw!r:.80}", words="".join(words))
 
 
 def every_path(world: World) -> list[str]:
-    """Every path of a scenario that leads to a number, or to numbers over wavelength: what can be moved."""
+    """Every path of a scenario to a number, or to numbers over wavelength."""
     stated = world.stated
     fills = [n for t in stated.targets for n in (t.name, *(p.name for p in t.populations))]
     names = {**stated.names, "fill": list(dict.fromkeys(fills))}
-    out = []
+    paths = []
     for pattern, entry in PATHS.items():
-        of_file = pattern.startswith(("scene.", "sensor_")) or pattern in ("atmosphere.*", "**")
-        dark = pattern.startswith("atmosphere.") and stated.scenario.atmosphere is None
-        if of_file or dark:
+        file_entry = pattern.startswith(("scene.", "sensor_")) or pattern in ("atmosphere.*", "**")
+        unlit = pattern.startswith("atmosphere.") and stated.scenario.atmosphere is None
+        if file_entry or unlit:
             continue
         for name in names[entry.of or "fill"] if "*" in pattern else [""]:
             path = pattern.replace("*", f"[{name}]")
             with suppress(UsageError):  # not in this scenario
                 value_at(world, path)
-                out.append(path)
-    return list(dict.fromkeys([*out, *numbers_of(stated.scenario)]))
+                paths.append(path)
+    return list(dict.fromkeys([*paths, *numbers_of(stated.scenario)]))
 
 
 Populations = tuple[tuple[str, TargetSubject], ...]  # each with the name of its target
-_OF_FILLS = ("fill_models", "populations")
+_FILL_PROPERTIES = ("fill_models", "populations")
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,7 +279,7 @@ class World:
 
     Attributes
     ----------
-    moved : path -> values (U or 1, ...) of all that was moved; what follows from them is made when it is asked for
+    moved : path -> values (U or 1, ...) of all perturbations; derived arrays are computed when they are used
     size : U
     """
 
@@ -289,7 +288,7 @@ class World:
     size: int = 1
 
     def made(self) -> World:
-        """Itself, with what follows from all that was moved; what contradicts itself is refused.
+        """Itself, with all derived arrays computed, so that contradictions are refused.
 
         A thousand fixed fills of a study are a column, not a thousand entries of the file that are checked:
 
@@ -300,7 +299,7 @@ class World:
         False
         """
         for name, part in [*vars(World).items()]:  # which pickling adds to
-            if isinstance(part, cached_property) and name not in _OF_FILLS:  # which fixed fills do not need
+            if isinstance(part, cached_property) and name not in _FILL_PROPERTIES:  # which fixed fills do not need
                 getattr(self, name)
         return self
 
@@ -313,49 +312,49 @@ class World:
         return World(self.stated, {p: v[index] if len(v) > 1 else v for p, v in self.moved.items()}, index.size)
 
     def fields(self, *names: str) -> Iterable[tuple[str, int, Values]]:
-        """Path, number of the item and values of what was moved of some fields, in the order in which it was."""
+        """Path, number of the item and values of perturbations of some fields, in their order."""
         for path, values in self.moved.items():
             entry = find(self.stated, path)
             if entry.field in names:
                 yield path, entry.item, values
 
     def distinct(self, targets: Sequence[str] = ()) -> tuple[Index, Index]:
-        """First of all truths with other light, sensor and classes, and which (U,) of these each truth has.
+        """First truth of each distinct light, sensor and classes, and the number (U,) of the group of each truth.
 
-        ``targets`` : surfaces of targets that are told apart too, with the light on them
+        ``targets`` : surfaces of targets that must be the same in a group too, with the light on them
         """
-        alone = ("tail", "fill", "fill entry", "blur", "target_gain") if targets else _OF_TARGETS
-        others = set(self.stated.names["target"]) - set(targets) - set(self.stated.classes)
+        excluded = ("tail", "fill", "fill entry", "blur", "target_gain") if targets else _TARGET_FIELDS
+        other_surfaces = set(self.stated.names["target"]) - set(targets) - set(self.stated.classes)
         columns = []
         for path, values in self.moved.items():
             entry = find(self.stated, path)
-            of_other = entry.of == "surface" and self.stated.names["surface"][entry.item] in others
-            if len(values) > 1 and entry.field not in alone and not of_other:
+            of_other = entry.of == "surface" and self.stated.names["surface"][entry.item] in other_surfaces
+            if len(values) > 1 and entry.field not in excluded and not of_other:
                 columns.append(values)
         return distinct(columns, self.size)
 
     def column(self, name: str, stated: Array | None = None) -> Array:
-        """(U or 1, items) of a field, or (U or 1, B or 1) where it is one for all items.
+        """(U or 1, items) of a field, or (U or 1, B or 1) of one common to all items.
 
-        ``stated`` (1, items) : what stands where nothing is moved; None: what the scenario says
+        ``stated`` (1, items) : unperturbed values; None: the scenario's
         """
         if name in NEUTRAL:
-            out = np.array([[NEUTRAL[name]]])
+            column = np.array([[NEUTRAL[name]]])
             for _, _, values in self.fields(name):
-                new = values if values.ndim > 1 else values[:, None]
-                out = out * new if NEUTRAL[name] else out + new
-            return out
-        out = self.stated.columns[name] if stated is None else stated
+                moved = values if values.ndim > 1 else values[:, None]
+                column = column * moved if NEUTRAL[name] else column + moved
+            return column
+        column = self.stated.columns[name] if stated is None else stated
         for _, item, values in self.fields(name):
-            new = _numbers(values)
-            new = np.where(np.isnan(new), out[:, item], new)
-            out = np.array(np.broadcast_to(out, (max(len(out), len(new)), out.shape[1])))
-            out[:, item] = new
-        return out
+            moved = _numbers(values)
+            moved = np.where(np.isnan(moved), column[:, item], moved)
+            column = np.array(np.broadcast_to(column, (max(len(column), len(moved)), column.shape[1])))
+            column[:, item] = moved
+        return column
 
     @cached_property
     def fraction(self) -> Array:
-        """(U or 1, M) f_m; where some are moved by their share, the others give way in proportion.
+        """(U or 1, M) f_m; where some are moved by their share, the others are scaled to a sum of 1.
 
         Raises
         ------
@@ -365,12 +364,12 @@ class World:
         named = np.clip(self.column("share", np.full((1, stated.shape[1]), np.nan)), 0.0, 1.0)  # NaN: gives way
         moved = np.isfinite(named)
         if moved.any():
-            rest, total = np.where(moved, 0.0, stated).sum(axis=1), np.nansum(named, axis=1)
-            gives_way = (rest > 0.0) & (total < 1.0)
-            scale = np.where(gives_way, (1.0 - total) / np.where(rest > 0.0, rest, 1.0), 1.0)
-            out = np.where(moved, named, stated * scale[:, None])
-            refuse(np.any(out.sum(axis=1) <= 0.0), "path.area")
-            return np.asarray(np.where(moved.any(axis=1, keepdims=True), out / out.sum(axis=1, keepdims=True), stated))
+            unmoved, total = np.where(moved, 0.0, stated).sum(axis=1), np.nansum(named, axis=1)
+            gives_way = (unmoved > 0.0) & (total < 1.0)
+            scale = np.where(gives_way, (1.0 - total) / np.where(unmoved > 0.0, unmoved, 1.0), 1.0)
+            f = np.where(moved, named, stated * scale[:, None])
+            refuse(np.any(f.sum(axis=1) <= 0.0), "path.area")
+            return np.asarray(np.where(moved.any(axis=1, keepdims=True), f / f.sum(axis=1, keepdims=True), stated))
         total = stated.sum(axis=1)
         wrong = np.any(np.abs(total - 1.0) > 1e-6) or np.any(stated < 0.0)
         refuse(wrong, "path.partition", low=total.min(), high=total.max())
@@ -378,7 +377,7 @@ class World:
 
     @cached_property
     def law_fraction(self) -> Array:
-        """(U or 1, J) area fractions of the laws that the classes are made of (3.33)."""
+        """(U or 1, J) area fractions of the laws of the classes (3.33)."""
         laws = self.stated.laws
         return np.asarray(self.fraction[:, [law.owner for law in laws]] * [law.weight for law in laws])
 
@@ -399,7 +398,7 @@ class World:
 
     @cached_property
     def _recorded(self) -> tuple[Array, Array]:
-        """(U or 1, S, B or 1) gain and offset on the reflectance of surfaces, where it is what is recorded."""
+        """(U or 1, S, B or 1) gain and offset on the reflectance of surfaces, where reflectance itself is recorded."""
         scenario, scene = self.stated.scenario, self.stated.scenario.scene
         named = (*scene.classes, *scene.panels, *scene.sites, *scene.targets)
         free = np.array([scenario.atmosphere is None and s.spectrum.measured is None for s in named])[None, :, None]
@@ -409,12 +408,12 @@ class World:
     @cached_property
     def mean(self) -> Array:
         """(U or 1, S, B) mean reflectance of the surfaces."""
-        out, before = self.stated.mean[None], self.stated.nominal.mean
+        mean, nominal = self.stated.mean[None], self.stated.nominal.mean
         for _, item, values in self.fields("mean"):
-            out = np.array(np.broadcast_to(out, (max(len(out), len(values)), *out.shape[1:])))
-            out[:, item] += values.reshape(len(values), -1) - np.nan_to_num(before[item])
+            mean = np.array(np.broadcast_to(mean, (max(len(mean), len(values)), *mean.shape[1:])))
+            mean[:, item] += values.reshape(len(values), -1) - np.nan_to_num(nominal[item])
         gain, offset = self._recorded
-        return out if np.all(gain == 1.0) and not np.any(offset) else gain * out + offset
+        return mean if np.all(gain == 1.0) and not np.any(offset) else gain * mean + offset
 
     @cached_property
     def surroundings(self) -> tuple[AtmosphericTerms, Array]:
@@ -425,7 +424,7 @@ class World:
 
     @cached_property
     def stretch(self) -> Array:
-        """(U or 1, S, B or 1) factor on the departures of the surfaces from their means."""
+        """(U or 1, S, B or 1) factor on the pixel-to-pixel spread of the surfaces."""
         return np.asarray(self.column("spread")[:, :, None] * self._recorded[0])
 
     def surface(self, name: str) -> int:
@@ -440,50 +439,50 @@ class World:
 
     @cached_property
     def sensor_noise(self) -> tuple[list[NoiseModel], Index]:
-        """The different noise models (3.13)-(3.20), none without a sensor, and which (U,) of them each truth has."""
+        """The distinct noise models (3.13)-(3.20), none without a sensor, and the number (U,) of that of each truth."""
         stated = self.stated
         if stated.noise is None or stated.scenario.atmosphere is None:
             return [], np.zeros(self.size, int)
         columns = {p: np.broadcast_to(v, (self.size,)) for p, _, v in self.fields("sensor")}
         first, which = distinct(columns.values(), self.size)
-        each = [{p: plain(v[u]) for p, v in columns.items() if v[u] is not None} for u in first]
-        return [_noise(stated, moved) if moved else stated.noise for moved in each], which
+        changes = [{p: plain(v[u]) for p, v in columns.items() if v[u] is not None} for u in first]
+        return [_noise(stated, moved) if moved else stated.noise for moved in changes], which
 
     @cached_property
     def of_light(self) -> tuple[World, Index]:
-        """The truths with other light, sensor and classes, and which (U,) of these each truth has."""
+        """The truths of distinct light, sensor and classes, and the number (U,) of that of each truth."""
         first, which = self.distinct()
         return self.rows(first), which
 
     # ---- fills ---------------------------------------------------------------------------------------------
 
     def of_fill(self, number: int) -> dict[str, Values]:
-        """Path -> values of what moves the fill of a population."""
+        """Path -> values of the perturbations of the fill of a population."""
         return {p: v for p, v in self.moved.items() if number in find(self.stated, p).populations}
 
     @cached_property
     def fill_models(self) -> list[tuple[list[Fill], Index]]:
-        """Of each population its different fills, and which (U,) of them each truth has."""
-        out = []
+        """For each population its distinct fills, and the number (U,) of that of each truth."""
+        fill_models = []
         for n, moved in enumerate(map(self.of_fill, range(len(self.stated.populations)))):
             first, which = distinct((np.broadcast_to(v, (self.size, *v.shape[1:])) for v in moved.values()), self.size)
-            each = ({p: v[u if len(v) > 1 else 0] for p, v in moved.items()} for u in first)
-            out.append(([self._fill(n, one) for one in each], which))
-        return out
+            changes = ({p: v[u if len(v) > 1 else 0] for p, v in moved.items()} for u in first)
+            fill_models.append(([self._fill(n, change) for change in changes], which))
+        return fill_models
 
     def _fill(self, number: int, moved: Truth) -> Fill:
-        """The fill of a population where what moves it in one truth stands at its paths."""
-        fill, before = (s.populations[number][2].fill for s in (self.stated, self.stated.nominal))
+        """The fill of a population with the perturbations of one truth."""
+        fill, nominal_fill = (s.populations[number][2].fill for s in (self.stated, self.stated.nominal))
         entries, change = {}, 0.0
         for path, value in moved.items():
-            found, parts, each = find(self.stated, path), path_parts(path), np.atleast_1d(value)
-            if found.field == "fill entry":
+            entry, parts, numbers = find(self.stated, path), path_parts(path), np.atleast_1d(value)
+            if entry.field == "fill entry":
                 if value is not None:
                     entries[".".join(parts[6 if parts[3] == "subjects" else 4 :])] = plain(value)
                 continue
-            widths = (each[found.populations[number]] if each.size > 1 else each).tolist()
-            if found.field == "fill":
-                change += widths[0] - fill_distribution(before).mean
+            widths = (numbers[entry.populations[number]] if numbers.size > 1 else numbers).tolist()
+            if entry.field == "fill":
+                change += widths[0] - fill_distribution(nominal_fill).mean
             else:
                 entries["geometry.psf_fwhm_pixels"] = widths[0] if len(widths) == 1 else widths
         of_entries = with_settings(fill, entries) if entries else fill
@@ -491,17 +490,17 @@ class World:
 
     @cached_property
     def populations(self) -> tuple[list[Populations], Index]:
-        """The different populations of target pixels with their fills, each with the name of its target, and which
-        (U,) of these each truth has.
+        """The distinct populations of target pixels with their fills, each with the name of its target, and the number
+        (U,) of those of each truth.
         """
         first, which = distinct([which for _, which in self.fill_models], self.size)
         named = [(self.stated.targets[t].name, p) for t, _, p in self.stated.populations]
 
-        def at(u: int) -> Populations:
-            fills = (models[of[u]] for models, of in self.fill_models)
+        def truth_populations(u: int) -> Populations:
+            fills = (models[index[u]] for models, index in self.fill_models)
             return tuple((t, p.model_copy(update={"fill": f})) for (t, p), f in zip(named, fills, strict=True))
 
-        return [at(u) for u in first.tolist()], which
+        return [truth_populations(u) for u in first.tolist()], which
 
     @cached_property
     def pixel_fills(self) -> list[FillDistribution]:
@@ -530,13 +529,13 @@ class World:
 
 
 def _noise(stated: Stated, moved: Truth) -> NoiseModel:
-    """The noise with other numbers of the sensor or of how it is run."""
+    """The noise with other numbers of the sensor or of its operation."""
     scenario, sensor = stated.scenario, stated.sensor
     run, changes = scenario.sensor_operation or SensorOperation(), scenario.sensor_changes or SensorChanges()
-    entries = {room: {p[len(room) + 1 :]: v for p, v in moved.items() if p.startswith(room)} for room in _OF_SENSOR}
-    run, changes = with_settings(run, entries[_OF_SENSOR[0]]), with_settings(changes, entries[_OF_SENSOR[1]])
+    entries = {room: {p[len(room) + 1 :]: v for p, v in moved.items() if p.startswith(room)} for room in _SENSOR_KEYS}
+    run, changes = with_settings(run, entries[_SENSOR_KEYS[0]]), with_settings(changes, entries[_SENSOR_KEYS[1]])
     assert sensor is not None  # noqa: S101 - asked for where there is noise
-    return sensor.operated_noise(stated.axis if run.spectral_binning == 1 else None, run, changes, stated.kept)
+    return sensor.operated_noise(stated.axis if run.spectral_binning == 1 else None, run, changes, stated.cache)
 
 
 def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
@@ -549,12 +548,12 @@ def with_values(world: World, values: Mapping[str, npt.ArrayLike]) -> World:
 
     Raises
     ------
-    UsageError : a path that leads nowhere, or numbers of truths that differ.
+    UsageError : no such path, or different numbers of truths.
     """
     moved = dict(world.moved)
     for path, entry in values.items():
         find(world.stated, path)
-        moved.pop(path, None)  # what is moved last stands last
+        moved.pop(path, None)  # the latest perturbation comes last
         value = np.asarray(entry) if not isinstance(entry, list) else column_of(entry)
         moved[path] = value.astype(float) if value.dtype.kind in "iu" else value
     sizes = {len(v) for v in moved.values()} - {1}
@@ -567,17 +566,17 @@ def with_truths(world: World, truths: Sequence[Truth]) -> World:
     values: dict[str, Values] = {}
     for path in dict.fromkeys(p for truth in truths for p in truth):
         if find(world.stated, path).shape == "number":
-            here = world.moved[path][0] if path in world.moved else None  # as stated
-            each = [truth.get(path, here) for truth in truths]
-            values[path] = column_of([v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in each])
+            nominal = world.moved[path][0] if path in world.moved else None  # as stated
+            entries = [truth.get(path, nominal) for truth in truths]
+            values[path] = column_of([v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in entries])
         else:
-            here = value_at(world, path)[0]
-            spectra = (np.asarray(truth.get(path, here), dtype=float) for truth in truths)
+            nominal = value_at(world, path)[0]
+            spectra = (np.asarray(truth.get(path, nominal), dtype=float) for truth in truths)
             values[path] = np.array(np.broadcast_arrays(*spectra))
     return replace(with_values(world, values), size=len(truths))
 
 
-_AGAIN = 16  # of the latest scenarios that were read again
+_REREAD_SCENARIOS = 16  # most scenarios read again that are cached
 
 
 def reads_again(stated: Stated, path: str, values: Values | None = None) -> bool:
@@ -591,39 +590,39 @@ def reads_again(stated: Stated, path: str, values: Values | None = None) -> bool
 
 
 def settled(world: World) -> list[tuple[Index, World]]:
-    """Truths that share what is read, and the number of pixels of objects: what is read again is so for each value."""
+    """Groups of truths that share the files read, and the number of pixels of objects."""
     stated = world.stated
-    again = {
+    reread = {
         p: np.broadcast_to(v, (world.size, *v.shape[1:])) for p, v in world.moved.items() if reads_again(stated, p, v)
     }
     geometric = [i for i, (*_, p) in enumerate(stated.populations) if p.fill.geometry is not None]
     fills = [world.fill_models[number] for number in geometric if world.of_fill(number)]
     sizes = [np.array([pixels_of_object(fill) for fill in models])[which] for models, which in fills]
-    if not again and not sizes:
+    if not reread and not sizes:
         return [(np.arange(world.size), world.made())]
-    first, which = distinct([*again.values(), *sizes], world.size)
-    rest, out = World(stated, {p: v for p, v in world.moved.items() if p not in again}, world.size), []
+    first, which = distinct([*reread.values(), *sizes], world.size)
+    unread, groups = World(stated, {p: v for p, v in world.moved.items() if p not in reread}, world.size), []
     for i, u in enumerate(first):
         index = np.flatnonzero(which == i)
-        again_read = _read_with(stated, {p: v[u] for p, v in again.items()}) if again else stated
-        out.append((index, replace(rest.rows(index), stated=again_read, size=index.size).made()))
-    return out
+        group_stated = _read_with(stated, {p: v[u] for p, v in reread.items()}) if reread else stated
+        groups.append((index, replace(unread.rows(index), stated=group_stated, size=index.size).made()))
+    return groups
 
 
 def _read_with(stated: Stated, values: Truth) -> Stated:
-    """What a scenario says where some paths of it stand at other values."""
-    kept: dict[str, Stated] = stated.kept.setdefault("again", {})
+    """The scenario read again with other values at some paths."""
+    cache: dict[str, Stated] = stated.cache.setdefault("again", {})
     key = repr([(p, v.tobytes() if isinstance(v, np.ndarray) else v) for p, v in values.items() if v is not None])
-    if key not in kept:
+    if key not in cache:
         settings = {p: plain(v) for p, v in values.items() if v is not None and p not in (SHIFT, WIDTH)}
         scenario = with_settings(stated.scenario, settings) if settings else stated.scenario
         atmosphere = stated.atmosphere
         bands = values.get(SHIFT, stated.shift_nm), values.get(WIDTH) or stated.width
-        stated_there = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
-        kept[key] = replace(stated_there, before=stated.nominal)
-        if len(kept) > _AGAIN:
-            del kept[next(iter(kept))]
-    return kept[key]
+        reread = read_files(scenario, stated.origins, *bands, atmosphere.nodes, atmosphere.star)
+        cache[key] = replace(reread, before=stated.nominal)
+        if len(cache) > _REREAD_SCENARIOS:
+            del cache[next(iter(cache))]
+    return cache[key]
 
 
 def read_world(

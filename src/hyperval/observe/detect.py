@@ -1,8 +1,8 @@
 """Filters, scores and detection curves of one collection; anomalies where no target is looked for.
 
-A place with the statistics of its labels gives filters in the bands that they use, these the score maps, and these
-what is counted on the objects of the truth and on the background: moments, ROC, areas by the sum of scores.  Areas
-are also found by unmixing: endmembers are the target and the background around it.
+The statistics of regions make filters in the usable bands, filters make score maps, and from these follow moments, ROC
+and areas by the sum of scores, over the objects of the truth and the background.  Areas are also found by unmixing:
+endmembers are the target and the background around it.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ Groups = dict[str, list[TargetObject]]
 BACKGROUND = "detector background"
 BY_PIXEL = "object-by-pixel"  # objects by their halos, alarms by pixel
 MOST_NAMED = 10  # anomalies
-_MOST_INFLUENCES = 4000  # pixels that tell how far the mean of all moves by chance: its error to 3 %
-_MOST_SCORES = 500  # that a product keeps of one population: the exact ends of a curve
+_MOST_INFLUENCES = 4000  # pixels from which the sampling error of the mean of all is estimated, to 3 %
+_MOST_SCORES = 500  # stored of one population: the exact tail of a curve
 
 
 def map_name(target: str, detector: str) -> str:
@@ -45,7 +45,7 @@ def map_name(target: str, detector: str) -> str:
 
 
 def scored_part(target: TargetObject, place: Place) -> TargetObject:
-    """The object with the pixels of it that are scored."""
+    """The object reduced to the pixels that are scored."""
     if place.target_pixels == "touched" or target.centre_pixel is None:
         return target
     return replace(target, corner=target.centre_pixel, part=np.ones((1, 1), bool), fills=None)
@@ -53,17 +53,17 @@ def scored_part(target: TargetObject, place: Place) -> TargetObject:
 
 def target_groups(objects: Sequence[TargetObject], target: DetectionTarget, form: str) -> Groups:
     """Objects of the target's material by subject name, in the order of the truth."""
-    out: Groups = {}
+    groups: Groups = {}
     for item in objects:
         if item.material == target.material:
             words = {"name": item.name, "material": item.material, **item.attributes, "target": target.name}
-            out.setdefault(_subject(form, words), []).append(item)
+            groups.setdefault(_subject(form, words), []).append(item)
     materials = one_of(sorted({o.material for o in objects}), "a truth with targets")
-    refuse(not out, "detection.material", name=target.name, material=target.material, known=materials)
-    return out
+    refuse(not groups, "detection.material", name=target.name, material=target.material, known=materials)
+    return groups
 
 
-# Names in braces are replaced as they stand: str.format would take widths that fill the memory.
+# Names in braces are replaced literally: str.format would take widths that fill the memory.
 _BRACES = re.compile(r"\{([^{}]*)\}")
 
 
@@ -75,14 +75,14 @@ def _subject(form: str, words: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FilterBank:
-    """What scores the pixels.
+    """Detectors of all targets, and the background statistics they are made of.
 
     Attributes
     ----------
     detectors : by the names of the score maps
     forms : the same by the detector's name and the target's spectrum (F,), None for anomalies
     bands : (B,) those that the filters use, F of them
-    shrinkage : of the background's covariance, 0 where there were pixels enough
+    shrinkage : of the background's covariance, 0 with enough pixels
     background : mean (F,) and covariance that the filters are made of, None where no detector inverts one
     """
 
@@ -96,7 +96,7 @@ class FilterBank:
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What the detectors found.
+    """Results of the detectors.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class Detected:
     outlines : "TARGET-DETECTOR" -> mask of each object that was looked for
     products : scores, roc, abundance, object_scores and exceedance by their keys
     nominal_area_m2 : area of the targets as the truth states it, by the keys of "abundance"
-    notes : what is to be said of it
+    notes : on the results
     """
 
     bank: FilterBank
@@ -117,7 +117,7 @@ class Detected:
 
 
 def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
-    """Score the image with every detector and target, and count what is found.
+    """Score the image with every detector and target, and count detections and false alarms.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
     """
     bank = _filter_bank(place, detection, _target_spectra(place, detection, resolve))
     scenes = {
-        map_name(t.name, name): _scene(place, detection, t)
+        map_name(t.name, name): _image_truth(place, detection, t)
         for t in detection.targets
         for name in detection.detectors
         if bank.detectors[map_name(t.name, name)].image is not None
@@ -159,12 +159,12 @@ def detect(place: Place, detection: Detection, resolve: Resolve) -> Detected:
 def _target_spectra(place: Place, detection: Detection, resolve: Resolve) -> dict[str, Array]:
     """(B,) reflectance of each target."""
     if place.cube.axis.numbered:
-        return {t.name: _by_number(t, place.cube.bands, resolve) for t in detection.targets}
+        return {t.name: _spectrum_by_number(t, place.cube.bands, resolve) for t in detection.targets}
     sources = Sources(place.cube.axis, {}, resolve)
     return {t.name: sources.spectrum(t.spectrum, t.name).mean for t in detection.targets}
 
 
-def _by_number(target: DetectionTarget, bands: int, resolve: Resolve) -> Array:
+def _spectrum_by_number(target: DetectionTarget, bands: int, resolve: Resolve) -> Array:
     """(B,) spectrum of a target where bands go by number: a text file with a row for each; its last number counts."""
     path = resolve(needed(target.spectrum.file, "detection.by_number", name=target.name))
     values = number_rows(path, "spectrum by band")[0][:, -1]
@@ -177,14 +177,14 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
     background, shrinkage = place.statistics[BACKGROUND], 0.0
     bands, notes = _usable_bands(place, detection, list(spectra.values()))
     if background.n < FEW_PER_BAND * int(bands.sum()):
-        # Few, so they fit in memory; the pass has not summed the fourth moment.
+        # Few pixels fit in memory; region statistics have no fourth moment.
         pixels = place.cube.spectra(place.pixels_of(*detection.background))[:, bands]
         shrinkage = statistics_of(pixels[np.isfinite(pixels).all(axis=1)]).shrinkage
         background = background.shrunk(shrinkage, bands)
         notes.append(f"{background.n} background pixels are few: covariance shrunk by {shrinkage:.3g}")
     mean, covariance = place.in_reflectance(background)
     for name in detection.undesired:
-        place.region(name)  # refuses a name that no region has
+        place.region(name)  # refuses unknown names
     undesired = np.array([place.in_reflectance(place.statistics[n])[0][bands] for n in detection.undesired])
     forms = {
         map_name(t.name, name): (name, None if name in px.ANOMALY_DETECTORS else spectra[t.name][bands])
@@ -205,7 +205,7 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
 
 
 def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) -> tuple[Mask, list[str]]:
-    """Bands (B,) that detectors use, and in words how many, and the others with the first rule that leaves them out.
+    """Bands (B,) that detectors use, and notes: how many, and the others with the first rule that excludes them.
 
     Parameters
     ----------
@@ -219,23 +219,23 @@ def _usable_bands(place: Place, detection: Detection, spectra: Sequence[Array]) 
         "without a gain of the empirical line": True if line is None else line.usable,
     }
     if detection.least_snr is not None:  # by the bands that are left
-        clear = np.logical_and.reduce([np.broadcast_to(keep, len(axis)) for keep in rules.values()])
+        clear = np.logical_and.reduce([np.broadcast_to(accepted, len(axis)) for accepted in rules.values()])
         if clear.sum() >= 3:
             clear &= px.snr_from_moments(sample.mean, sample.covariance, clear) >= detection.least_snr
         rules[f"with an SNR below {detection.least_snr:g} in the background"] = clear
     used, parts, unit = np.ones(len(axis), bool), list[str](), " nm" * (not axis.numbered)
-    for reason, keep in rules.items():
-        lost, used = np.flatnonzero(used & ~np.asarray(keep)), used & keep
-        if lost.size:
-            runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
+    for reason, accepted in rules.items():
+        rejected, used = np.flatnonzero(used & ~np.asarray(accepted)), used & accepted
+        if rejected.size:
+            runs = np.split(rejected, np.flatnonzero(np.diff(rejected) > 1) + 1)
             ends = [sorted({f"{axis.centre_nm[r[0]]:.4g}", f"{axis.centre_nm[r[-1]]:.4g}"}, key=float) for r in runs]
-            parts.append(f"{lost.size} {reason} ({', '.join('-'.join(e) for e in ends)}{unit})")
+            parts.append(f"{rejected.size} {reason} ({', '.join('-'.join(e) for e in ends)}{unit})")
     refuse(not used.any(), "detection.bands", rules="; ".join(parts))
     notes = [f"detectors use {int(used.sum())} of {len(axis)} bands"]
     return used, [*notes, f"bands that the detectors do not use: {'; '.join(parts)}"] if parts else notes
 
 
-def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.ImageTruth:
+def _image_truth(place: Place, detection: Detection, target: DetectionTarget) -> px.ImageTruth:
     """Background and objects of a target, for detectors that learn from them."""
     numbers = np.zeros(place.cube.shape, np.intp)
     groups = target_groups(place.targets, target, detection.group)
@@ -247,7 +247,7 @@ def _scene(place: Place, detection: Detection, target: DetectionTarget) -> px.Im
 def _score_maps(
     place: Place, detection: Detection, bank: FilterBank, scenes: Mapping[str, px.ImageTruth]
 ) -> tuple[dict[str, Array], list[str]]:
-    """Score (lines, samples) by the keys of the bank, and what is to be said of it."""
+    """Score (lines, samples) by the keys of the bank, and notes on it."""
     cube, local, line = place.cube, detection.local_window, place.line
     whitener = None if bank.background is None else px.whitener_of(*bank.background)
     watch = watch_lines("scores", cube.bytes_per_line, cube.lines)
@@ -256,48 +256,48 @@ def _score_maps(
         maps = px.score_cube(cube, bank.detectors, line, bank.bands, whitener=whitener, scenes=scenes, **common)
         return maps, []
     window = local.outer_pixels, local.inner_pixels
-    around = place.pixels_of(IMAGE if IMAGE in detection.background else px.SCENE)
-    maps, lonely = px.score_cube_locally(cube, bank.forms, whitener, window, around, line, bank.bands, **common)
-    return maps, [said("local_window", outer=window[0], inner=window[1], lonely=lonely)]
+    surroundings = place.pixels_of(IMAGE if IMAGE in detection.background else px.SCENE)
+    maps, count = px.score_cube_locally(cube, bank.forms, whitener, window, surroundings, line, bank.bands, **common)
+    return maps, [said("local_window", outer=window[0], inner=window[1], lonely=count)]
 
 
 class _Curves:
-    """What is counted on score maps, subject by subject: ``products`` by their names and keys."""
+    """Score distributions and curves from score maps, by subject: ``products`` by their names and keys."""
 
     def __init__(self, place: Place, detection: Detection, bank: FilterBank):
         self.place, self.detection, self.bank = place, detection, bank
         self.alarms = place.pixels_of(*detection.false_alarms)
         self.products: dict[str, dict[Any, Any]] = {k: {} for k in ("scores", "roc", "object_scores", "exceedance")}
 
-    def background(self, scores: Array, looked_for: str, detector: str) -> px.AlarmBlocks:
-        """The scores of the background with their places; how often they exceed a threshold is a product."""
+    def background(self, scores: Array, subject: str, detector: str) -> px.AlarmBlocks:
+        """The scores of the background with their places; their exceedance curve is a product."""
         noise = px.AlarmBlocks.of_map(scores, self.alarms, classes=self.place.classes)
         if noise.scores.size >= px.FEWEST_FOR_A_CURVE:
-            self.products["exceedance"][looked_for, detector] = px.exceedance_curve(noise)
+            self.products["exceedance"][subject, detector] = px.exceedance_curve(noise)
         return noise
 
     def add(self, key: str, target: str, detector: str, groups: Groups, scores: Array) -> None:
         """Scores and curves of every subject of a target by one detector, on the score map of this key."""
-        found, noise = self.products["scores"], self.background(scores, target, detector)
+        distributions, noise = self.products["scores"], self.background(scores, target, detector)
         background = replace(_moments(noise.scores), **self._sampling(key, detector, noise))
         for subject, members in groups.items():
-            refuse((subject, detector) in found, "detection.subject", "detection.group", subject=subject)
-            found[background_of(subject), detector] = background
+            refuse((subject, detector) in distributions, "detection.subject", "detection.group", subject=subject)
+            distributions[background_of(subject), detector] = background
             self._add_subject(subject, detector, members, scores, noise)
 
     def _sampling(self, key: str, detector: str, noise: px.AlarmBlocks) -> dict[str, Any]:
-        """Errors of the background's scores, and bias of their mean where the filter was made of the same pixels."""
+        """Sampling errors of the background's scores, and bias of their mean for a filter made of the same pixels."""
         place, bank, detection = self.place, self.bank, self.detection
-        found = dict(zip(("mean_error", "sd_error"), noise.moment_errors, strict=True))
+        errors = dict(zip(("mean_error", "sd_error"), noise.moment_errors, strict=True))
         if detector != "cem-correlation" or bank.background is None or bank.shrinkage or detection.local_window:
-            return found
+            return errors
         if not np.array_equal(place.pixels_of(*detection.background), self.alarms):
-            return found
+            return errors
         lines, samples = px.drawn_pixels(self.alarms, _MOST_INFLUENCES, np.random.default_rng(0))
         pixels, usable = place.pixels_at(lines, samples, bank.bands)
         weights, stratum = bank.detectors[key].weights[0], place.classes[lines, samples][usable]
         error, bias = own_mean_sampling(weights, *bank.background, pixels[usable], stratum, noise.scores.size)
-        return found | {"mean_error": error, "mean_bias": bias}
+        return errors | {"mean_error": error, "mean_bias": bias}
 
     def _add_subject(
         self, subject: str, detector: str, members: Sequence[TargetObject], scores: Array, noise: px.AlarmBlocks
@@ -305,29 +305,28 @@ class _Curves:
         """Moments of the subject's pixels, and its curves by pixel and by object.
 
         An object has the greatest score over its pixels and the halo around them.  Without a halo a false alarm is a
-        background pixel.  With one it is a placement of an object's footprint on the background, where noise has as
-        many chances as it has on the object; objects of different shapes each bring their own placements, objects of
-        one shape the same.  Or it is every pixel outside the halos, as the MUUFL Gulfport collection is scored
-        (Bullwinkle): that favours detection, as an object has as many chances as its halo has pixels, a false alarm
-        one.
+        background pixel.  With one it is a placement of an object's footprint on the background, a maximum over as
+        many pixels as on the object; objects of one shape share placements.  Or it is every pixel outside the halos,
+        as the MUUFL Gulfport collection is scored (Bullwinkle): that favours detection, a maximum over the halo's
+        pixels against single pixels.
         """
         halo, area = self.detection.halo_pixels, self.place.pixel_area_m2
-        placed = [scored_part(o, self.place) for o in members]
-        pixels = np.concatenate([scores[o.window][o.part] for o in placed])
+        scored = [scored_part(o, self.place) for o in members]
+        pixels = np.concatenate([scores[o.window][o.part] for o in scored])
         refuse(not np.isfinite(pixels).any(), "detection.no_pixel", subject=subject)
         self.products["scores"][subject, detector] = _moments(pixels[np.isfinite(pixels)])
-        best = px.object_scores(scores, placed, halo)
-        found = np.array(list(best.values()))
-        # The ground that was looked at is that of pixels with a score.
-        sides = {"pixel": (pixels, noise, noise.scores.size), "object": (found, noise, noise.scores.size)}
+        by_object = px.object_scores(scores, scored, halo)
+        greatest = np.array(list(by_object.values()))
+        # The area searched is that of pixels with a score.
+        populations = {"pixel": (pixels, noise, noise.scores.size), "object": (greatest, noise, noise.scores.size)}
         if halo:
-            outside = self.alarms & ~px.mask_with_halo(all_pixels(placed, self.place.cube.shape), halo)
-            every = px.AlarmBlocks.of_map(scores, outside, classes=self.place.classes)
-            sides["object"] = found, *self._placements(scores, placed)
-            sides[BY_PIXEL] = found, every, every.scores.size
-        else:  # the model does not know what a halo may catch
-            self.products["object_scores"][subject, detector] = ObjectScores(found, tuple(best))
-        for name, (values, background, count) in sides.items():
+            off_halo = self.alarms & ~px.mask_with_halo(all_pixels(scored, self.place.cube.shape), halo)
+            by_pixel = px.AlarmBlocks.of_map(scores, off_halo, classes=self.place.classes)
+            populations["object"] = greatest, *self._placements(scores, scored)
+            populations[BY_PIXEL] = greatest, by_pixel, by_pixel.scores.size
+        else:  # the model has no halo
+            self.products["object_scores"][subject, detector] = ObjectScores(greatest, tuple(by_object))
+        for name, (values, background, count) in populations.items():
             finite = values[np.isfinite(values)]
             unit: Literal["pixel", "object"] = "pixel" if name == "pixel" else "object"
             km2 = None if area is None else count * area / 1e6
@@ -338,23 +337,23 @@ class _Curves:
             self.products["roc"][subject, detector, name] = curve
 
     def _placements(self, scores: Array, objects: Sequence[TargetObject]) -> tuple[px.AlarmBlocks, int]:
-        """Greatest score of every placement of the objects' footprints on the background, and the pixels looked at."""
-        halo, where = self.detection.halo_pixels, "detection.halo_pixels"
-        shapes = {}  # the placements of one shape count once, however many objects have it: they are the same pixels
+        """Greatest score of every placement of the objects' footprints on the background, and the pixels searched."""
+        halo, setting = self.detection.halo_pixels, "detection.halo_pixels"
+        shapes = {}  # objects of one shape share placements, the same pixels
         for item in objects:
             _, shape = mask_window(px.mask_with_halo(np.pad(item.part, halo), halo))
             shapes[shape.shape, shape.tobytes()] = shape
-            is_larger = any(np.greater(shape.shape, scores.shape))
-            refuse(is_larger, "detection.halo", where, name=item.name, halo=halo, shape=scores.shape)
+            too_large = any(np.greater(shape.shape, scores.shape))
+            refuse(too_large, "detection.halo", setting, name=item.name, halo=halo, shape=scores.shape)
         parts = [px.footprint_tiles(scores, shape, ~self.alarms) for shape in shapes.values()]
-        looked_at = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
-        maxima = np.concatenate([under.max(axis=1) for under, _, _ in parts])
+        pixel_count = sum(lines.size * shape.size for (_, lines, _), shape in zip(parts, shapes.values(), strict=True))
+        maxima = np.concatenate([tile.max(axis=1) for tile, _, _ in parts])
         lines, samples = (np.concatenate(part) for part in list(zip(*parts, strict=True))[1:])
         names = ", ".join(item.name for item in objects)
-        refuse(maxima.size == 0, "detection.placements", where, halo=halo, names=names)
+        refuse(maxima.size == 0, "detection.placements", setting, halo=halo, names=names)
         # Blocks as large on the ground as those of the pixels.
         side = px.block_side(int(np.count_nonzero(self.alarms)))
-        return px.AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), looked_at
+        return px.AlarmBlocks.of_places(maxima, lines, samples, side, self.place.classes[lines, samples]), pixel_count
 
 
 def _add_pools(roc: dict[Any, Any], detection: Detection) -> None:
@@ -377,8 +376,8 @@ def _moments(values: Array) -> ScoreDistribution:
 def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceCurve | None, n: int) -> str:
     """The strongest groups of touching pixels above the threshold that the background passes at a low rate.
 
-    The rate is the lowest of 1e-4, 1e-3 and 1e-2 at which the background leaves ten pixels or more: they fix the
-    threshold, and belong to the groups themselves where the background is the whole scene.
+    The rate is the lowest of 1e-4, 1e-3 and 1e-2 that ten background pixels or more exceed: they fix the threshold, and
+    belong to the groups themselves where the background is the whole scene.
     """
     level = next((p for p in px.ANOMALY_LEVELS if p * n >= px.LEAST_EXPECTED_ALARMS), None)
     if level is None or curve is None:
@@ -388,16 +387,16 @@ def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceC
     if not count:
         return f"{detector}: no pixel beyond {threshold:.4g}, which {level:g} of the background exceeds"
     sizes, words = np.bincount(labels.ravel()), list[str]()
-    best = ndimage.maximum_position(scores, labels, np.arange(1, count + 1))
-    for line, sample in sorted(best, key=lambda at: -scores[at])[:MOST_NAMED]:
-        where, size = f"line {line}, sample {sample}", int(sizes[labels[line, sample]])
+    peaks = ndimage.maximum_position(scores, labels, np.arange(1, count + 1))
+    for line, sample in sorted(peaks, key=lambda position: -scores[position])[:MOST_NAMED]:
+        label, size = f"line {line}, sample {sample}", int(sizes[labels[line, sample]])
         if place.cube.transform is not None:
             x, y = place.cube.transform @ (sample + 0.5, line + 0.5)
-            where += f" ({x:.2f}, {y:.2f})"
-        words.append(f"{where}: {scores[line, sample]:.4g}, {size} pixel{'' if size == 1 else 's'}")
+            label += f" ({x:.2f}, {y:.2f})"
+        words.append(f"{label}: {scores[line, sample]:.4g}, {size} pixel{'' if size == 1 else 's'}")
     words += [f"and {count - MOST_NAMED} weaker"] if count > MOST_NAMED else []
-    about = {"count": count, "threshold": threshold, "level": level, "strongest": "; ".join(words)}
-    return said("anomalies", detector=detector, **about)
+    facts = {"count": count, "threshold": threshold, "level": level, "strongest": "; ".join(words)}
+    return said("anomalies", detector=detector, **facts)
 
 
 # Sum of scores or abundances over an object, the pixels summed, and the same sum elsewhere on the background.
@@ -409,9 +408,9 @@ def target_areas(
 ) -> tuple[dict[tuple[str, str], Abundance], dict[tuple[str, str], float]]:
     """Sum of scores over each object times the pixel area, and the area that the truth states [m2].
 
-    By subject and detector, for every check that is asked for.  The uncertainty is the spread of the same sum over
+    By subject and detector, for every check of the campaign.  The uncertainty is the spread of the same sum over
     background that has the object's footprint.  Both are means over the objects of a subject that hold data in all of
-    their pixels, as what lies under one that does not is no part of 0; without one the subject is not measured.
+    their pixels; without one the subject is not measured.
     """
     areas: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
@@ -419,48 +418,48 @@ def target_areas(
     for check in detection.areas:
         sums = _footprint_sums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
         for subject, members in target_groups(place.targets, targets[check.target], detection.group).items():
-            each = [(o, sums(o)) for o in members]
-            measured = [(o, found) for o, found in each if not math.isnan(found[0])]
+            sums_by_object = [(o, sums(o)) for o in members]
+            measured = [(o, total) for o, total in sums_by_object if not math.isnan(total[0])]
             if measured:
-                areas[subject, check.detector] = _mean_area(place, [found for _, found in measured])
-            stated = float(np.mean([o.area_m2 for o, _ in measured or each]))
-            if np.isfinite(stated):  # a truth may say where the objects are and not how large
-                nominal[subject, check.detector] = stated
+                areas[subject, check.detector] = _mean_area(place, [total for _, total in measured])
+            area_m2 = float(np.mean([o.area_m2 for o, _ in measured or sums_by_object]))
+            if np.isfinite(area_m2):  # a truth may say where the objects are and not how large
+                nominal[subject, check.detector] = area_m2
     return areas, nominal
 
 
 def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
-    """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere."""
+    """Mean over objects of their sums, times the pixel area; its error by the sums on the background."""
     totals, pixels, elsewhere = zip(*objects, strict=True)
-    each = needed(place.pixel_area_m2, "areas.ground") / len(totals)
+    scale = needed(place.pixel_area_m2, "areas.ground") / len(totals)
     variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
-    return Abundance(sum(totals) * each, math.sqrt(variance) * each, sum(pixels), nominal)
+    return Abundance(sum(totals) * scale, math.sqrt(variance) * scale, sum(pixels), nominal)
 
 
 def _footprint_sums(
     place: Place, detection: Detection, scores: Array, margin: int
 ) -> Callable[[TargetObject], ObjectSum]:
-    """What sums a score map over an object with its margin, and over the same footprint on the background."""
+    """Function that sums a score map over an object with its margin, and over its footprint on the background."""
     targets = all_pixels(place.targets, place.cube.shape)
-    # A background of "image" holds the targets too; their sums say nothing of the error.
-    taken = ~(place.pixels_of(*detection.background) & ~place.near_targets)
-    spread: dict[tuple[tuple[int, ...], bytes], Array] = {}  # by shape of the footprint
+    # A background of "image" holds the targets too; their sums are not errors.
+    excluded = ~(place.pixels_of(*detection.background) & ~place.near_targets)
+    background_sums: dict[tuple[tuple[int, ...], bytes], Array] = {}  # by shape of the footprint
 
-    def of(item: TargetObject) -> ObjectSum:
-        near = window_of(item.mask, (margin, margin))
-        mask = item.mask[near]
-        summed = px.mask_with_halo(mask, margin) & (~targets[near] | mask)  # not those of others
-        _, shape = mask_window(summed)
+    def object_sum(item: TargetObject) -> ObjectSum:
+        window = window_of(item.mask, (margin, margin))
+        mask = item.mask[window]
+        footprint = px.mask_with_halo(mask, margin) & (~targets[window] | mask)  # without other targets
+        _, shape = mask_window(footprint)
         key = shape.shape, shape.tobytes()
-        if key not in spread:
-            spread[key] = px.footprint_tiles(scores, shape, taken)[0].sum(axis=1)
-        return float(np.sum(scores[near][summed])), int(summed.sum()), spread[key]
+        if key not in background_sums:
+            background_sums[key] = px.footprint_tiles(scores, shape, excluded)[0].sum(axis=1)
+        return float(np.sum(scores[window][footprint])), int(footprint.sum()), background_sums[key]
 
-    return of
+    return object_sum
 
 
 METHODS = {"equal": "fcls", "background": "fcls-weighted"}
-PLACES = 60  # of the background, at which the same sum is taken for its error
+PLACES = 60  # placements on the background, whose sums give the error
 
 
 class _Footprints(NamedTuple):
@@ -471,14 +470,14 @@ class _Footprints(NamedTuple):
     pixels : (N, F) reflectance of the pixels of all footprints
     place : (N,) footprint that each belongs to
     background : (P, F) mean reflectance around each footprint
-    ring, whole : pixels around the object; whether all of its own hold data
+    ring, complete : pixels around the object; whether all of the object's hold data
     """
 
     pixels: Array
     place: Index
     background: Array
     ring: int
-    whole: bool
+    complete: bool
 
 
 def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resolve: Resolve) -> Unmixed:
@@ -501,64 +500,64 @@ def unmix(place: Place, detection: Detection, task: Unmixing, bands: Mask, resol
     areas: dict[tuple[str, str], Abundance] = {}
     subjects: list[UnmixedSubject] = []
     for item in track(task.targets, "unmixing"):
-        target, whole = targets[item.target], sources.spectrum(targets[item.target].spectrum, item.target).mean
-        # What the scenario's population is called that stands for each subject.
-        stands = target.model_copy(update={"name": item.scenario_target or item.target})
-        populations = target_groups(place.targets, stands, detection.group)
+        target, spectrum = targets[item.target], sources.spectrum(targets[item.target].spectrum, item.target).mean
+        # Names of the scenario's populations for the subjects.
+        counterpart = target.model_copy(update={"name": item.scenario_target or item.target})
+        populations = target_groups(place.targets, counterpart, detection.group)
         groups = target_groups(place.targets, target, detection.group)
         for (subject, members), population in zip(groups.items(), populations, strict=True):
             for o in members:
                 refuse(not math.isfinite(o.area_m2), "unmixing.size", "detection.unmixing", subject=subject)
                 if o.name not in footprints:
                     footprints[o.name] = _footprints(place, o, region, task, bands, rng)
-            members = [o for o in members if footprints[o.name].whole]
+            members = [o for o in members if footprints[o.name].complete]
             if not members:  # none holds data in all of its pixels
                 continue
-            found, nominal = [footprints[o.name] for o in members], float(np.mean([o.area_m2 for o in members]))
+            valid, nominal = [footprints[o.name] for o in members], float(np.mean([o.area_m2 for o in members]))
             for method, weights in noise.items():
-                sums = (_abundance_sum(f, whole[bands], weights) for f in found)
+                sums = (_abundance_sum(f, spectrum[bands], weights) for f in valid)
                 areas[subject, unmixing_method(method, item.endmembers)] = _mean_area(place, sums, nominal)
             subjects.append(
                 UnmixedSubject(
-                    subject, population, stands.name, whole, item.relative_uncertainty, item.correlation_nm,
-                    item.endmembers, len(members), nominal, int(np.mean([f.ring for f in found])),
+                    subject, population, counterpart.name, spectrum, item.relative_uncertainty, item.correlation_nm,
+                    item.endmembers, len(members), nominal, int(np.mean([f.ring for f in valid])),
                 )
             )  # fmt: skip
     return Unmixed(areas, tuple(subjects), bands, noise, pixel_area)
 
 
-def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite | None) -> ObjectSum:
-    """Sum of the abundances of a spectrum on the object, and on each of the other places."""
-    between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
-    parts = fully_constrained(found.pixels, between[found.place], noise)[:, 0]
-    area, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
-    return area, int(np.count_nonzero(found.place == 0)), elsewhere
+def _abundance_sum(footprints: _Footprints, spectrum: Array, noise: PositiveDefinite | None) -> ObjectSum:
+    """Sum of the abundances of a spectrum on the object, and on each background placement."""
+    endmembers = np.stack([np.broadcast_to(spectrum, footprints.background.shape), footprints.background], axis=1)
+    abundances = fully_constrained(footprints.pixels, endmembers[footprints.place], noise)[:, 0]
+    area, *elsewhere = np.bincount(footprints.place, abundances, minlength=len(footprints.background)).tolist()
+    return area, int(np.count_nonzero(footprints.place == 0)), elsewhere
 
 
 def _footprints(
     place: Place, target: TargetObject, region: Mask, task: Unmixing, bands: Mask, rng: np.random.Generator
 ) -> _Footprints:
-    """Pixels of the object and of places at random at which its footprint lies on the region as a whole."""
-    inside, size = np.pad(target.part, task.ring_pixels), target.part.shape
-    around = (ndimage.distance_transform_edt(~inside) <= task.ring_pixels) & ~inside
-    inner, ring = (np.argwhere(mask) - task.ring_pixels for mask in (inside, around))  # from the corner on
+    """Pixels of the object and of random placements whose whole footprint lies on the region."""
+    footprint, size = np.pad(target.part, task.ring_pixels), target.part.shape
+    ring_mask = (ndimage.distance_transform_edt(~footprint) <= task.ring_pixels) & ~footprint
+    inner, ring = (np.argwhere(mask) - task.ring_pixels for mask in (footprint, ring_mask))  # from the corner on
     fits = ndimage.binary_erosion(region, target.part, origin=(-(size[0] // 2), -(size[1] // 2)))
-    free = np.argwhere(fits)
-    corners = [np.array(target.corner), *free[rng.choice(len(free), min(PLACES, len(free)), replace=False)]]
+    choices = np.argwhere(fits)
+    corners = [np.array(target.corner), *choices[rng.choice(len(choices), min(PLACES, len(choices)), replace=False)]]
     parts: list[Index] = []
     for corner in corners:
-        near = ring + corner
-        near = near[np.all((near >= 0) & (near < region.shape), axis=1)]
-        parts += [inner + corner, near[region[tuple(near.T)]]]
-    # All read at once: each line once.
+        ring_pixels = ring + corner
+        ring_pixels = ring_pixels[np.all((ring_pixels >= 0) & (ring_pixels < region.shape), axis=1)]
+        parts += [inner + corner, ring_pixels[region[tuple(ring_pixels.T)]]]
+    # One read of all pixels, each line once.
     flat = [np.ravel_multi_index(tuple(part.T), region.shape) for part in parts]
-    every, index = np.unique(np.concatenate(flat), return_inverse=True)
-    values, usable = place.pixels_at(*np.divmod(every, region.shape[1]), bands)
+    unique, index = np.unique(np.concatenate(flat), return_inverse=True)
+    values, usable = place.pixels_at(*np.divmod(unique, region.shape[1]), bands)
     read = [values[k[usable[k]]] for k in np.split(index, np.cumsum([f.size for f in flat])[:-1])]
     if not len(read[1]):
         raise refusal("unmixing.ring", name=target.name, background=task.background, ring_pixels=task.ring_pixels)
     pairs = list(zip(read[::2], read[1::2], strict=True))
     pairs = pairs[:1] + [(x, r) for x, r in pairs[1:] if len(r) and len(x) == len(inner)]
-    of = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in pairs])
+    number = np.repeat(np.arange(len(pairs)), [len(x) for x, _ in pairs])
     means = np.array([r.mean(axis=0) for _, r in pairs])
-    return _Footprints(np.concatenate([x for x, _ in pairs]), of, means, len(read[1]), len(read[0]) == len(inner))
+    return _Footprints(np.concatenate([x for x, _ in pairs]), number, means, len(read[1]), len(read[0]) == len(inner))

@@ -1,7 +1,7 @@
 """From a collection to its products: open, measure the pixels of every label in one pass, compensate, detect.
 
-Of a region's pixels also their tails, how many are independent, the error of their mean, the laws of classes that take
-them, and the error of a classifier that is trained on some lines and tried on others.
+For a region's pixels also tails, the number of independent ones, the error of their mean and the mixtures of classes;
+and the error of a classifier trained on some lines and tested on others.
 """
 
 from __future__ import annotations
@@ -33,24 +33,23 @@ from hyperval.statistics_library import ClassStatistics
 
 LINE = "empirical line"
 CIRCULAR = "the empirical line goes through this panel whatever it reflects: no degree of freedom is left"
-MOST_PIXELS = 20_000  # of a region, drawn at random: what memory should hold
+MOST_PIXELS = 20_000  # of a region, drawn at random, to bound memory
 MOST_NUMBERS = 8_000_000  # pixels times bands held at once
 FEWEST_PIXELS = 200
-PIXELS_PER_BAND = 10  # fewer, and distances are taken in fewer components
+PIXELS_PER_BAND = 10  # with fewer, distances are taken in fewer components
 COMPONENTS = 6  # leading ones whose correlation on the ground is measured
 WINDOW, REACH, WINDOWS = 64, 24, 12  # [pixels]; windows of the image in which correlation is measured
 QUANTILES = 160
-FEWEST_FOR_CORRELATION = 50  # below it a correlation on the ground is not told from chance
-# Fewer training pixels for each feature, and the classifier's own error is that of its training.
-PIXELS_PER_FEATURE = 3
-_TRIES = 16  # pixels drawn for each window
+FEWEST_FOR_CORRELATION = 50  # with fewer, a correlation on the ground is within chance
+PIXELS_PER_FEATURE = 3  # with fewer for training, sampling dominates the classifier's error
+_DRAWS_PER_WINDOW = 16  # pixels drawn for each window
 _TAIL_SEED, _MEAN_SEED, _LAW_SEED = 31, 37, 41
-MOST_FOR_SNR = 2_000_000  # pixels times bands of a region that its SNR is from
+MOST_FOR_SNR = 2_000_000  # pixels times bands of a region used for its SNR
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """An observation with what only the imagery can give.
+    """An observation with intermediate results from the imagery.
 
     Attributes
     ----------
@@ -60,7 +59,7 @@ class Observed:
     place : the opened collection with its empirical line, None where there is no cube
     masks, sampling : subject -> its pixels, the error of their mean in the cube's values
     detected : filters and score maps, None without detection
-    unmixed : areas by unmixing with what a prediction of them needs, None where they are not asked for
+    unmixed : areas by unmixing with the inputs of their prediction, None where not asked for
     """
 
     observation: ObservedProducts
@@ -87,7 +86,7 @@ def observe(
     collection, detection, classification : as in a campaign file; a simulated collection must have been
         written first and stands here as its cube
     resolve : turns a file reference into a path
-    before : the same collection observed for another detection: what follows from pixels of regions alone is kept
+    before : the same collection observed for another detection, whose results for unchanged regions are reused
 
     Raises
     ------
@@ -101,15 +100,15 @@ def observe(
     place = (before and before.place) or open_place(collection, resolve)
     cube = place.cube
     masks, populations = _labels(place, detection)
-    kept = {} if before is None else before.sampling
+    earlier_sampling = {} if before is None else before.sampling
     tails = {} if before is None else before.observation.distribution
-    kept_names = {n for n in kept if before and n in masks and np.array_equal(before.masks[n], masks[n])}
+    unchanged = {n for n in earlier_sampling if before and n in masks and np.array_equal(before.masks[n], masks[n])}
     sites.refuse_saturated(collection.empirical_line, masks, place)
     watch = watch_lines("statistics", cube.bytes_per_line, cube.lines)
     needed = cube.axis.good | (detection is not None and detection.bands == "all")
     measured = px.region_statistics(cube, masks, needed, watch=watch)
     sampling = {
-        n: kept[n] if n in kept_names else _sampling_error(place, masks[n], measured[n])
+        n: earlier_sampling[n] if n in unchanged else _sampling_error(place, masks[n], measured[n])
         for n in track([*place.regions, *populations], "sampling")
     }
     place = replace(place, statistics=measured)
@@ -122,15 +121,15 @@ def observe(
         if detection.unmixing is not None:
             unmixed = unmix(place, detection, detection.unmixing, detected.bank.bands, resolve)
     products: dict[str, Any] = _spectra(place, collection, sampling, resolve)
-    products |= {kind: dict(found) for kind, found in detected.products.items()} if detected else {}
+    products |= {kind: dict(entries) for kind, entries in detected.products.items()} if detected else {}
     if unmixed is not None:
         products["abundance"] |= unmixed.areas
-    distribution = {name: d for name, d in tails.items() if name in kept_names}
-    for name in track([n for n in place.regions if n not in kept_names], "tails"):
-        found = pixel_tails(place, masks[name], measured[name])
-        distribution |= {} if found is None else {name: found}
+    distribution = {name: d for name, d in tails.items() if name in unchanged}
+    for name in track([n for n in place.regions if n not in unchanged], "tails"):
+        tail = pixel_tails(place, masks[name], measured[name])
+        distribution |= {} if tail is None else {name: tail}
     names, good = collection.snr_regions, cube.axis.good
-    snr = {n: px.snr_decorrelated(_counted(place, masks, n), sampling[n].covariance, good) for n in names}
+    snr = {n: px.snr_decorrelated(_thinned_pixels(place, masks, n), sampling[n].covariance, good) for n in names}
     remark = said("classifiers", used=cube.axis.clear.sum(), bands=cube.bands)
     observation = ObservedProducts(
         axis=cube.axis,
@@ -146,19 +145,19 @@ def observe(
 
 
 def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str]]:
-    """Every population whose statistics are asked for, as one label image; and the subjects of targets among them.
+    """Every population whose statistics are needed, as one label image; and the subjects of targets among them.
 
-    A target's subject has at least two pixels, for its mean spectrum.  Several spectra may stand for one material;
+    A target's subject has at least two pixels, for its mean spectrum.  Where several spectra stand for one material
     their subjects hold the same pixels, and the first one counts.
     """
-    # All pixels of a region count where none would be left.
+    # All pixels of a region count where targets and guards would leave none.
     members = {n: place.counted(n) if place.counted(n).any() else pixels for n, pixels in place.regions.members.items()}
     members[px.SCENE] = place.counted(px.SCENE)
     populations: dict[str, Mask] = {}
     if detection is not None:
         members[BACKGROUND] = place.counted(*detection.background)
-        first = {t.material: t for t in reversed(detection.targets)}
-        for target in (t for t in detection.targets if first[t.material] is t):
+        by_material = {t.material: t for t in reversed(detection.targets)}
+        for target in (t for t in detection.targets if by_material[t.material] is t):
             for subject, objects in target_groups(place.targets, target, detection.group).items():
                 pixels = all_pixels([scored_part(item, place) for item in objects], place.cube.shape)
                 if subject not in members and np.count_nonzero(pixels) > 1:
@@ -167,7 +166,7 @@ def _labels(place: Place, detection: Detection | None) -> tuple[Labels, list[str
 
 
 def _sampling_error(place: Place, region: Mask, sample: SampleStatistics) -> EstimatedPart:
-    """The error of a mean, with that of values which are stored as whole steps."""
+    """The error of a mean, with the rounding of values stored in steps."""
     sampling, cube = mean_error(place, region, sample), place.cube
     if cube.step is None or sample.n < 2:
         return sampling
@@ -179,14 +178,14 @@ def _sampling_error(place: Place, region: Mask, sample: SampleStatistics) -> Est
 def _notes(
     place: Place, detection: Detection | None, detected: Detected | None, masks: Mapping[str, Mask]
 ) -> tuple[str, ...]:
-    """What is to be said of an observation."""
+    """Notes on an observation."""
     axis, notes, measured = place.cube.axis, list(place.notes), place.statistics
     if not place.cube.axis.numbered:
         means = [measured[name].mean for name in place.regions or (px.SCENE,)]
         notes += sites.wavelength_notes(means, axis, reflectance=place.cube.quantity == "reflectance")
     if detection is not None:
-        notes += _not_counted_right(place.targets, {target.material for target in detection.targets})
-        # How the pixels behind filter, false alarms and classes differ, where they do.
+        notes += _truth_warnings(place.targets, {target.material for target in detection.targets})
+        # Populations of filter and false alarms that differ.
         filters, alarms = masks[BACKGROUND], place.pixels_of(*detection.false_alarms)
         if not np.array_equal(filters, alarms):
             names = {key: ", ".join(getattr(detection, key)) for key in ("background", "false_alarms")}
@@ -198,27 +197,27 @@ def _notes(
     return (*notes, *(detected.notes if detected else ()))
 
 
-def _not_counted_right(objects: Sequence[TargetObject], materials: Set[str]) -> Iterator[str]:
+def _truth_warnings(objects: Sequence[TargetObject], materials: Set[str]) -> Iterator[str]:
     """Objects of the truth that no detector looks for, and those that it lists twice.
 
-    >>> def seen(name, material, place):
+    >>> def target(name, material, line):
     ...     part = np.ones((1, 1), bool)
-    ...     return TargetObject(name, material, 1.0, 1.0, (9, 9), (0, 0), part, None, {"name": name, "line": place})
-    >>> objects = [seen("a", "red", "1"), seen("b", "red", "1"), seen("c", "Red", "2"), seen("d", "blue", "3")]
-    >>> for words in _not_counted_right(objects, {"red"}):
+    ...     return TargetObject(name, material, 1.0, 1.0, (9, 9), (0, 0), part, None, {"name": name, "line": line})
+    >>> listed = [("a", "red", "1"), ("b", "red", "1"), ("c", "Red", "2"), ("d", "blue", "3")]
+    >>> for words in _truth_warnings([target(*entry) for entry in listed], {"red"}):
     ...     print(words)
     warning: 2 of 4 target objects are looked for by no detection target: Red, blue
     warning: 1 target objects are listed again, alike but for the name: each counts by itself
     """
-    others = [item.material for item in objects if item.material not in materials]
-    if others:
-        slip = "warning: " * bool({m.casefold() for m in others} & {m.casefold() for m in materials})
-        of = ", ".join(dict.fromkeys(others))
-        yield f"{slip}{len(others)} of {len(objects)} target objects are looked for by no detection target: {of}"
-    # What stands in a list but the name, and the pixels: masks have no other places.
-    alike = {(repr({**o.attributes, "name": o.material}), o.corner, o.part.tobytes()) for o in objects}
-    if again := len(objects) - len(alike):
-        yield f"warning: {again} target objects are listed again, alike but for the name: each counts by itself"
+    unsought = [item.material for item in objects if item.material not in materials]
+    if unsought:
+        prefix = "warning: " * bool({m.casefold() for m in unsought} & {m.casefold() for m in materials})
+        names = ", ".join(dict.fromkeys(unsought))
+        yield f"{prefix}{len(unsought)} of {len(objects)} target objects are looked for by no detection target: {names}"
+    # All attributes of an object but its name, and its pixels.
+    distinct = {(repr({**o.attributes, "name": o.material}), o.corner, o.part.tobytes()) for o in objects}
+    if repeated := len(objects) - len(distinct):
+        yield f"warning: {repeated} target objects are listed again, alike but for the name: each counts by itself"
 
 
 def _spectra(
@@ -226,28 +225,27 @@ def _spectra(
 ) -> dict[str, dict[str, SpectralEstimate]]:
     """Radiance, where the image holds it, and reflectance of every subject by its statistics and their error.
 
-    The error of the empirical line is common to all pixels and hangs together between bands.  A panel of the line is
-    no evidence for it: its reflectance is that of the line through the other panels.  Where they fix none, the line
-    goes through the panel whatever it reflects.
+    The error of the empirical line is common to all pixels and correlated between bands.  A panel's reflectance is that
+    of the line through the other panels, for an independent check.  Where they fix none, it is circular.
     """
     cube, line, stated = place.cube, place.line, collection.calibration
     if cube.quantity != "radiance" and line is None:
         return {"reflectance": {n: _estimate(cube, place.statistics[n], error, {}) for n, error in sampling.items()}}
     radiance, reflectance = dict[str, SpectralEstimate](), dict[str, SpectralEstimate]()
-    one = None if stated is None else sites.calibration_covariance(np.ones(cube.bands), cube.axis, stated, resolve)
-    scale = None if one is None else covariance_directions(one)
+    relative = None if stated is None else sites.calibration_covariance(np.ones(cube.bands), cube.axis, stated, resolve)
+    scale = None if relative is None else covariance_directions(relative)
     for name, error in sampling.items():
         sample = place.statistics[name]
-        parts = {} if one is None else {sites.CALIBRATION: one * np.outer(sample.mean, sample.mean)}
+        parts = {} if relative is None else {sites.CALIBRATION: relative * np.outer(sample.mean, sample.mean)}
         radiance[name] = _estimate(cube, sample, error, parts, scale=scale)
         if line is None:
             continue
-        if (others := line.without(name) if name in line.names else line) is None:
+        if (used := line.without(name) if name in line.names else line) is None:
             errors = {LINE: line.error_covariance(sample.mean, own=name)}
             reflectance[name] = _estimate(cube, sample, None, errors, line, circular=CIRCULAR)
         else:
-            errors, estimated = {LINE: others.error_covariance(sample.mean)}, others.estimated(sample.mean)
-            reflectance[name] = _estimate(cube, sample, error, errors, others, estimated, scale=others.scale_errors)
+            errors, estimated = {LINE: used.error_covariance(sample.mean)}, used.estimated(sample.mean)
+            reflectance[name] = _estimate(cube, sample, error, errors, used, estimated, scale=used.scale_errors)
     return {"radiance": radiance if cube.quantity == "radiance" else {}, "reflectance": reflectance}
 
 
@@ -263,7 +261,7 @@ def _estimate(
 ) -> SpectralEstimate:
     """A mean after the line, if any, with the error of its sampling and the other ``parts``.
 
-    ``scale`` (K, B) : the part by which differences of pixels are off, along each direction
+    ``scale`` (K, B) : relative errors of differences of pixels, along independent directions
     """
     mean, gain = (sample.mean, np.ones(cube.bands)) if line is None else (line.reflectance(sample.mean), line.gain)
     gains, spread = np.outer(gain, gain), sample.n > 1
@@ -277,9 +275,9 @@ def _estimate(
     )  # fmt: skip
 
 
-def _counted(place: Place, masks: Labels, name: str) -> Array:
-    """Valid pixels (n, B) of a region that count, evenly thinned to what memory should hold."""
-    region = masks[name] if name in masks else place.region(name)  # which refuses what is none
+def _thinned_pixels(place: Place, masks: Labels, name: str) -> Array:
+    """Valid pixels (n, B) of a region, evenly thinned to bound memory."""
+    region = masks[name] if name in masks else place.region(name)
     count = int(np.count_nonzero(region))
     step = -(-count // min(MOST_PIXELS, MOST_FOR_SNR // place.cube.bands))
     return place.cube.spectra(px.nth_pixels(region, np.arange(0, count, step)))
@@ -291,24 +289,24 @@ def _classes(
     """Statistics of each region in reflectance; none where the image holds radiance without a line."""
     if place.cube.quantity == "radiance" and place.line is None:
         return {}
-    out = {}
+    classes = {}
     for name in place.regions:
         sample = place.statistics[name]
         if detection is not None and detected is not None and name in detection.background:
-            # The filter of the model is to be made of the covariance that the filter of the image was made of.
+            # Model and image make their filters of the same covariance.
             sample = sample.shrunk(detected.bank.shrinkage, detected.bank.bands)
         mean, covariance = place.in_reflectance(sample)
         # A band without a gain has no reflectance; the detectors do not use it either.
         finite = np.isfinite(mean)
         mean, covariance = np.where(finite, mean, 0.0), np.where(np.outer(finite, finite), covariance, 0.0)
-        # Of the surface itself: over all bands noise dilutes what makes false alarms.
+        # Tails of the leading components: over all bands noise dilutes those that make false alarms.
         tails = distribution.get(name, PixelDistribution(leading_tail_dof=np.inf))
-        out[name] = ClassStatistics(
+        classes[name] = ClassStatistics(
             name, place.cube.axis, mean, (covariance + covariance.T) / 2.0, sample.n,
             f"{sample.n} pixels of region {name}",
             tails.leading_tail_dof if np.isfinite(tails.leading_tail_dof) else None, tail_scale=tails.leading_scale,
         )  # fmt: skip
-    return out
+    return classes
 
 
 def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> PixelDistribution | None:
@@ -328,17 +326,17 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
         return None
     rng = np.random.default_rng(_TAIL_SEED)
     mean, covariance = statistics.mean[bands], statistics.covariance[np.ix_(bands, bands)]
-    every = px.EigenDirections.of(covariance)
-    dimension = min(every.values.size, n // PIXELS_PER_BAND)
-    vectors, values = every.vectors[:, :dimension], every.values[:dimension]
+    eigen = px.EigenDirections.of(covariance)
+    dimension = min(eigen.values.size, n // PIXELS_PER_BAND)
+    vectors, values = eigen.vectors[:, :dimension], eigen.values[:dimension]
     leading, count = px.leading_count(values, float(np.trace(covariance))), min(COMPONENTS, dimension)
 
     def project(pixels: Array) -> Array:
         scores = (pixels - mean) @ vectors
         scores /= np.sqrt(values)
-        # Distances lie far out when tails are heavy; their ranks would do, the logarithm is enough.
-        far = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
-        return np.concatenate([scores[:, :count].T, far])
+        # The logarithm keeps a few far pixels of heavy tails from dominating the correlation.
+        log_distances = np.log([np.einsum("nk,nk->n", s, s) + 1e-12 for s in (scores, scores[:, :leading])])
+        return np.concatenate([scores[:, :count].T, log_distances])
 
     def centred(projected: Array) -> Array:
         projected[count:] -= projected[count:].mean(axis=1, keepdims=True)
@@ -346,7 +344,7 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
 
     windows = _projected_windows(place, region, bands, rng, project, centred)
     reach = min(REACH, max(*region.shape) - 1)
-    of_mean, of_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
+    n_mean, n_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
     lines, samples = px.drawn_pixels(region, max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), FEWEST_PIXELS), rng)
     order, dimensions = np.lexsort((samples, lines)), (dimension, leading)
     parts = [
@@ -356,16 +354,16 @@ def pixel_tails(place: Place, region: Mask, statistics: SampleStatistics) -> Pix
     distances = [np.concatenate(part) for part in zip(*parts, strict=True)]
     if distances[0].size < FEWEST_PIXELS:
         return None
-    whole, lead = (
+    full, lead = (
         px.fit_tail_dof(d, k, estimated_on=n, independent=independent / n * d.size)
-        for d, k, independent in zip(distances, dimensions, of_mean[count:], strict=True)
+        for d, k, independent in zip(distances, dimensions, n_mean[count:], strict=True)
     )
     ordered = np.sort(px.left_out_distances(distances[1], n))[::-1]
     # At most 160 of them, closest together in the upper tail, with the share beyond each.
     rank = np.unique(np.round(np.geomspace(1, ordered.size, QUANTILES)).astype(int))
     return PixelDistribution(
-        whole.dof, whole.lower, whole.upper, whole.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
-        leading, whole.n, of_variance[:count], ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1],
+        full.dof, full.lower, full.upper, full.normality_p_value, dimension, lead.dof, lead.lower, lead.upper,
+        leading, full.n, n_variance[:count], ordered[rank - 1][::-1], (rank / (ordered.size + 1.0))[::-1],
         int(np.count_nonzero(region.any(axis=0))), leading_scale=lead.scale,
     )  # fmt: skip
 
@@ -376,38 +374,37 @@ def _projected_windows(
     bands: Index | Mask,
     rng: np.random.Generator,
     project: Callable[[Array], Array],
-    of_window: Callable[[Array], Array] = lambda values: values,
+    transform: Callable[[Array], Array] = lambda values: values,
 ) -> Iterator[tuple[Array, Mask]]:
-    """(K, lines, samples) what ``project`` makes (K, n) of a region's valid pixels (n, b) in each window, and where.
+    """(K, lines, samples) projections (K, n) by ``project`` of a region's valid pixels (n, b) in windows, and masks.
 
     It is 0 at the other pixels of the window.  A part of a window is in memory at a time: whole windows of all bands
-    would be half of what a run takes.  Pixels of the region drawn at random lie in the windows, which are of a grid:
-    where windows lie over each other, pairs of pixels count several times, chance passes for correlation, and
-    independent pixels for fewer than they are.
+    would be half of a run's memory.  Windows are those cells of a grid that hold pixels drawn at random: overlapping
+    windows would count pairs of pixels several times, and so overestimate correlation.
     """
     count = int(np.count_nonzero(region))
-    lines, samples = px.nth_pixels(region, rng.choice(count, min(_TRIES * WINDOWS, count), replace=False))
+    lines, samples = px.nth_pixels(region, rng.choice(count, min(_DRAWS_PER_WINDOW * WINDOWS, count), replace=False))
     corners = zip((lines // WINDOW * WINDOW).tolist(), (samples // WINDOW * WINDOW).tolist(), strict=True)
     for row, column in list(dict.fromkeys(corners))[:WINDOWS]:
-        inside = region[row : row + WINDOW, column : column + WINDOW].copy()
-        lines, samples = np.nonzero(inside)
+        mask = region[row : row + WINDOW, column : column + WINDOW].copy()
+        lines, samples = np.nonzero(mask)
         parts = [(project(pixels), valid) for pixels, valid in place.valid_pixels(lines + row, samples + column, bands)]
-        inside[inside] = np.concatenate([valid for _, valid in parts])
+        mask[mask] = np.concatenate([valid for _, valid in parts])
         values = np.concatenate([values for values, _ in parts], axis=1)
-        out = np.zeros((len(values), *inside.shape))
-        out[:, inside] = of_window(values) if inside.any() else values
-        yield out, inside
+        image = np.zeros((len(values), *mask.shape))
+        image[:, mask] = transform(values) if mask.any() else values
+        yield image, mask
 
 
 def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> EstimatedPart:
-    """Error covariance (B, B) of a region's mean, in the cube's values, and what it is known by.
+    """Error covariance (B, B) of a region's mean, in the cube's values, with its degrees of freedom.
 
     Correlation on the ground is measured along the leading components, and the rest together, in windows of the
     image, at lags of up to 24 pixels; regions of fewer than 50 pixels count as independent ones.  Few independent
     pixels widen the error (:func:`~hyperval.pixels.small_sample_factor`, :func:`~hyperval.model.student_factor`).
-    Pixels that are fewer than the bands have few common factors and independent bands
-    (:func:`~hyperval.pixels.factor_covariance`); the samples' own covariance stands beside it, and both without the
-    widening, which a test makes by its degrees of freedom.
+    Fewer pixels than bands have the covariance of few common factors and independent bands
+    (:func:`~hyperval.pixels.factor_covariance`).  The sample covariance and both without the widening, which tests
+    make by their degrees of freedom, are given besides.
     """
     n, covariance = statistics.n, statistics.covariance
     variance = np.diag(covariance)
@@ -415,30 +412,30 @@ def mean_error(place: Place, region: Mask, statistics: SampleStatistics) -> Esti
     if valid.size == 0:
         return EstimatedPart(covariance / n, float(n - 1))
     sample = covariance[np.ix_(valid, valid)]
-    inner, common, known_by = px.factor_covariance(sample, n) if n <= valid.size else (sample, sample, float(n - 1))
+    structured, common, dof = px.factor_covariance(sample, n) if n <= valid.size else (sample, sample, float(n - 1))
 
     def full(part: Array) -> Array:
-        out = covariance / n
-        out[np.ix_(valid, valid)] = part
-        return out
+        expanded = covariance / n
+        expanded[np.ix_(valid, valid)] = part
+        return expanded
 
     if n < FEWEST_FOR_CORRELATION:
-        model, factors = full(inner / n), full(common / n)
-        return EstimatedPart(student_factor(n - 1) ** 2 * model, known_by, model, covariance / n, n - 1.0, factors)
+        model, factors = full(structured / n), full(common / n)
+        return EstimatedPart(student_factor(n - 1) ** 2 * model, dof, model, covariance / n, n - 1.0, factors)
     mean, rng = statistics.mean[valid], np.random.default_rng(_MEAN_SEED)
-    along = px.covariance_components(inner, rng)
-    windows = _projected_windows(place, region, valid, rng, lambda pixels: along.scores(pixels - mean))
+    components = px.covariance_components(structured, rng)
+    windows = _projected_windows(place, region, valid, rng, lambda pixels: components.scores(pixels - mean))
     reach = min(REACH, max(*region.shape) - 1)
-    independent, of_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
-    counted = float(np.median(of_variance)) - 1.0
+    n_mean, n_variance = px.independent_pixels(windows, px.neighbour_shares(region, reach, rng), n, reach)
+    mean_dof = float(np.median(n_variance)) - 1.0
     widened, model, variances, factors = (
-        full(px.mean_error_covariance(c, along, by))
-        for c, by in (
-            (inner, independent / px.small_sample_factor(independent)), (inner, independent), (sample, independent),
-            (common, independent),
+        full(px.mean_error_covariance(c, components, n_effective))
+        for c, n_effective in (
+            (structured, n_mean / px.small_sample_factor(n_mean)), (structured, n_mean), (sample, n_mean),
+            (common, n_mean),
         )
     )  # fmt: skip
-    return EstimatedPart(widened, counted * known_by / (n - 1), model, variances, counted, factors)
+    return EstimatedPart(widened, mean_dof * dof / (n - 1), model, variances, mean_dof, factors)
 
 
 Key = tuple[str, int | Literal["auto"], bool]
@@ -446,23 +443,23 @@ Mixture = tuple[px.ClassMixture, Components | None]
 
 
 class RegionLaws:
-    """Components of the regions of one collection, each fitted once, and what their pixels leave open."""
+    """Mixtures of the regions of one collection, each fitted once, and their jackknife replicates."""
 
     def __init__(self, observed: Observed):
-        # Without an image there are no statistics, and nothing is asked for.
+        # Without an image there are no statistics, and place is not used.
         self._place, self._masks = cast(Place, observed.place), observed.masks
         self._tails, self._statistics = observed.observation.distribution, observed.statistics
-        self.parts, self._fitted, self._without = cache(self._numbered), cache(self._fit), cache(self._left_out)
+        self.parts, self._fitted, self._jackknifed = cache(self._numbered), cache(self._fit), cache(self._jackknife)
 
     def _pixels(self, region: str) -> tuple[Array, Index, Index, Index]:
         """The pixels of a region that its laws are fitted to, at most 20,000 drawn at random (seed fixed).
 
-        Their reflectance (n, B), 0 in a band without a gain as in the statistics of the class; lines and samples (n,)
-        where they are; and the good bands in the windows of the atmosphere.
+        Their reflectance (n, B), 0 in a band without a gain as in the statistics of the class; their lines and samples
+        (n,); and the good bands in the windows of the atmosphere.
         """
         axis, rng = self._place.cube.axis, np.random.default_rng(_LAW_SEED)
-        most = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
-        lines, samples = px.drawn_pixels(self._masks[region], most, rng)
+        limit = max(min(MOST_PIXELS, MOST_NUMBERS // len(axis)), 2)
+        lines, samples = px.drawn_pixels(self._masks[region], limit, rng)
         pixels, valid = self._place.pixels_at(lines, samples)
         finite = np.isfinite(pixels[valid]).all(axis=0)
         pixels = np.where(finite, pixels, 0.0)
@@ -483,13 +480,13 @@ class RegionLaws:
         ------
         UsageError : too few pixels or blocks of the image; two classes that ask one region for different ones.
         """
-        out = dict(self._statistics)
+        statistics = dict(self._statistics)
         for region, (c, key) in self._keys(scenario).items():
             with told_of(f"mixture of class {c.name!r}, region {region!r}"):
                 mixture = key and self._fitted(*key)
             if mixture is not None:
-                out[region] = replace(out[region], components=mixture[1])
-        return out
+                statistics[region] = replace(statistics[region], components=mixture[1])
+        return statistics
 
     def left_out(self, scenario: Scenario) -> Iterator[tuple[str, list[ClassStatistics]]]:
         """(region, its statistics without each of its parts), for the regions that the classes take their law from.
@@ -497,48 +494,48 @@ class RegionLaws:
         None of a region without pixels, or of fewer than two parts.
         """
         for region, (c, key) in self._keys(scenario).items():
-            if without := self._without(region, key, c.tail_dof == "measured"):
-                yield region, without
+            if replicates := self._jackknifed(region, key, c.tail_dof == "measured"):
+                yield region, replicates
 
-    def _left_out(self, region: str, key: Key | None, tails: bool) -> list[ClassStatistics]:
-        """The statistics of a region without each of its parts; ``tails``: with a tail of their own."""
-        out, mixture = [], key and self._fitted(*key)
-        (pixels, lines, samples, lead), whole = self._pixels(region), self._statistics[region]
+    def _jackknife(self, region: str, key: Key | None, tails: bool) -> list[ClassStatistics]:
+        """The statistics of a region without each of its parts; ``tails``: with tails fitted to each."""
+        replicates, mixture = [], key and self._fitted(*key)
+        (pixels, lines, samples, lead), full = self._pixels(region), self._statistics[region]
         part = self.parts(region)[lines, samples]
-        for number, (mean, covariance) in enumerate(px.moments_without_each(pixels, part)):
-            dof, scale = whole.tail_dof, whole.tail_scale
-            if tails and dof is not None:  # what all pixels can tell of it bounds what the others make of it
-                rest, tail = pixels[part != number][:, lead], self._tails[region]
-                within = tail.leading_lower, tail.leading_upper
-                fit = px.leading_tails(rest, mean[lead], covariance[np.ix_(lead, lead)], within)
+        for number, (mean, cov) in enumerate(px.moments_without_each(pixels, part)):
+            dof, scale = full.tail_dof, full.tail_scale
+            if tails and dof is not None:  # within the limits of the fit to all pixels
+                remaining, tail = pixels[part != number][:, lead], self._tails[region]
+                limits = tail.leading_lower, tail.leading_upper
+                fit = px.leading_tails(remaining, mean[lead], cov[np.ix_(lead, lead)], limits)
                 dof, scale = fit.dof if np.isfinite(fit.dof) else None, fit.scale
             law = None if mixture is None else mixture[0].components_without(pixels, part, number)
-            out.append(replace(whole, mean=mean, covariance=covariance, tail_dof=dof, tail_scale=scale, components=law))
-        return out
+            replicates.append(replace(full, mean=mean, covariance=cov, tail_dof=dof, tail_scale=scale, components=law))
+        return replicates
 
     def _keys(self, scenario: Scenario) -> dict[str, tuple[BackgroundClass, Key | None]]:
         """Region -> the first class that takes its law from there, and the mixture that the classes ask for."""
-        out: dict[str, tuple[BackgroundClass, Key | None]] = {}
+        keys: dict[str, tuple[BackgroundClass, Key | None]] = {}
         for c in scenario.scene.classes:
             region = c.spectrum.measured if c.covariance is None else c.covariance.measured
             if region is None or region not in self._statistics:
                 continue
             mixes = c.mixture if c.has_mixture else None
             key = None if mixes is None else (region, mixes, c.tail_dof is not None)
-            first = out.setdefault(region, (c, key))[1]
-            if key is not None and first is None:
-                out[region] = (c, key)
-            elif key is not None and first != key:
+            earlier = keys.setdefault(region, (c, key))[1]
+            if key is not None and earlier is None:
+                keys[region] = (c, key)
+            elif key is not None and earlier != key:
                 raise UsageError(f"two classes ask for different components of region {region!r}")
-        return out
+        return keys
 
     def _fit(self, region: str, count: int | Literal["auto"], tails: bool) -> Mixture | None:
         """The mixture of a region; blocks for the choice of its number are those of false alarms: about 64."""
         (pixels, lines, samples, lead), place = self._pixels(region), self._place
         side = px.block_side(int(np.count_nonzero(self._masks[region])))
         block = (lines // side) * (place.cube.samples // side + 1) + samples // side
-        made = px.class_mixture(pixels, block, count, tails=tails, lead=lead, seed=_LAW_SEED)
-        return None if made is None else (made, made.components(pixels))
+        mixture = px.class_mixture(pixels, block, count, tails=tails, lead=lead, seed=_LAW_SEED)
+        return None if mixture is None else (mixture, mixture.components(pixels))
 
 
 def class_errors(place: Place, masks: Labels, task: Classification) -> dict[tuple[str, str], ClassificationError]:
@@ -551,7 +548,7 @@ def class_errors(place: Place, masks: Labels, task: Classification) -> dict[tupl
     UsageError : a region that is none, or one with too few pixels in either half.
     """
     halves = {n: _halves(place, masks[n] if n in place.regions else place.pixels_of(n), n, task) for n in task.classes}
-    out = {}
+    errors = {}
     for chosen in class_sets(task):
         for choice in task.features:
             bands = feature_bands(place.cube.axis.centre_nm, place.cube.axis.clear, choice.bands_nm)
@@ -562,12 +559,12 @@ def class_errors(place: Place, masks: Labels, task: Classification) -> dict[tupl
                 if sample.n < PIXELS_PER_FEATURE * psi.shape[0]:
                     raise refusal("classes.few", n=sample.n, name=name, features=psi.shape[0], least=PIXELS_PER_FEATURE)
             tested = [halves[name][1] for name in chosen]
-            out[" / ".join(chosen), choice.name] = measured_error(
+            errors[" / ".join(chosen), choice.name] = measured_error(
                 [law.project(psi) for law in laws],
                 [pixels[:, bands] @ psi.T for pixels, _ in tested],
                 [blocks for _, blocks in tested],
             )
-    return out
+    return errors
 
 
 def class_sets(task: Classification) -> list[tuple[str, ...]]:
@@ -579,16 +576,16 @@ def class_sets(task: Classification) -> list[tuple[str, ...]]:
 def training_pixels(task: Classification, laws: Mapping[str, PixelDistribution], masks: Labels) -> dict[str, float]:
     """Independent pixels that train each class: half of those of its region, at most as many as are taken.
 
-    Of a region that is too small for their number to be measured every pixel counts.
+    In a region too small for their number to be measured every pixel counts.
 
     >>> task = Classification(classes=["a", "b", "c"], features=[{"name": "all"}], pixels=500)
-    >>> seen = {"a": PixelDistribution(effective_n=np.array([200.0, 600.0])), "b": PixelDistribution()}
-    >>> training_pixels(task, seen, {"a": np.ones(9000), "b": np.ones(150), "c": np.ones(9000)})
+    >>> laws = {"a": PixelDistribution(effective_n=np.array([200.0, 600.0])), "b": PixelDistribution()}
+    >>> training_pixels(task, laws, {"a": np.ones(9000), "b": np.ones(150), "c": np.ones(9000)})
     {'a': 150.0, 'b': 75.0, 'c': 500.0}
     """
     counts = {name: laws.get(name, PixelDistribution()).effective_n for name in task.classes}
-    each = {k: np.count_nonzero(masks[k]) if n is None else 1.0 / np.mean(1.0 / n) for k, n in counts.items()}
-    return {name: min(0.5 * float(n), float(task.pixels)) for name, n in each.items()}
+    independent = {k: np.count_nonzero(masks[k]) if n is None else 1.0 / np.mean(1.0 / n) for k, n in counts.items()}
+    return {name: min(0.5 * float(n), float(task.pixels)) for name, n in independent.items()}
 
 
 def _halves(place: Place, region: Mask, name: str, task: Classification) -> list[tuple[Array, Index]]:
@@ -599,11 +596,11 @@ def _halves(place: Place, region: Mask, name: str, task: Classification) -> list
     refuse(blocks.size < 2, "classes.block", name=name, block_lines=task.block_lines)
     # Half of the blocks that hold the class train.
     order = np.random.default_rng([task.seed, place.cube.lines]).permutation(-(-place.cube.lines // task.block_lines))
-    dealt = order[np.isin(order, blocks)]
-    trains, out = np.isin(block, dealt[: dealt.size // 2]), []
+    shuffled = order[np.isin(order, blocks)]
+    trains, parts = np.isin(block, shuffled[: shuffled.size // 2]), []
     for half in (np.flatnonzero(trains), np.flatnonzero(~trains)):
-        some = half[:: max(-(-half.size // task.pixels), 1)]  # evenly thinned
-        pixels, valid = place.cube.marked_pixels((lines[some], samples[some]))
+        thinned = half[:: max(-(-half.size // task.pixels), 1)]  # evenly thinned
+        pixels, valid = place.cube.marked_pixels((lines[thinned], samples[thinned]))
         refuse(np.count_nonzero(valid) < 2, "features.pixels", name=name)
-        out.append((pixels[valid], block[some][valid]))
-    return out
+        parts.append((pixels[valid], block[thinned][valid]))
+    return parts

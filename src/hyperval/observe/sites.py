@@ -34,24 +34,23 @@ from hyperval.units import RADIANCE_UNIT
 BLACK = "black ground"
 WHERE = "collection.empirical_line"
 FEWEST_USABLE = 0.8  # of the good bands
-MOST_LEFT_OUT = 0.05  # reflectance that the other panels may be off by
+MOST_LEFT_OUT = 0.05  # greatest error of a panel's reflectance by the line through the others
 SAME_BAND_NM = 0.5
-# Sites are what the scene has: the gain over its uncertainty decides, and this keeps equal sites from a line.
-LEAST_CONTRAST = 0.01
+LEAST_CONTRAST = 0.01  # between sites, which a scene offers as they are: the SNR of the gain decides
 DECIMALS = 4  # of the values in a network's file
 ROUNDING, NETWORK = "rounding", "as the network states"
 NOISE, CALIBRATION = "detector noise", "calibration"
 
 
-def spectral_estimate(mean: npt.ArrayLike, parts: Mapping[str, Array], **more: Any) -> SpectralEstimate:
+def spectral_estimate(mean: npt.ArrayLike, parts: Mapping[str, Array], **fields: Any) -> SpectralEstimate:
     """Estimate whose error covariance is the sum of independent ``parts`` (B, B), each named in the budget.
 
-    ``known``: the other fields of the estimate, such as what of the parts was estimated from samples.
+    ``fields``: other fields of the estimate, such as the parts that were estimated from samples.
     """
     mean = np.asarray(mean, dtype=float)
     total = sum(parts.values(), np.zeros((mean.size, mean.size)))
     budget = {name: np.sqrt(np.clip(np.diag(part), 0.0, None)) for name, part in parts.items()}
-    return SpectralEstimate(mean, total, budget=budget, calibration=parts.get(CALIBRATION), **more)
+    return SpectralEstimate(mean, total, budget=budget, calibration=parts.get(CALIBRATION), **fields)
 
 
 def calibration_covariance(
@@ -66,8 +65,8 @@ def calibration_covariance(
         relative = np.interp(axis.centre_nm, table.wavelength_nm, table.values)
     by_band = calibration.file is not None and calibration.correlation_nm is None
     shape = np.eye(len(axis)) if by_band else band_correlation(axis, calibration.correlation_nm)
-    alone = np.diag(((calibration.uncorrelated or 0.0) * level) ** 2)
-    return np.asarray(np.outer(relative * level, relative * level) * shape + alone)
+    uncorrelated = np.diag(((calibration.uncorrelated or 0.0) * level) ** 2)
+    return np.asarray(np.outer(relative * level, relative * level) * shape + uncorrelated)
 
 
 def detector_covariance(radiance: npt.ArrayLike, axis: SpectralAxis, sensor: Sensor, pixels: int) -> Array:
@@ -77,12 +76,12 @@ def detector_covariance(radiance: npt.ArrayLike, axis: SpectralAxis, sensor: Sen
 
 
 def rounding_variance(step: npt.ArrayLike, standard_deviation: npt.ArrayLike) -> Array:
-    """Variance of the error that storing whole steps leaves in a mean over any number of pixels.
+    """Variance of the rounding error, of values stored in steps, that remains in a mean over any number of pixels.
 
-    Noise of a step smooths the rounding away, a panel without noise keeps all of it: normal values about x with
-    standard deviation s are off by sum_k (-1)^k step/(pi k) sin(2 pi k x/step) exp(-2 pi^2 k^2 s^2/step^2) on
-    average, whose mean square over x is step^2/(2 pi^2) sum_k exp(-4 pi^2 k^2 s^2/step^2)/k^2, step^2/12 without
-    noise.  Source: Widrow, Kollar & Liu, IEEE Trans. Instrum. Meas. 45, 353-361, 1996.
+    Noise of a step dithers the rounding away, a panel without noise keeps all of it: normal values about x with
+    standard deviation s have the bias sum_k (-1)^k step/(pi k) sin(2 pi k x/step) exp(-2 pi^2 k^2 s^2/step^2),
+    whose mean square over x is step^2/(2 pi^2) sum_k exp(-4 pi^2 k^2 s^2/step^2)/k^2, step^2/12 without noise.
+    Source: Widrow, Kollar & Liu, IEEE Trans. Instrum. Meas. 45, 353-361, 1996.
 
     Parameters
     ----------
@@ -111,18 +110,18 @@ def path_estimate(source: PathRadiance, axis: SpectralAxis, resolve: Resolve) ->
     black = Surface(name=BLACK, spectrum=SpectrumSource(constant=0.0))
     scene = scenario.scene.model_copy(update={"sites": [*scenario.scene.sites, black], "targets": []})
 
-    def beside(reference: str) -> Path:  # references of a scenario are relative to its own file
+    def resolve_beside(reference: str) -> Path:  # references of a scenario are relative to its own file
         return resolve(reference if ":" in reference else (PurePath(source.scenario).parent / reference).as_posix())
 
-    return predict(scenario.model_copy(update={"scene": scene}), Origins(axis, resolve=beside)).radiance[BLACK]
+    return predict(scenario.model_copy(update={"scene": scene}), Origins(axis, resolve=resolve_beside)).radiance[BLACK]
 
 
 def field_reflectance(panel: PanelReference, axis: SpectralAxis, resolve: Resolve) -> tuple[Array, Array]:
     """Reflectance (B,) of a panel as measured on the ground, and its error covariance (B, B).
 
-    What replicate spectra say, or the standard error that the file carries (``divisor: spread``: the standard
-    deviation of either), and the stated relative uncertainty; the latter two with the stated correlation length,
-    common to all bands without one.
+    By replicate spectra, or the standard error in the file (``divisor: spread``: the standard deviation of either),
+    and the stated relative uncertainty; the latter two with the stated correlation length, common to all bands
+    without one.
     """
     field = Sources(axis, {}, resolve).spectrum(panel.spectrum, panel.region)
     stated = panel.relative_uncertainty * field.mean
@@ -157,8 +156,8 @@ def empirical_line(
         refuse(name not in place.statistics, "line.region", name=name, known=one_of(place.statistics))
         mean, covariance = field_reflectance(panel, cube.axis, resolve)
         sample, part = place.statistics[name], sampling[name]
-        known_by = part if sample.n > 1 else None
-        panels.append(MeasuredPanel(name, mean, covariance, sample.mean, part.covariance, sample.n, known_by))
+        sampled = part if sample.n > 1 else None
+        panels.append(MeasuredPanel(name, mean, covariance, sample.mean, part.covariance, sample.n, sampled))
     if (dark := source.darkest_pixel) is not None:
         noise = np.full(len(cube.axis), dark.radiance_noise**2)
         panels.append(px.darkest_pixel_panel(px.darkest_values(cube), noise, good, dark.reflectance, dark.uncertainty))
@@ -166,7 +165,7 @@ def empirical_line(
 
 
 def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, place: Place) -> None:
-    """Raise UsageError for a panel with a pixel at which the detector, or the stored type, is full in a good band.
+    """Raise UsageError for a panel with a pixel that saturates the detector, or the stored type, in a good band.
 
     Parameters
     ----------
@@ -186,17 +185,17 @@ def refuse_saturated(source: EmpiricalLineSource | None, masks: Labels, place: P
             count += int(saturated.any(axis=1).sum())
             bands |= saturated.any(axis=0)
         if count:
-            first = int(good[np.argmax(bands)])
-            facts = {"count": count, "size": lines.size, "band": first + 1, "centre_nm": cube.axis.centre_nm[first]}
+            band = int(good[np.argmax(bands)])
+            facts = {"count": count, "size": lines.size, "band": band + 1, "centre_nm": cube.axis.centre_nm[band]}
             raise refusal("panel.saturated", WHERE, region=region, **facts)
 
 
 def line_notes(elm: EmpiricalLine, axis: SpectralAxis) -> list[str]:
-    """What is to be said of a line: its panels, the bands it cannot be used in, how well its panels agree."""
+    """Notes on a line: its panels, the bands it cannot be used in, how well its panels agree."""
     notes = [f"empirical line through {', '.join(elm.names)}: usable in {int(elm.usable.sum())} bands"]
     if not elm.usable.all():
-        lost = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
-        notes[0] += f"; no gain at {lost} nm"
+        unusable = ", ".join(f"{w:.4g}" for w in axis.centre_nm[~elm.usable])
+        notes[0] += f"; no gain at {unusable} nm"
     if (elm.usable & elm.good).any() and (left_out := _left_out(elm)):
         parts = []
         for name, errors in left_out.items():
@@ -220,8 +219,8 @@ def line_warnings(elm: EmpiricalLine) -> Iterator[str]:
     if (factor := elm.contradiction) > 1.0:
         yield said("line.contradiction", times=np.sqrt(factor))
     for name, errors in _left_out(elm).items():
-        if errors.size and (off := np.median(np.abs(errors))) > MOST_LEFT_OUT:
-            yield said("line.off", name=name, off=off)
+        if errors.size and (error := np.median(np.abs(errors))) > MOST_LEFT_OUT:
+            yield said("line.off", name=name, off=error)
 
 
 def _left_out(elm: EmpiricalLine) -> dict[str, Array]:
@@ -233,7 +232,7 @@ def _left_out(elm: EmpiricalLine) -> dict[str, Array]:
 
 
 def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectance: bool) -> list[str]:
-    """How far features of spectra (B,) lie from their places, in words, with a warning for each that is certain."""
+    """Wavelength shifts of features of spectra (B,), in words, with a warning for each that is significant."""
     found = px.common_shifts(spectra, axis, reflectance=reflectance)
     if not found:
         return [said("wavelengths.reflectance" if reflectance else "wavelengths.radiance")]
@@ -242,8 +241,8 @@ def wavelength_notes(spectra: Iterable[Array], axis: SpectralAxis, *, reflectanc
         error = f"standard uncertainty {s.uncertainty_nm:.1f}"
         parts.append(f"{s.feature} {s.nm:+.1f} nm ({error}, shown by {count} of the spectra)")
         if s.certain:
-            about = {"feature": s.feature, "nm": abs(s.nm), "error": error, "side": "above" if s.nm > 0 else "below"}
-            warnings.append(said("wavelengths.shifted", **about))
+            facts = {"feature": s.feature, "nm": abs(s.nm), "error": error, "side": "above" if s.nm > 0 else "below"}
+            warnings.append(said("wavelengths.shifted", **facts))
     return [said("wavelengths", features="; ".join(parts)), *warnings]
 
 
@@ -264,12 +263,12 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
     notes = [*band_table_notes(bands, axis)]
     radiance: dict[str, SpectralEstimate] = {}
     for site in collection.spectra:
-        read = read_spectrum(
+        spectrum = read_spectrum(
             resolve(site.path), record=site.record, quantity="radiance", unit=site.unit,
             unit_if_unstated=RADIANCE_UNIT, wavelength_unit=site.wavelength_unit,
         )  # fmt: skip
-        mean, how = _in_bands(read, axis)
-        notes += [f"{site.subject}: {note}" for note in (*read.notes, *how)]
+        mean, how = _in_bands(spectrum, axis)
+        notes += [f"{site.subject}: {note}" for note in (*spectrum.notes, *how)]
         parts = {}
         if collection.calibration is not None:
             parts[CALIBRATION] = calibration_covariance(mean, axis, collection.calibration, resolve)
@@ -277,27 +276,27 @@ def observe_spectra(collection: CollectionSection, resolve: Resolve) -> Observed
             parts[NOISE] = detector_covariance(mean, axis, detector, site.pixels)
         radiance[site.subject] = spectral_estimate(mean, parts, n=site.pixels)
     notes += wavelength_notes([estimate.mean for estimate in radiance.values()], axis, reflectance=False)
-    reflectance, more = _site_reflectance(collection, radiance, axis, resolve)
-    words, origin = (*notes, *more), {"quantity": "radiance"}
+    reflectance, line_notes = _site_reflectance(collection, radiance, axis, resolve)
+    words, origin = (*notes, *line_notes), {"quantity": "radiance"}
     return ObservedProducts(axis=axis, radiance=radiance, reflectance=reflectance, notes=words, provenance=origin)
 
 
-def _in_bands(read: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
-    """(B,) radiance in the bands of the table, and what was done.
+def _in_bands(spectrum: FieldSpectrum, axis: SpectralAxis) -> tuple[Array, tuple[str, ...]]:
+    """(B,) radiance in the bands of the table, and a note on the averaging.
 
     A spectrum at the bands' own centres is taken as it stands; one of a field spectrometer, which samples at most
     half a band width apart, is averaged over the bands.
     """
-    nm, centre = read.wavelength_nm, axis.centre_nm
+    nm, centre = spectrum.wavelength_nm, axis.centre_nm
     if nm.size == len(axis) and np.all(np.abs(nm - centre) <= SAME_BAND_NM):
-        return read.values, ()
-    inside = centre[(centre >= nm[0]) & (centre <= nm[-1])]
+        return spectrum.values, ()
+    covered = centre[(centre >= nm[0]) & (centre <= nm[-1])]
     spacing = np.interp(centre, 0.5 * (nm[1:] + nm[:-1]), np.diff(nm)) if nm.size > 1 else np.inf
-    if inside.size < len(axis) or np.any(spacing > 0.5 * axis.fwhm_nm):
-        raise refusal("site.bands", read.source, size=nm.size, count=len(axis), step=SAME_BAND_NM)
-    mean = band_average(nm, read.values, axis, outside="nan")
-    if (lost := centre[~np.isfinite(mean)]).size:
-        raise refusal("site.cover", read.source, size=lost.size, first=lost[0], low=centre[0], high=centre[-1])
+    if covered.size < len(axis) or np.any(spacing > 0.5 * axis.fwhm_nm):
+        raise refusal("site.bands", spectrum.source, size=nm.size, count=len(axis), step=SAME_BAND_NM)
+    mean = band_average(nm, spectrum.values, axis, outside="nan")
+    if (gaps := centre[~np.isfinite(mean)]).size:
+        raise refusal("site.cover", spectrum.source, size=gaps.size, first=gaps[0], low=centre[0], high=centre[-1])
     return mean, (f"{nm.size} samples averaged over the {len(axis)} bands",)
 
 
@@ -306,59 +305,59 @@ def _site_reflectance(
 ) -> tuple[dict[str, SpectralEstimate], list[str]]:
     """Reflectance of every site by the line through the other panels of its flight line, and notes; none without one.
 
-    A site is never on its own line, so that each reflectance is a prediction of what the ground has.  Two or more
-    other panels make the line; a single one makes it with the path radiance that ``path_radiance`` states for the
-    flight line, and the note marks it as a one-point line.  Sites of one flight share their calibration, which
-    cancels, but for the part of it in which a stated path radiance has none.
+    A site is never on its own line, so that each reflectance is an independent prediction.  Two or more other panels
+    make the line; a single one makes it with the path radiance that ``path_radiance`` states for the flight line, and
+    the note marks it as a one-point line.  Sites of one flight share their calibration error, which cancels except
+    against a stated path radiance, which has none.
     """
     if (source := collection.empirical_line) is None:
         return {}, []
     flights = {site.subject: site.line for site in collection.spectra}
     paths = {entry.line: entry for entry in source.path_radiance}
-    known = one_of(sorted(map(repr, set(flights.values()))))
+    choices = one_of(sorted(map(repr, set(flights.values()))))
     for stated in paths:
-        refuse(stated not in flights.values(), "path.line", WHERE, line=stated, known=known)
+        refuse(stated not in flights.values(), "path.line", WHERE, line=stated, known=choices)
     panels: dict[str, MeasuredPanel] = {}
     for panel in source.panels:
         name = panel.region
         refuse(name not in sites, "line.site", WHERE, name=name, known=one_of(sites))
         noise, n = sites[name].budget.get(NOISE, np.zeros(len(axis))), sites[name].n or 1
         panels[name] = MeasuredPanel(name, *field_reflectance(panel, axis, resolve), sites[name].mean, noise**2, n)
-    out: dict[str, SpectralEstimate] = {}
+    reflectance: dict[str, SpectralEstimate] = {}
     notes: list[str] = []
     for name, site in sites.items():
         flight = flights[name]
-        others = [p for n, p in panels.items() if n != name and flights[n] == flight]
-        how, lacks = "empirical line", "no other site is known"
-        if source.intercept and len(others) == 1:
-            lacks = "one other site makes a line only with its path_radiance"
+        line_panels = [p for n, p in panels.items() if n != name and flights[n] == flight]
+        method, reason = "empirical line", "no other site is known"
+        if source.intercept and len(line_panels) == 1:
+            reason = "one other site makes a line only with its path_radiance"
             if flight in paths:
-                how = "one-point empirical line"
-                others.append(_black(paths[flight], site, axis, resolve))
+                method = "one-point empirical line"
+                line_panels.append(_black(paths[flight], site, axis, resolve))
         try:
-            if not others or (source.intercept and len(others) == 1):
-                raise UsageError(lacks)
-            line = fit_elm(others, intercept=source.intercept, minimum_contrast=LEAST_CONTRAST)
+            if not line_panels or (source.intercept and len(line_panels) == 1):
+                raise UsageError(reason)
+            line = fit_elm(line_panels, intercept=source.intercept, minimum_contrast=LEAST_CONTRAST)
         except UsageError as error:
             notes.append(f"{name}: no reflectance by other sites of its flight line: {error.what}")
             continue
         parts = {"empirical line": line.error_covariance(site.mean)}
         if NOISE in site.budget:
             parts[NOISE] = np.diag((site.budget[NOISE] / line.gain) ** 2)
-        out[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.n)
+        reflectance[name] = spectral_estimate(line.reflectance(site.mean), parts, n=site.n)
         usable = f"usable in {int(line.usable.sum())} of {len(axis)} bands"
-        words = [f"reflectance by the {how} through {' and '.join(line.names)}, {usable}", *line_warnings(line)]
+        words = [f"reflectance by the {method} through {' and '.join(line.names)}, {usable}", *line_warnings(line)]
         notes += [f"{name}: {text}" for text in words]
-    return out, notes
+    return reflectance, notes
 
 
-def _black(stated: PathRadiance, site: SpectralEstimate, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
-    """The path radiance as a panel that reflects nothing."""
-    black, zero = path_estimate(stated, axis, resolve), np.zeros(len(axis))
-    # A common error of the calibration moves all sites and not the path: as if the path alone had moved.
-    share = black.mean / np.where(site.mean == 0.0, np.inf, site.mean)
-    shared = 0.0 if site.calibration is None else site.calibration
-    error = black.error_covariance + shared * np.outer(share, share)
+def _black(source: PathRadiance, site: SpectralEstimate, axis: SpectralAxis, resolve: Resolve) -> MeasuredPanel:
+    """The path radiance as a panel of reflectance 0."""
+    black, zero = path_estimate(source, axis, resolve), np.zeros(len(axis))
+    # A calibration error common to all sites and not to the path is equivalent to one of the path alone.
+    fraction = black.mean / np.where(site.mean == 0.0, np.inf, site.mean)
+    calibration = 0.0 if site.calibration is None else site.calibration
+    error = black.error_covariance + calibration * np.outer(fraction, fraction)
     return MeasuredPanel("the path radiance of the engine", zero, zero, black.mean, error)
 
 
@@ -379,21 +378,21 @@ def observe_radcalnet(source: RadCalNetSource, resolve: Resolve) -> ObservedProd
     rows = [day.column(time) for time in times]
     bands = np.isfinite(day.values[rows]).any(axis=0)
     nm = day.wavelength_nm[bands]
-    fwhm, how = source.fwhm_nm, "as stated"
+    fwhm, origin = source.fwhm_nm, "as stated"
     if fwhm is None:
-        fwhm, how = px.oxygen_band_width(nm, np.nanmean(day.values[rows][:, bands], axis=0)), "by the oxygen A band"
+        fwhm, origin = px.oxygen_band_width(nm, np.nanmean(day.values[rows][:, bands], axis=0)), "by the oxygen A band"
     if not np.isfinite(fwhm):
-        fwhm, how = float(np.diff(nm).min()), "as wide as their step"
+        fwhm, origin = float(np.diff(nm).min()), "as wide as their step"
     axis = SpectralAxis(nm, np.full(nm.size, fwhm))
-    out = {}
+    estimates = {}
     for time, row in zip(times, rows, strict=True):
         stated = np.nan_to_num(day.uncertainty[row, bands])
         errors = {ROUNDING: np.eye(nm.size) * 10.0 ** (-2 * DECIMALS) / 12.0}
         if not source.shared_inputs:
             errors[NETWORK] = np.outer(stated, stated) * band_correlation(axis, source.correlation_nm)
         estimate = spectral_estimate(day.values[row, bands], errors)
-        out[source.subject.format(site=day.site, time=time)] = replace(estimate, stated=stated)
-    notes = [f"bands are taken as {fwhm:g} nm wide ({how}): the network's file does not state their width"]
+        estimates[source.subject.format(site=day.site, time=time)] = replace(estimate, stated=stated)
+    notes = [f"bands are taken as {fwhm:g} nm wide ({origin}): the network's file does not state their width"]
     if source.shared_inputs:
         notes.append("both sides start from the same surface and state: their errors are not in the difference")
-    return ObservedProducts(axis=axis, toa_reflectance=out, notes=tuple(notes), provenance={"quantity": TOP})
+    return ObservedProducts(axis=axis, toa_reflectance=estimates, notes=tuple(notes), provenance={"quantity": TOP})

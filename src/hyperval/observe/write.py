@@ -61,14 +61,14 @@ def write_reflectance(folder: Path, name: str, cube: Cube, elm: EmpiricalLine | 
     what = f"reflectance by the empirical line through {', '.join(elm.names)}; stored value = {SCALE} x reflectance"
     path = folder / f"{name}.{'img' if form == 'envi' else 'tif'}"
     watch = watch_lines("reflectance", cube.bytes_per_line, cube.lines)
-    outside = 0
+    clipped = 0
     with _envi(path, cube, axis, what) if form == "envi" else _cog(path, cube, axis, what) as write:
         for lines, (block, misfits) in watch(_blocks(cube, elm, axis.good)):
             write(lines.start, block)
-            outside += misfits
+            clipped += misfits
     note = f"{path.name}: {what}; no data is {NO_DATA}; {int((~elm.usable).sum())} bands without a gain"
-    if outside:
-        note += f"; {outside} values of good bands beyond {32767 / SCALE:g} are no data"
+    if clipped:
+        note += f"; {clipped} values of good bands beyond {32767 / SCALE:g} are no data"
     return path, note
 
 

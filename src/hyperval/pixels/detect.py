@@ -11,11 +11,11 @@ With background mean mu and covariance Sigma, d = target - mu and z = x - mu:
     rx                    z^T Sigma^-1 z                                       needs no target
 
 A higher score is always more like a target.  :func:`register_detector` adds one of your own, :func:`register_scores`
-and :func:`register_estimator` one that sees an image whole: a function, or an estimator of scikit-learn.
+and :func:`register_estimator` one that needs the whole image: a function, or an estimator of scikit-learn.
 
 :func:`score_cube` takes all detectors and targets in one pass, with gain and empirical line folded in.
-:func:`score_cube_locally` sets each pixel against the mean of its own surroundings, with the global covariance: the
-background pixels in an outer square around it, less an inner square that keeps the target out.  In coordinates
+:func:`score_cube_locally` takes the mean from each pixel's surroundings and the covariance from the whole scene: the
+background pixels in an outer square around it, less an inner square that excludes the target.  In coordinates
 y = W (x - mu), W Sigma W^T = 1, that mean is a moving average m of y, and the detectors are those above of z = y - m
 and d = W (t - mu) - m.
 """
@@ -44,10 +44,10 @@ from hyperval.pixels.statistics import StoredBlock, Watch, by_segments, stream
 
 if TYPE_CHECKING:
     from hyperval.imagery import Cube
-MOST_VALUES = 50_000_000  # of what detectors see of an image at once: 0.4 GB, twice that while they score it
-LEAST_PIXELS = 10  # fewer make no mean to speak of; the global one stands in
-_VALUES_AT_ONCE = 1_000_000  # of the pixels of a strip and what the window reaches beyond them
-_RANK = 1e-10  # a direction of the undesired spectra below this part of the greatest adds nothing but rounding
+MOST_VALUES = 50_000_000  # held at once for detectors that need the whole image: 0.4 GB, twice that while they score it
+LEAST_PIXELS = 10  # with fewer in the window the global mean is used
+_STRIP_VALUES = 1_000_000  # values read at once: a strip of pixels with its margin
+_RANK = 1e-10  # undesired directions with singular values below this part of the greatest are rounding
 
 
 def _ratio(a: Array | float, b: Array | float) -> Array:
@@ -79,9 +79,9 @@ class PixelDetector:
     combine : score (N,) from y (K, N) and the quadratic (N,), which is None where none is asked for; None for
         a linear detector, whose score is y[0]
     quadratic : "distance", the squared Mahalanobis distance from the background mean; "length", |x|^2
-    by_pixel : ``combine`` tells the score of a pixel from that pixel alone, and is called with a part of the
-        image at a time; else once, with all pixels that hold data
-    image : score (lines, samples) from y (lines, samples, K), NaN where there is no data, and what the truth says
+    by_pixel : ``combine`` scores each pixel from that pixel alone, and is called with a part of the image at a time;
+        else once, with all pixels that hold data
+    image : score (lines, samples) from y (lines, samples, K), NaN where there is no data, and the image's truth
     added : name under which it was registered; empty for one of the package
     """
 
@@ -98,11 +98,11 @@ class PixelDetector:
         spectra = np.asarray(x, dtype=float)
         flat = spectra.reshape(-1, spectra.shape[-1]).T
         y = self.weights @ flat + self.constants[:, None]
-        value = None
+        quadratic = None
         if self.quadratic is not None:
-            z = flat if self.quadratic == "length" else _known(whitener).whitened(flat)
-            value = _dot(z, z)
-        return np.asarray(self.of(y, value).reshape(spectra.shape[:-1]))
+            z = flat if self.quadratic == "length" else _required(whitener).whitened(flat)
+            quadratic = _column_products(z, z)
+        return np.asarray(self.of(y, quadratic).reshape(spectra.shape[:-1]))
 
     def of(self, y: Array, quadratic: Array | None) -> Array:
         """Score (N,) from y (K, N) and the quadratic (N,), which is None where none is asked for."""
@@ -121,7 +121,7 @@ class Whitener:
         return np.asarray(self.matrix @ (x.T - self.mean).T)
 
 
-def _known(whitener: Whitener | None) -> Whitener:
+def _required(whitener: Whitener | None) -> Whitener:
     return needed(whitener, "detector.whitener")
 
 
@@ -139,8 +139,8 @@ class AddedDetectorError(UsageError):
 
 
 @contextmanager
-def _of_added(name: str) -> Iterator[None]:
-    """Whatever goes wrong inside is told of the detector that was registered."""
+def _errors_of(name: str) -> Iterator[None]:
+    """Errors raised inside name the registered detector."""
     try:
         yield
     except Exception as error:
@@ -184,13 +184,13 @@ def pixel_detector(
     covariance: npt.ArrayLike | PositiveDefinite | None,
     undesired: npt.ArrayLike | None = None,
 ) -> PixelDetector:
-    """The detector that ``name`` says, for spectra (..., B).
+    """The detector called ``name``, for spectra (..., B).
 
     Parameters
     ----------
-    target : (B,) spectrum that is looked for; not used by "rx"
-    mean, covariance : (B,) and (B, B) of the background, the latter as an array or factorised; "osp" and "sam" do
-        without the latter
+    target : (B,) spectrum sought; not used by "rx"
+    mean, covariance : (B,) and (B, B) of the background, the latter as an array or factorised; not needed by "osp"
+        and "sam"
     undesired : (K, B) spectra that "osp" projects away
 
     Raises
@@ -210,17 +210,17 @@ def pixel_detector(
     if covariance is None:
         raise refusal("detector.covariance", name=name)
     if name in ADDED_DETECTORS:
-        with _of_added(name):
+        with _errors_of(name):
             statistics = np.asarray(mean, dtype=float), covariance, np.asarray(undesired, dtype=float)
             return replace(ADDED_DETECTORS[name](t, *statistics), added=name)
     linear = from_filter(design_filter("smf" if name == "ace" else name, t, mean, covariance))
     return replace(linear, combine=combine, quadratic="distance", by_pixel=True) if name == "ace" else linear
 
 
-def _combined(name: str, y: Array, value: Array | None) -> Array:
-    """The score by name of a target of length 1, y[0] being d z."""
-    assert value is not None  # noqa: S101 - asked for
-    return SCORES[name](y[0] if len(y) else value, 1.0, value)
+def _combined(name: str, y: Array, quadratic: Array | None) -> Array:
+    """The score by name for a target of unit length, y[0] being d z."""
+    assert quadratic is not None  # noqa: S101 - asked for
+    return SCORES[name](y[0] if len(y) else quadratic, 1.0, quadratic)
 
 
 def from_filter(linear: LinearFilter) -> PixelDetector:
@@ -246,10 +246,10 @@ def osp_filter(target: npt.ArrayLike, undesired: npt.ArrayLike | None) -> Linear
     u = np.atleast_2d(np.asarray(undesired, dtype=float))
     basis, singular, _ = np.linalg.svd(u.T, full_matrices=False)
     basis = basis[:, singular > _RANK * singular[0]]
-    rest = t - basis @ (basis.T @ t)
-    rest -= basis @ (basis.T @ rest)  # twice is exact to rounding
-    refuse(np.linalg.norm(rest) <= _RANK * np.linalg.norm(t), "target.mixture")
-    return LinearFilter(rest / (rest @ t), 0.0)
+    residual = t - basis @ (basis.T @ t)
+    residual -= basis @ (basis.T @ residual)  # twice is exact to rounding
+    refuse(np.linalg.norm(residual) <= _RANK * np.linalg.norm(t), "target.mixture")
+    return LinearFilter(residual / (residual @ t), 0.0)
 
 
 def score_cube(
@@ -282,7 +282,7 @@ def score_cube(
     UsageError : a detector that does not fit the bands, or detectors that see an image at once which is too large for
         that (:data:`MOST_VALUES`).
     """
-    used, must, slope, level = _spectra_of(cube, elm, bands, needed)
+    used, required, slope, level = _spectra_of(cube, elm, bands, needed)
     weights = [np.atleast_2d(d.weights) for d in detectors.values()]
     constants = [np.atleast_1d(d.constants) for d in detectors.values()]
     for name, w in zip(detectors, weights, strict=True):
@@ -290,45 +290,45 @@ def score_cube(
     ends = np.cumsum([0, *map(len, weights)]).tolist()
     quadratics = {d.quadratic for d in detectors.values()}
     if "distance" in quadratics:
-        weights.append(_known(whitener).matrix)
-        constants.append(_known(whitener).whitened(np.zeros(slope.size)))
+        weights.append(_required(whitener).matrix)
+        constants.append(_required(whitener).whitened(np.zeros(slope.size)))
     matrix = np.concatenate(weights)
     # weights (slope s + level) + constant, of stored numbers s
     rows, constant = matrix * slope, (np.concatenate(constants) + matrix @ level)[:, None]
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
-    kept = _kept_whole(cube, detectors)  # NaN where there is no data
+    image_values = _image_arrays(cube, detectors)  # NaN where there is no data
 
-    def segment(blocks: Iterator[StoredBlock]) -> None:
+    def score_segment(blocks: Iterator[StoredBlock]) -> None:
         for lines, stored, usable in blocks:
             with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
                 y = rows @ stored
                 y += constant
                 squares: dict[str | None, Array | None] = {None: None}
                 if "distance" in quadratics:
-                    squares["distance"] = _dot(y[ends[-1] :], y[ends[-1] :])
+                    squares["distance"] = _column_products(y[ends[-1] :], y[ends[-1] :])
                 if "length" in quadratics:
                     spectra = stored * slope[:, None] + level[:, None]
-                    squares["length"] = _dot(spectra, spectra)
-                for (name, detector), a, b in zip(detectors.items(), ends, ends[1:], strict=False):
-                    value = squares[detector.quadratic]
-                    if name in kept:
-                        score = y[a:b] if value is None else np.vstack([y[a:b], value])
+                    squares["length"] = _column_products(spectra, spectra)
+                for (name, detector), start, end in zip(detectors.items(), ends, ends[1:], strict=False):
+                    quadratic = squares[detector.quadratic]
+                    if name in image_values:
+                        score = y[start:end] if quadratic is None else np.vstack([y[start:end], quadratic])
                     else:
-                        score = _finite(detector.of(y[a:b], value))
+                        score = _finite(detector.of(y[start:end], quadratic))
                     score = np.where(usable.ravel(), score, np.nan)
-                    kept.get(name, maps[name])[..., lines, :] = score.reshape(*score.shape[:-1], *usable.shape)
+                    image_values.get(name, maps[name])[..., lines, :] = score.reshape(*score.shape[:-1], *usable.shape)
 
-    for _ in stream(cube, segment, used, must, watch):
+    for _ in stream(cube, score_segment, used, required, watch):
         pass
-    for name, values in kept.items():
-        with _of_added(detectors[name].added or name):
-            maps[name] = _of_whole(detectors[name], values, scenes.get(name))
+    for name, values in image_values.items():
+        with _errors_of(detectors[name].added or name):
+            maps[name] = _image_score(detectors[name], values, scenes.get(name))
     return maps
 
 
-def _of_whole(detector: PixelDetector, values: Array, scene: Any) -> Array:
-    """(lines, samples) score of a detector that sees all ``values`` (K, lines, samples) at once."""
-    valid, out = np.isfinite(values).all(axis=0), np.full(values.shape[1:], np.nan)
+def _image_score(detector: PixelDetector, values: Array, scene: Any) -> Array:
+    """(lines, samples) score of a detector that needs all ``values`` (K, lines, samples) at once."""
+    valid, score_map = np.isfinite(values).all(axis=0), np.full(values.shape[1:], np.nan)
     if detector.image is not None:
         score = np.asarray(detector.image(np.moveaxis(values, 0, -1), scene), dtype=float)
         score = score[valid] if score.shape == valid.shape else score
@@ -337,14 +337,14 @@ def _of_whole(detector: PixelDetector, values: Array, scene: Any) -> Array:
         score = np.asarray(detector.of(*((y, None) if detector.quadratic is None else (y[:-1], y[-1]))))
     refuse(score.shape != (int(valid.sum()),), "detector.scores", shape=score.shape, number=int(valid.sum()))
     refuse(valid.any() and not np.isfinite(score).any(), "detector.scoreless")
-    out[valid] = _finite(score)
-    return out
+    score_map[valid] = _finite(score)
+    return score_map
 
 
-def _kept_whole(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[str, Array]:
-    """Room (K, lines, samples) for what each detector that sees the whole image makes of the pixels."""
-    whole = {n: d for n, d in detectors.items() if d.image is not None or (d.combine is not None and not d.by_pixel)}
-    rows = {name: len(d.weights) + (d.quadratic is not None) for name, d in whole.items()}
+def _image_arrays(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[str, Array]:
+    """Empty (K, lines, samples) for the y, and the quadratic, of each detector that needs the whole image."""
+    chosen = {n: d for n, d in detectors.items() if d.image is not None or (d.combine is not None and not d.by_pixel)}
+    rows = {name: len(d.weights) + (d.quadratic is not None) for name, d in chosen.items()}
     values = sum(rows.values()) * cube.lines * cube.samples
     refuse(values > MOST_VALUES, "detector.whole", names=", ".join(rows), values=values, most=MOST_VALUES)
     return {name: np.full((k, cube.lines, cube.samples), np.nan) for name, k in rows.items()}
@@ -353,15 +353,15 @@ def _kept_whole(cube: Cube, detectors: Mapping[str, PixelDetector]) -> dict[str,
 def _spectra_of(
     cube: Cube, elm: EmpiricalLine | None, bands: Mask | None, needed: Mask | None
 ) -> tuple[Mask, Mask, Array, Array]:
-    """Bands (B,) that are used, and that must hold data; slope and level (F,) that make spectra of stored numbers."""
+    """Bands (B,) that are used, and that must hold data; slope and level (F,) from stored numbers to spectra."""
     used = np.ones(cube.bands, bool) if bands is None else np.asarray(bands, dtype=bool)
-    must = used if needed is None else used | needed
+    required = used if needed is None else used | needed
     gain, offset = cube.gain[used], cube.offset[used]
     if elm is None:
-        return used, must, gain, offset
+        return used, required, gain, offset
     k, b = elm.gain, elm.offset
     refuse(not np.all(np.isfinite(k[used])), "detector.no_gain", count=int(np.sum(~np.isfinite(k[used]))))
-    return used, must, gain / k[used], (offset - b[used]) / k[used]
+    return used, required, gain / k[used], (offset - b[used]) / k[used]
 
 
 def score_cube_locally(
@@ -378,7 +378,7 @@ def score_cube_locally(
 ) -> tuple[dict[str, Array], int]:
     """Score map of every detector with the mean of each pixel's surroundings; how many pixels had the global mean.
 
-    The image is scored in strips with as much around them as the window reaches, so that memory does not grow with it.
+    The image is scored in strips, read with a margin of half the window, so that memory does not grow with the image.
 
     Parameters
     ----------
@@ -388,7 +388,7 @@ def score_cube_locally(
     counted : (lines, samples) pixels that may count for a mean; those without data never do
     elm, bands, needed, watch : as for :func:`score_cube`
     """
-    used, must, slope, level = _spectra_of(cube, elm, bands, needed)
+    used, required, slope, level = _spectra_of(cube, elm, bands, needed)
     targets = {
         key: (name, whitener.whitened(whitener.mean if target is None else target)[:, None])
         for key, (name, target) in detectors.items()
@@ -398,57 +398,57 @@ def score_cube_locally(
     rows = np.vstack([whitener.matrix * slope, np.zeros(slope.size)])
     constant = np.append(whitener.whitened(level), 1.0)[:, None, None]
     outer, inner = window
-    around = outer // 2
-    width = max(16, _VALUES_AT_ONCE // (2 * outer * len(rows)) - 2 * around)
+    margin = outer // 2
+    width = max(16, _STRIP_VALUES // (2 * outer * len(rows)) - 2 * margin)
     maps = {name: np.full((cube.lines, cube.samples), np.nan) for name in detectors}
 
-    def scored(lines: slice, samples: slice) -> int:
-        """Score some pixels; how many of them lack surroundings."""
-        down, along = (slice(max(s.start - around, 0), s.stop + around) for s in (lines, samples))
-        inner_part = tuple(slice(s.start - r.start, s.stop - r.start) for s, r in ((lines, down), (samples, along)))
-        stored, usable = cube.read_stored(down.start, min(down.stop, cube.lines) - down.start, must)
+    def score_strip(lines: slice, samples: slice) -> int:
+        """Score a strip; the number of its pixels that have the global mean."""
+        row_range, col_range = (slice(max(s.start - margin, 0), s.stop + margin) for s in (lines, samples))
+        core = tuple(slice(s.start - r.start, s.stop - r.start) for s, r in ((lines, row_range), (samples, col_range)))
+        stored, usable = cube.read_stored(row_range.start, min(row_range.stop, cube.lines) - row_range.start, required)
         with np.errstate(invalid="ignore", over="ignore"):
-            y = np.tensordot(rows, stored[used, :, along].astype(float), 1) + constant
-        valid = usable[:, along] & np.isfinite(y).all(axis=0)
+            y = np.tensordot(rows, stored[used, :, col_range].astype(float), 1) + constant
+        valid = usable[:, col_range] & np.isfinite(y).all(axis=0)
         y[:, ~valid] = 0.0
-        counts = y * (valid & counted[down, along])
-        total = _square_sums(counts, outer)[:, *inner_part] - _square_sums(counts, inner)[:, *inner_part]
-        number, has = np.rint(total[-1].ravel()), valid[inner_part]
+        masked = y * (valid & counted[row_range, col_range])
+        total = _window_sums(masked, outer)[:, *core] - _window_sums(masked, inner)[:, *core]
+        count, scored = np.rint(total[-1].ravel()), valid[core]
         mean = total[:-1].reshape(slope.size, -1)
-        mean *= np.where(number >= LEAST_PIXELS, 1.0 / np.maximum(number, 1.0), 0.0)
-        x = y[:-1, *inner_part].reshape(slope.size, -1)
+        mean *= np.where(count >= LEAST_PIXELS, 1.0 / np.maximum(count, 1.0), 0.0)
+        x = y[:-1, *core].reshape(slope.size, -1)
         z = x - mean
-        zz = _dot(z, z)
+        zz = _column_products(z, z)
         for key, (name, target) in targets.items():
             d = target - mean
-            dz, dd = _dot(d, z), _dot(d, d)
+            dz, dd = _column_products(d, z), _column_products(d, d)
             if name == "cem-correlation":
-                dz, dd = _from_origin(target + origin, mean + origin, x + origin)
-            score = _finite(SCORES[name](dz, dd, zz)).reshape(has.shape)
-            maps[key][lines, samples] = np.where(has, score, np.nan)
-        return int(np.count_nonzero(has.ravel() & (number < LEAST_PIXELS)))
+                dz, dd = _correlation_products(target + origin, mean + origin, x + origin)
+            score = _finite(SCORES[name](dz, dd, zz)).reshape(scored.shape)
+            maps[key][lines, samples] = np.where(scored, score, np.nan)
+        return int(np.count_nonzero(scored.ravel() & (count < LEAST_PIXELS)))
 
-    def segment(firsts: range) -> int:
-        """Score the lines of a segment in strips of samples; how many pixels lack surroundings."""
+    def score_segment(starts: range) -> int:
+        """Score the lines of a segment in strips of samples; the number of pixels that have the global mean."""
         strips = [slice(start, min(start + width, cube.samples)) for start in range(0, cube.samples, width)]
-        lines = [slice(line, min(line + outer, cube.lines)) for line in firsts]
-        return sum(scored(*part) for part in itertools.product(lines, strips))
+        lines = [slice(line, min(line + outer, cube.lines)) for line in starts]
+        return sum(score_strip(*part) for part in itertools.product(lines, strips))
 
-    return maps, sum(by_segments(cube, outer, segment, watch))
+    return maps, sum(by_segments(cube, outer, score_segment, watch))
 
 
-def _square_sums(values: Array, side: int) -> Array:
+def _window_sums(values: Array, side: int) -> Array:
     """(F, lines, samples) sums over the squares around pixels, cut at the edges."""
     return np.asarray(side**2 * ndimage.uniform_filter(values, (1, side, side), mode="constant"))
 
 
-def _from_origin(t: Array, mu: Array, x: Array) -> tuple[Array, Array]:
+def _correlation_products(t: Array, mu: Array, x: Array) -> tuple[Array, Array]:
     """t R^-1 x and t R^-1 t (N,) in whitened coordinates, where R^-1 = 1 - mu mu^T/(1 + mu^2) (Sherman & Morrison)."""
-    tmu, size = _dot(t, mu), 1.0 + _dot(mu, mu)
-    return _dot(t, x) - tmu * _dot(mu, x) / size, _dot(t, t) - tmu**2 / size
+    t_mu, size = _column_products(t, mu), 1.0 + _column_products(mu, mu)
+    return _column_products(t, x) - t_mu * _column_products(mu, x) / size, _column_products(t, t) - t_mu**2 / size
 
 
-def _dot(a: Array, b: Array) -> Array:
+def _column_products(a: Array, b: Array) -> Array:
     """(N,) products of columns (F, N), or of one (F, 1) with each."""
     return np.asarray(np.einsum("fn,fn->n", *np.broadcast_arrays(a, b)))
 
@@ -458,7 +458,7 @@ def _finite(score: Array) -> Array:
 
 
 BLOCK = 16  # side of the squares that halve the background [pixels]
-MOST_LEARNED = 20_000  # pixels of the background that an estimator is fitted to
+MOST_TRAINING_PIXELS = 20_000  # pixels of the background that an estimator is fitted to
 
 
 class ImageTruth(NamedTuple):
@@ -494,7 +494,7 @@ def register_scores(name: str, fit: Callable[[Array, Array], npt.ArrayLike]) -> 
     --------
     >>> register_scores("first-band", lambda image, target: image[..., 0] / target[0])  # doctest: +SKIP
     """
-    register_detector(name, partial(_whole, lambda image, target, scene: fit(image, target)))
+    register_detector(name, partial(_image_detector, lambda image, target, scene: fit(image, target)))
 
 
 def register_estimator(name: str, estimator: Any) -> None:
@@ -511,31 +511,31 @@ def register_estimator(name: str, estimator: Any) -> None:
     """
     scores = any(hasattr(estimator, method) for method in ("score_samples", "decision_function", "predict_proba"))
     refuse(not scores, "detector.estimator", name=type(estimator).__name__)
-    register_detector(name, partial(_whole, partial(_estimated, estimator)))
+    register_detector(name, partial(_image_detector, partial(_estimator_scores, estimator)))
 
 
-def _whole(score: ImageScore, target: Array, mean: Array, *_: Any) -> PixelDetector:
+def _image_detector(score: ImageScore, target: Array, mean: Array, *_: Any) -> PixelDetector:
     bands = np.eye(mean.size)
     return PixelDetector(bands, np.zeros(mean.size), image=lambda image, scene: score(image, target, scene))
 
 
-def _estimated(estimator: Any, image: Array, target: Array, scene: ImageTruth) -> Array:
+def _estimator_scores(estimator: Any, image: Array, target: Array, scene: ImageTruth) -> Array:
     valid = np.isfinite(image).all(axis=-1)
     scores = np.full(valid.shape, np.nan)
     if hasattr(estimator, "score_samples"):
-        learned = image[valid & scene.background]
-        learned = learned[:: max(1, len(learned) // MOST_LEARNED)]
-        scores[valid] = -copy.deepcopy(estimator).fit(learned).score_samples(image[valid])
+        training = image[valid & scene.background]
+        training = training[:: max(1, len(training) // MOST_TRAINING_PIXELS)]
+        scores[valid] = -copy.deepcopy(estimator).fit(training).score_samples(image[valid])
         return scores
-    # Every other square of the background and every other object, whole.
+    # Alternate squares of the background and alternate whole objects.
     squares = np.sum(np.indices(valid.shape) // BLOCK, axis=0)
     half = np.where(scene.objects > 0, scene.objects, squares) % 2 == 1
     labelled = valid & (scene.background | (scene.objects > 0))
     for part in (half, ~half):
-        learned, labels = image[labelled & part], scene.objects[labelled & part] > 0
+        training, labels = image[labelled & part], scene.objects[labelled & part] > 0
         refuse(labels.all() or not labels.any(), "learning.few")
-        fitted = copy.deepcopy(estimator).fit(learned, labels)
-        here = valid & ~part
-        by_margin = hasattr(fitted, "decision_function")
-        scores[here] = fitted.decision_function(image[here]) if by_margin else fitted.predict_proba(image[here])[:, 1]
+        fit = copy.deepcopy(estimator).fit(training, labels)
+        scored = valid & ~part
+        by_margin = hasattr(fit, "decision_function")
+        scores[scored] = fit.decision_function(image[scored]) if by_margin else fit.predict_proba(image[scored])[:, 1]
     return scores

@@ -1,4 +1,4 @@
-"""Laws of a region's pixels: tails, clusters, and how well the pixels know the law of their scores.
+"""Distributions of a region's pixels: tails, mixtures, and the jackknife over parts of the image.
 
 Tails are the degrees of freedom of a multivariate t, from Mahalanobis distances.  A class such as "built-up" is roofs,
 roads and cars, and no single law: mixtures of normal or t laws are fitted by expectation and maximisation in a few
@@ -24,13 +24,13 @@ from hyperval.errors import refuse
 from hyperval.pixels.statistics import EigenDirections
 
 LEAST_DOF = 2.05  # of a t law: the covariance is finite; a heavier tail is held just above it
-MOST_DOF = 200.0  # beyond, nobody tells it from the normal law
+MOST_DOF = 200.0  # beyond, indistinguishable from the normal law
 STEPS = 100
 _TOLERANCE = 1e-4  # of the penalised log likelihood of one pixel
-_LLOYD = 10
-_FIRST_DOF = 10.0
+_LLOYD_STEPS = 10
+_START_DOF = 10.0
 TRIED_DOF = (None, 16.0, 8.0, 4.0)
-FOLDS = 4  # parts of the image that are left out in turns
+FOLDS = 4  # of the cross-validation: parts of the image left out in turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +59,12 @@ class MixtureFit:
         """log of weight times density, and the squared distance over the scale, (K, n) each, by :func:`_monomials`."""
         inverse, p = self.inverse_roots, self.means.shape[1]
         precision = inverse.transpose(0, 2, 1) @ inverse
-        towards = np.einsum("kij,kj->ki", precision, self.means)
-        at_zero = np.einsum("ki,ki->k", towards, self.means)
+        linear = np.einsum("kij,kj->ki", precision, self.means)
+        square = np.einsum("ki,ki->k", linear, self.means)
         upper, lower = np.triu_indices(p)
         products = precision[:, upper, lower] * np.where(upper == lower, 1.0, 2.0)
-        squares = np.concatenate([at_zero[:, None], -2.0 * towards, products], axis=1) @ monomials
-        np.maximum(squares, 0.0, out=squares)  # rounding alone leaves it
+        squares = np.concatenate([square[:, None], -2.0 * linear, products], axis=1) @ monomials
+        np.maximum(squares, 0.0, out=squares)  # negative by rounding alone
         constant = np.log(self.weights) + np.log(np.einsum("kii->ki", inverse)).sum(axis=1)
         if np.isinf(self.dof):
             return (constant - 0.5 * p * np.log(2.0 * np.pi))[:, None] - 0.5 * squares, squares
@@ -74,7 +74,7 @@ class MixtureFit:
 
     def log_density(self, x: Array) -> Array:
         """(n,) log density of values (n, P)."""
-        return _total(self.log_densities(_monomials(x))[0])[0]
+        return _log_sum(self.log_densities(_monomials(x))[0])[0]
 
     def shares(self, x: Array) -> tuple[Array, Array]:
         """(K, n) probability that a value belongs to a law, and the weight it has in the moments of that law.
@@ -83,7 +83,7 @@ class MixtureFit:
         normal one.
         """
         log_parts, squares = self.log_densities(_monomials(x))
-        return _total(log_parts)[1], _weight(squares, self.dof, x.shape[1])
+        return _log_sum(log_parts)[1], _tail_weight(squares, self.dof, x.shape[1])
 
 
 def fit_mixture(
@@ -116,14 +116,14 @@ def fit_mixture(
     n, p = x.shape
     refuse(count < 1 or n < 2 * count, "mixture.pixels", count=count, n=n)
     prior = p + 1.0 if prior_pixels is None else prior_pixels
-    fits = (_from_start(x, _nearest_of_centres(x, count, rng), dof, prior) for _ in range(starts if count > 1 else 1))
+    fits = (_from_start(x, _nearest_centres(x, count, rng), dof, prior) for _ in range(starts if count > 1 else 1))
     return max(fits, key=lambda fit: fit.history[-1])
 
 
-def fit_again(values: Array, fit: MixtureFit) -> MixtureFit:
-    """The fit to other values (n, P), from where it stands, with as many laws; degrees of freedom stay if chosen.
+def refit(values: Array, fit: MixtureFit) -> MixtureFit:
+    """The fit to other values (n, P), started from ``fit``, with as many laws; degrees of freedom stay if chosen.
 
-    What a sample without one of its parts makes of the mixture; a fresh start could end in another maximum.
+    For samples without one of their parts; a fresh start could end in another maximum.
     """
     chosen = np.isinf(fit.dof) or fit.dof in TRIED_DOF
     return _from_start(values, fit.shares(values)[0], fit.dof if chosen else None, values.shape[1] + 1.0)
@@ -134,34 +134,34 @@ def _from_start(x: Array, probability: Array, dof: float | None, prior: float) -
     n, p = x.shape
     count = probability.shape[0]
     ball = count ** (-2.0 / p)
-    nu = _FIRST_DOF if dof is None else dof
-    weight = np.ones_like(probability)
+    nu = _START_DOF if dof is None else dof
+    tail_weight = np.ones_like(probability)
     monomials = _monomials(x)
     upper, lower = np.triu_indices(p)
     history: list[float] = []
     for _ in range(STEPS):
         size = probability.sum(axis=1)
-        alive = size > 1e-8 * n  # a component that no pixel belongs to has no law
-        if not alive.all():
-            probability, weight, size = probability[alive], weight[alive], size[alive]
+        occupied = size > 1e-8 * n  # a component that no pixel belongs to has no law
+        if not occupied.all():
+            probability, tail_weight, size = probability[occupied], tail_weight[occupied], size[occupied]
             ball *= (count / size.size) ** (2.0 / p)
             count = size.size
             history.clear()  # another mixture, with another likelihood
-        both = probability * weight
-        moments = both @ monomials.T
-        total = moments[:, 0]
-        means = moments[:, 1 : p + 1] / total[:, None]
+        weighted = probability * tail_weight
+        moments = weighted @ monomials.T
+        weight = moments[:, 0]
+        means = moments[:, 1 : p + 1] / weight[:, None]
         scales = np.empty((count, p, p))
-        scatter = moments[:, p + 1 :] - total[:, None] * means[:, upper] * means[:, lower]
+        scatter = moments[:, p + 1 :] - weight[:, None] * means[:, upper] * means[:, lower]
         scales[:, upper, lower] = scales[:, lower, upper] = scatter
         scales = (scales + prior * ball * np.eye(p)) / (size + prior)[:, None, None]
         if dof is None and history:
-            nu = _better_dof(nu, p, probability, weight)
+            nu = _updated_dof(nu, p, probability, tail_weight)
         fit = MixtureFit(size / size.sum(), means, scales, nu)
         log_parts, squares = fit.log_densities(monomials)
-        log_density, probability = _total(log_parts)
+        log_density, probability = _log_sum(log_parts)
         history.append(float(log_density.mean()) - _penalty(fit.inverse_roots, ball, prior) / n)
-        weight = _weight(squares, nu, p)
+        tail_weight = _tail_weight(squares, nu, p)
         if len(history) > 1 and history[-1] - history[-2] < _TOLERANCE:
             break
     return replace(fit, history=tuple(history))
@@ -174,17 +174,17 @@ def _monomials(x: Array) -> Array:
     return np.concatenate([np.ones((1, x.shape[0])), columns, columns[upper] * columns[lower]])
 
 
-def _weight(squares: Array, dof: float, dimensions: int) -> Array:
+def _tail_weight(squares: Array, dof: float, dimensions: int) -> Array:
     return np.ones_like(squares) if np.isinf(dof) else (dof + dimensions) / (dof + squares)
 
 
-def _total(log_parts: Array) -> tuple[Array, Array]:
-    """log of the sum (n,) of parts (K, n), and the share of each in it; scipy's logsumexp is thrice as slow."""
-    top = log_parts.max(axis=0)
-    parts = np.exp(log_parts - top)
+def _log_sum(log_parts: Array) -> tuple[Array, Array]:
+    """log of the sum (n,) of parts (K, n), and the share of each; scipy's logsumexp is three times as slow."""
+    greatest = log_parts.max(axis=0)
+    parts = np.exp(log_parts - greatest)
     total = parts.sum(axis=0)
     parts /= total
-    return top + np.log(total), parts
+    return greatest + np.log(total), parts
 
 
 def _penalty(inverse_roots: Array, ball: float, prior: float) -> float:
@@ -193,7 +193,7 @@ def _penalty(inverse_roots: Array, ball: float, prior: float) -> float:
     return float(0.5 * prior * (log_det + ball * np.sum(inverse_roots**2)))
 
 
-def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
+def _updated_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
     """Degrees of freedom of greatest expected likelihood, given shares and weights at ``nu`` (Peel & McLachlan)."""
     mean = float((probability * (np.log(weight) - weight)).sum() / probability.sum())
     mean += float(digamma(0.5 * (nu + p)) - np.log(0.5 * (nu + p)))
@@ -206,19 +206,19 @@ def _better_dof(nu: float, p: int, probability: Array, weight: Array) -> float:
     return MOST_DOF if slope(MOST_DOF) >= 0.0 else float(scipy.optimize.brentq(slope, LEAST_DOF, MOST_DOF))
 
 
-def _nearest_of_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
+def _nearest_centres(x: Array, count: int, rng: np.random.Generator) -> Array:
     """(K, n) 1 for the nearest of K centres, by the iterations of Lloyd from spread-out pixels (k-means++)."""
     centres = x[rng.integers(x.shape[0])][None]
-    away = np.sum((x - centres[0]) ** 2, axis=1)
+    squares = np.sum((x - centres[0]) ** 2, axis=1)
     for _ in range(count - 1):
-        total = float(away.sum())
-        k = rng.choice(x.shape[0], p=away / total) if total > 0.0 else rng.integers(x.shape[0])
+        total = float(squares.sum())
+        k = rng.choice(x.shape[0], p=squares / total) if total > 0.0 else rng.integers(x.shape[0])
         centres = np.vstack([centres, x[k]])
-        away = np.minimum(away, np.sum((x - x[k]) ** 2, axis=1))
+        squares = np.minimum(squares, np.sum((x - x[k]) ** 2, axis=1))
     nearest = np.zeros((count, x.shape[0]))
-    for _ in range(_LLOYD):
-        which = np.argmin(np.sum(centres**2, axis=1)[:, None] - 2.0 * centres @ x.T, axis=0)
-        nearest = (np.arange(count)[:, None] == which).astype(float)
+    for _ in range(_LLOYD_STEPS):
+        nearest_index = np.argmin(np.sum(centres**2, axis=1)[:, None] - 2.0 * centres @ x.T, axis=0)
+        nearest = (np.arange(count)[:, None] == nearest_index).astype(float)
         size = nearest.sum(axis=1)
         centres = np.where(size[:, None] > 0, (nearest @ x) / np.maximum(size, 1.0)[:, None], centres)
     return nearest
@@ -231,12 +231,12 @@ def chosen_count(
     rng: np.random.Generator,
     dof: float | None = np.inf,
 ) -> tuple[int, Array]:
-    """The number of components that predicts other parts of the image best, and what each number scored.
+    """The number of components that predicts other parts of the image best, and the score of each number.
 
-    Whole blocks of the image are left out in turns, as neighbours are alike: a pixel would predict the one beside
-    it however many components there are.  The score is the log density of the pixels left out.  Of the numbers
-    whose score is within one standard error of the best, by blocks, the smallest counts (Breiman et al.,
-    Classification and Regression Trees, 1984, 3.4.3): what is beyond it may be chance.
+    Cross-validation leaves out whole blocks of the image, as neighbouring pixels are correlated: a pixel would
+    predict the one beside it with any number of components.  The score is the log density of the pixels left out.
+    The smallest number whose score is within one standard error of the best, by blocks, is chosen (Breiman et al.,
+    Classification and Regression Trees, 1984, 3.4.3).
 
     Parameters
     ----------
@@ -254,40 +254,40 @@ def chosen_count(
     """
     x = np.asarray(values, dtype=float)
     fold, group = _folds(block, rng)
-    score, each = np.full(len(counts), -np.inf), []
+    score, by_block = np.full(len(counts), -np.inf), []
     for i, count in enumerate(counts):
-        # Fewer pixels than that for each component of the smallest part, and it knows no covariance.
+        # With fewer pixels for each component there is no covariance to estimate.
         if any(np.count_nonzero(fold != f) < count * (x.shape[1] + 1) for f in np.unique(fold)):
             break
-        each.append(np.bincount(group, _left_out_density(x, fold, count, dof, rng)))
-        score[i] = each[-1].sum() / len(x)
+        by_block.append(np.bincount(group, _validation_density(x, fold, count, dof, rng)))
+        score[i] = by_block[-1].sum() / len(x)
         if i >= 2 and score[i] < score[i - 1] < score[i - 2]:
-            break  # past its top
+            break  # past the maximum
     best = int(np.argmax(score))
-    losses = (each[best] - one for one in each[:best])
-    like = (i for i, by in enumerate(losses) if by.sum() <= np.sqrt(by.size) * by.std(ddof=1))
-    return int(counts[next(like, best)]), score
+    losses = (by_block[best] - one for one in by_block[:best])
+    comparable = (i for i, loss in enumerate(losses) if loss.sum() <= np.sqrt(loss.size) * loss.std(ddof=1))
+    return int(counts[next(comparable, best)]), score
 
 
 def chosen_dof(values: npt.ArrayLike, block: npt.ArrayLike, count: int, rng: np.random.Generator) -> float | None:
-    """Degrees of freedom, of t laws in number ``count``, that predict left-out blocks best; None: as fitted.
+    """Degrees of freedom, of ``count`` t laws, that predict left-out blocks best; None: as fitted.
 
     The pixels of a sample lie nearer to its own clusters than those of another part of the image do.
     """
     x, fold = np.asarray(values, dtype=float), _folds(block, rng)[0]
-    return max(TRIED_DOF, key=lambda dof: float(_left_out_density(x, fold, count, dof, rng).sum()))
+    return max(TRIED_DOF, key=lambda dof: float(_validation_density(x, fold, count, dof, rng).sum()))
 
 
 def _folds(block: npt.ArrayLike, rng: np.random.Generator) -> tuple[Index, Index]:
-    """(n,) part of the image that a pixel is left out with, and its block counted from 0."""
+    """(n,) fold of each pixel, and its block counted from 0."""
     group = np.unique(np.asarray(block), return_inverse=True)[1].reshape(-1)
     blocks = int(group.max(initial=-1)) + 1
     refuse(blocks < 2, "mixture.one_block")
     return np.asarray((rng.permutation(blocks) % min(FOLDS, blocks))[group]), group
 
 
-def _left_out_density(x: Array, fold: Index, count: int, dof: float | None, rng: np.random.Generator) -> Array:
-    """(n,) log density of each value by the mixture of the other parts."""
+def _validation_density(x: Array, fold: Index, count: int, dof: float | None, rng: np.random.Generator) -> Array:
+    """(n,) log density of each value by the mixture of the other folds."""
     density = np.empty(len(x))
     for f in np.unique(fold):
         fit = fit_mixture(x[fold != f], count, rng, dof=dof, starts=1)
@@ -297,22 +297,20 @@ def _left_out_density(x: Array, fold: Index, count: int, dof: float | None, rng:
 
 COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)
 DIMENSIONS = 6  # leading components of the class; clusters differ in what varies most
-# Fewer pixels than that have no clusters that another sample would show again.
-FEWEST_PIXELS = 200
-# The number of clusters is chosen on so many pixels, thinned evenly.
-MOST_CHOOSING = 5000
+FEWEST_PIXELS = 200  # with fewer the clusters of one sample are not found in another
+MOST_CHOOSING = 5000  # pixels, thinned evenly, that the number of clusters is chosen on
 
 
 @dataclass(frozen=True, eq=False)
 class ClassMixture:
-    """The mixture that the pixels of a class are, in the leading components that it was fitted in.
+    """The mixture of a class's pixels, in the leading components that it was fitted in.
 
     Attributes
     ----------
     mean : (B,) of the pixels
     lead : bands of the leading components
-    directions : (bands of ``lead``, P) that make a pixel's departure from the mean its standardised values
-    fit : in those
+    directions : (bands of ``lead``, P) from a pixel's departure from the mean to its standardised values
+    fit : of the standardised values
     """
 
     mean: Array
@@ -321,14 +319,14 @@ class ClassMixture:
     fit: MixtureFit
 
     def components(self, pixels: Array) -> Components | None:
-        """The laws in all bands, by the share that each pixel (n, B) has in each; None where one is left."""
+        """The laws in all bands, by the share that each pixel (n, B) has in each; None where only one remains."""
         return self._moments(pixels, self._standardised(pixels), self.fit)
 
     def components_without(self, pixels: Array, part: Index, number: int) -> Components | None:
-        """The same without the pixels of one part of the image, the fit made again from where it stands."""
-        rest = pixels[part != number]
-        values = self._standardised(rest)
-        return self._moments(rest, values, fit_again(values, self.fit))
+        """The same without the pixels of one part of the image, refitted from the fit of all."""
+        remaining = pixels[part != number]
+        values = self._standardised(remaining)
+        return self._moments(remaining, values, refit(values, self.fit))
 
     def _standardised(self, pixels: Array) -> Array:
         return np.asarray((pixels - self.mean)[:, self.lead] @ self.directions)
@@ -337,19 +335,19 @@ class ClassMixture:
         centred = pixels - pixels.mean(axis=0)
         probability, weight = fit.shares(values)
         size = probability.sum(axis=1)
-        kept = size > 1.0  # a law of less than one pixel has no covariance, and no alarms
-        if np.count_nonzero(kept) < 2:
+        occupied = size > 1.0  # a law of less than one pixel has no covariance, and no alarms
+        if np.count_nonzero(occupied) < 2:
             return None
-        probability, weight, size = probability[kept], weight[kept], size[kept]
-        both = probability * weight
-        offsets = (both @ centred) / both.sum(axis=1)[:, None]
+        probability, weight, size = probability[occupied], weight[occupied], size[occupied]
+        weighted = probability * weight
+        offsets = (weighted @ centred) / weighted.sum(axis=1)[:, None]
         # The scale of a t law is the weighted scatter over the unweighted number; n/(n - 1) as for the class.
         n = pixels.shape[0]
         inflation = (1.0 if np.isinf(fit.dof) else fit.dof / (fit.dof - 2.0)) * n / max(n - 1, 1)
         covariances = np.empty((size.size, pixels.shape[1], pixels.shape[1]))
         for k in range(size.size):
-            away = centred - offsets[k]
-            covariances[k] = inflation * (away * both[k, :, None]).T @ away / size[k]
+            departures = centred - offsets[k]
+            covariances[k] = inflation * (departures * weighted[k, :, None]).T @ departures / size[k]
         shrunk = shrunk_covariances(covariances, size)
         return Components(size / size.sum(), offsets, 0.5 * (shrunk + shrunk.transpose(0, 2, 1)), fit.dof)
 
@@ -363,7 +361,7 @@ def class_mixture(
     lead: Index | None = None,
     seed: int = 0,
 ) -> ClassMixture | None:
-    """The mixture that pixels (n, B) of a class are; None where one law is all that they show.
+    """The mixture of pixels (n, B) of a class; None where they show one law alone.
 
     The laws are fitted in the leading components of the class, where clusters differ; the moments of all bands
     follow from the share that each pixel has in each law, shrunk by :func:`shrunk_covariances`.
@@ -372,8 +370,8 @@ def class_mixture(
     ----------
     block : (n,) number of the block of the image that each pixel lies in, for the choice of the number
     count : K, or "auto" for the number that predicts left-out blocks best
-    tails : t laws in place of normal ones, whose degrees of freedom are fitted; of the number that was chosen by
-        blocks, by blocks too: tails are what a sample has too few pixels of
+    tails : t laws in place of normal ones, whose degrees of freedom are fitted, or chosen by blocks where the number
+        is: a sample has few pixels in its tails
     lead : bands in which the leading components are taken; None: all
 
     Raises
@@ -384,24 +382,24 @@ def class_mixture(
     rng = np.random.default_rng(seed)
     mean = x.mean(axis=0)
     lead = np.arange(x.shape[1]) if lead is None else lead
-    used = (x - mean)[:, lead]
-    every = EigenDirections.of(used.T @ used / max(x.shape[0] - 1, 1))
-    keep = min(DIMENSIONS, every.values.size)
-    if keep == 0 or (count == "auto" and x.shape[0] < FEWEST_PIXELS):
+    centred = (x - mean)[:, lead]
+    eigen = EigenDirections.of(centred.T @ centred / max(x.shape[0] - 1, 1))
+    dimensions = min(DIMENSIONS, eigen.values.size)
+    if dimensions == 0 or (count == "auto" and x.shape[0] < FEWEST_PIXELS):
         return None
-    # The sign of an eigenvector is nobody's choice; the starts of the fit shall not depend on it.
-    vectors = every.vectors[:, :keep]
-    vectors = vectors * np.sign(vectors[np.argmax(np.abs(vectors), axis=0), np.arange(keep)])
-    directions = vectors / np.sqrt(every.values[:keep])
-    leading = used @ directions
+    # The sign of an eigenvector is arbitrary; the starts of the fit must not depend on it.
+    vectors = eigen.vectors[:, :dimensions]
+    vectors = vectors * np.sign(vectors[np.argmax(np.abs(vectors), axis=0), np.arange(dimensions)])
+    directions = vectors / np.sqrt(eigen.values[:dimensions])
+    leading = centred @ directions
     dof: float | None = None if tails else np.inf
     thin = slice(None, None, -(-x.shape[0] // MOST_CHOOSING))
-    some, where = leading[thin], np.asarray(block)[thin]
-    number = count if count != "auto" else chosen_count(some, where, COUNTS, rng, dof=dof)[0]
+    sample, sample_block = leading[thin], np.asarray(block)[thin]
+    number = count if count != "auto" else chosen_count(sample, sample_block, COUNTS, rng, dof=dof)[0]
     if number == 1:
         return None
     if tails and count == "auto":
-        dof = chosen_dof(some, where, number, rng)
+        dof = chosen_dof(sample, sample_block, number, rng)
     return ClassMixture(mean, lead, directions, fit_mixture(leading, number, rng, dof=dof))
 
 
@@ -409,9 +407,9 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
     """Covariances (K, B, B) shrunk towards their pooled one, by how much they differ from it beyond chance.
 
     In a direction of the pooled covariance the variance of one component over the pooled one scatters by 2/n_k
-    where all are alike.  What it scatters by beyond that, t^2, on average over directions and components, is how
-    much they truly differ; the best linear guess between its own variance and the pooled one gives the latter the
-    weight (2/n_k)/(2/n_k + t^2) (empirical Bayes; Efron & Morris, J. Am. Stat. Assoc. 68, 117-130, 1973).
+    where all are equal.  The excess over that, t^2, averaged over directions and components, is how much they truly
+    differ; the best linear estimate between its own variance and the pooled one gives the latter the weight
+    (2/n_k)/(2/n_k + t^2) (empirical Bayes; Efron & Morris, J. Am. Stat. Assoc. 68, 117-130, 1973).
 
     Examples
     --------
@@ -421,17 +419,17 @@ def shrunk_covariances(covariances: Array, pixels: Array) -> Array:
     >>> bool(np.abs(shrunk - np.eye(4)).mean() < 0.5 * np.abs(alike - np.eye(4)).mean())
     True
     """
-    share = pixels / pixels.sum()
-    pooled = np.tensordot(share, covariances, 1)
-    along = EigenDirections.of(pooled)
-    ratio = np.einsum("bp,kbc,cp->kp", along.vectors, covariances, along.vectors, optimize=True) / along.values
+    shares = pixels / pixels.sum()
+    pooled = np.tensordot(shares, covariances, 1)
+    eigen = EigenDirections.of(pooled)
+    ratio = np.einsum("bp,kbc,cp->kp", eigen.vectors, covariances, eigen.vectors, optimize=True) / eigen.values
     chance = 2.0 / pixels
-    excess = max(float(share @ (np.mean((ratio - 1.0) ** 2, axis=1) - chance)), 0.0)
-    part = (chance / (chance + excess))[:, None, None]
-    return np.asarray((1.0 - part) * covariances + part * pooled)
+    excess = max(float(shares @ (np.mean((ratio - 1.0) ** 2, axis=1) - chance)), 0.0)
+    weight = (chance / (chance + excess))[:, None, None]
+    return np.asarray((1.0 - weight) * covariances + weight * pooled)
 
 
-_LEAST = 1e-6  # of a = 1/nu, over which the search is: below it a t cannot be told from the normal by any sample
+_LEAST_INVERSE = 1e-6  # of the search over a = 1/nu: below it no sample tells a t from the normal
 _HALF_DROP = 1.920729410347062  # half the 0.95 quantile of chi-square with one degree of freedom
 LEADING_SHARE = 0.99  # of the variance, in the leading components that tails are measured in as well
 FEWEST_LEADING, MOST_LEADING = 2, 6
@@ -444,10 +442,10 @@ class TailFit:
     Attributes
     ----------
     dof : maximum-likelihood nu, 2.05 or more; inf where the normal law is the most likely
-    scale : factor on the sample's covariance that is as likely: its far pixels stretch it by more than the bulk has
+    scale : most likely factor on the sample's covariance, which far pixels inflate beyond that of the bulk
     lower, upper : 95 % limits by profile likelihood; upper inf where the normal law is inside
     normality_p_value : probability of such a likelihood ratio if the pixels are normal
-    n : distances behind it
+    n : distances fitted
     """
 
     dof: float
@@ -466,7 +464,7 @@ def tail_log_likelihood(inverse_dof: float, squared_distances: Array, dimension:
     covariance misses it by more than the tail's shape allows.
     """
     d, p = squared_distances, dimension
-    if inverse_dof < _LEAST:
+    if inverse_dof < _LEAST_INVERSE:
         s = float(np.mean(d)) / p
         constant = -0.5 * p * np.log(2.0 * s) - gammaln(0.5 * p)
         return float(np.sum((0.5 * p - 1.0) * np.log(d) - 0.5 * d / s) + d.size * constant)
@@ -490,14 +488,14 @@ def _t_width(d: Array, p: int, nu: float) -> float:
 def left_out_distances(squared_distances: npt.ArrayLike, pixels: float) -> Array:
     """Squared distances by mean and covariance of the other pixels, from those by the statistics of all.
 
-    A far pixel stretches the covariance that it is measured by, so that no distance exceeds (n - 1)^2/n.  Removing
+    A far pixel inflates the covariance that it is measured by, so that no distance exceeds (n - 1)^2/n.  Removing
     the pixel (Sherman & Morrison) gives (n - 2) (n/(n - 1))^2 q/(1 - q n/(n - 1)) with q = d^2/(n - 1).
     """
     n = float(pixels)
     q = np.asarray(squared_distances, dtype=float) / (n - 1.0)
     # A pixel that alone spans a direction has no finite distance from the others.
-    rest = np.maximum(1.0 - q * n / (n - 1.0), 1e-9)
-    return np.asarray((n - 2.0) * (n / (n - 1.0)) ** 2 * q / rest)
+    remaining = np.maximum(1.0 - q * n / (n - 1.0), 1e-9)
+    return np.asarray((n - 2.0) * (n / (n - 1.0)) ** 2 * q / remaining)
 
 
 def fit_tail_dof(
@@ -546,25 +544,24 @@ def fit_tail_dof(
 
     end, normal = min(1.0 / within[0], 1.0 / LEAST_DOF - offset), fit(0.0)
     start = min(1.0 / within[1], end)
-    found = scipy.optimize.minimize_scalar(
+    optimum = scipy.optimize.minimize_scalar(
         lambda a: -fit(a), bounds=(start, end), method="bounded", options={"xatol": 1e-8}
     )
-    best, top = float(found.x), -float(found.fun)
-    if start == 0.0 and (best <= 2.0 * _LEAST or top <= normal):
+    best, top = float(optimum.x), -float(optimum.fun)
+    if start == 0.0 and (best <= 2.0 * _LEAST_INVERSE or top <= normal):
         best, top = 0.0, max(normal, top)
     high = end if drop(end) < 0 else scipy.optimize.brentq(drop, best, end)
     low = start if best == start or drop(start) <= 0 else scipy.optimize.brentq(drop, start, best)
     a = best + offset
-    scale = float(np.mean(d)) / dimension if a < _LEAST else _t_width(d, dimension, 1.0 / a) / (1.0 / a - 2.0)
-    # Twice the gain is half chi-square, half 0 when nu = inf is true, as that is the end of the range
-    # (Self & Liang 1987).
+    scale = float(np.mean(d)) / dimension if a < _LEAST_INVERSE else _t_width(d, dimension, 1.0 / a) / (1.0 / a - 2.0)
+    # Where nu = inf is true, at the end of the range, twice the gain is half chi-square, half 0 (Self & Liang 1987).
     p_value = float(ndtr(-np.sqrt(2.0 * (top - normal)))) if top > normal else 1.0
     dof, lower, upper = (1.0 / a if a > 0 else math.inf for a in (best, high, low))
     return TailFit(dof, scale, lower, upper, p_value, int(d.size))
 
 
 def exceedance_of_distance(squared_distance: npt.ArrayLike, dimension: int, dof: float) -> Array:
-    """Probability that a pixel of a normal (dof inf) or t law lies farther out than this, of any shape."""
+    """Probability that a pixel of a normal (dof inf) or t law lies beyond this distance, of any shape."""
     d = np.asarray(squared_distance, dtype=float)
     if np.isinf(dof):
         return np.asarray(chdtrc(dimension, d))
@@ -598,30 +595,30 @@ def compact_parts(lines: npt.ArrayLike, samples: npt.ArrayLike) -> Index:
     >>> compact_parts(lines, samples).reshape(4, 16)[::2, ::2].tolist()
     [[0, 0, 2, 2, 4, 4, 6, 6], [1, 1, 3, 3, 5, 5, 7, 7]]
     """
-    places = np.stack([np.asarray(lines), np.asarray(samples)])
-    n = places.shape[1]
+    positions = np.stack([np.asarray(lines), np.asarray(samples)])
+    n = positions.shape[1]
     part = np.zeros(n, np.intp)
     for _ in range(min(_HALVINGS, int(np.log2(max(n / _FEWEST, 1.0))))):
-        half = np.zeros(n, np.intp)
+        upper_half = np.zeros(n, np.intp)
         for number in range(int(part.max()) + 1):
             index = np.flatnonzero(part == number)
-            longer = int(np.argmax(np.ptp(places[:, index], axis=1)))
-            order = index[np.lexsort((places[1 - longer, index], places[longer, index]))]
-            half[order[order.size // 2 :]] = 1
-        part = 2 * part + half
+            longer = int(np.argmax(np.ptp(positions[:, index], axis=1)))
+            order = index[np.lexsort((positions[1 - longer, index], positions[longer, index]))]
+            upper_half[order[order.size // 2 :]] = 1
+        part = 2 * part + upper_half
     return part
 
 
 def moments_without_each(pixels: Array, part: Index) -> Iterator[tuple[Array, Array]]:
-    """Mean (B,) and covariance (B, B) of the pixels (n, B) without each of their parts; none of a single part."""
+    """Mean (B,) and covariance (B, B) of the pixels (n, B) without each of their parts; nothing for a single part."""
     centre = pixels.mean(axis=0)
-    away = [pixels[part == g] - centre for g in range(int(part.max(initial=0)) + 1)]
-    products = [x.T @ x for x in away]
-    sums, whole = [x.sum(axis=0) for x in away], np.sum(products, axis=0)
-    for x, product, total in zip(away, products, sums, strict=True) if len(away) > 1 else ():
+    centred = [pixels[part == g] - centre for g in range(int(part.max(initial=0)) + 1)]
+    products = [x.T @ x for x in centred]
+    sums, total_product = [x.sum(axis=0) for x in centred], np.sum(products, axis=0)
+    for x, product, part_sum in zip(centred, products, sums, strict=True) if len(centred) > 1 else ():
         n = pixels.shape[0] - x.shape[0]
-        mean = -total / n  # what is left out and what is left sum to nought
-        yield centre + mean, (whole - product - n * np.outer(mean, mean)) / max(n - 1, 1)
+        mean = -part_sum / n  # departures from the mean sum to 0
+        yield centre + mean, (total_product - product - n * np.outer(mean, mean)) / max(n - 1, 1)
 
 
 def leading_tails(

@@ -60,15 +60,15 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     UsageError : some points of a band have an error and others none.
     """
     exact = (x_variance == 0) & (y_variance == 0)
-    none = exact.all(axis=0)
-    refuse(np.any(exact.any(axis=0) & ~none), "line.errors")
+    error_free = exact.all(axis=0)
+    refuse(np.any(exact.any(axis=0) & ~error_free), "line.errors")
     # Error-free bands: unit weights make the same iteration ordinary least squares.
-    vx, vy = np.where(none, 0.0, x_variance), np.where(none, 1.0, y_variance)
+    vx, vy = np.where(error_free, 0.0, x_variance), np.where(error_free, 1.0, y_variance)
 
     def mean(values: Array, weight: Array) -> Array:
         return np.sum(weight * values, axis=0) / np.sum(weight, axis=0) if intercept else np.zeros(x.shape[1])
 
-    def step(slope: Array) -> tuple[Array, Array, Array, Array]:
+    def weights_and_beta(slope: Array) -> tuple[Array, Array, Array, Array]:
         w = 1.0 / (vy + slope**2 * vx)  # York et al. 2004, weights W_i with r_i = 0
         dx, dy = x - mean(x, w), y - mean(y, w)
         return w, w * (dx * vy + slope * dy * vx), dx, dy  # beta_i
@@ -77,12 +77,12 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.sum(dx * dy, axis=0) / np.sum(dx * dx, axis=0)
         for _ in range(_ITERATIONS):
-            before = slope
-            w, beta, dx, dy = step(slope)
+            previous = slope
+            w, beta, dx, dy = weights_and_beta(slope)
             slope = np.sum(w * beta * dy, axis=0) / np.sum(w * beta * dx, axis=0)
-            if not np.any(np.abs(slope - before) > _TOLERANCE * np.abs(slope)):
+            if not np.any(np.abs(slope - previous) > _TOLERANCE * np.abs(slope)):
                 break
-        w, beta, _, _ = step(slope)
+        w, beta, _, _ = weights_and_beta(slope)
         adjusted = mean(x, w) + beta
         centre = mean(adjusted, w)
         variance = 1.0 / np.sum(w * (adjusted - centre) ** 2, axis=0)
@@ -90,11 +90,11 @@ def fit_line(x: Array, y: Array, x_variance: Array, y_variance: Array, *, interc
     covariance[:, 0, 0] = variance
     covariance[:, 0, 1] = covariance[:, 1, 0] = -centre * variance
     covariance[:, 1, 1] = (1.0 / np.sum(w, axis=0) if intercept else 0.0) + centre**2 * variance
-    covariance[none] = 0.0
-    level = mean(y, w) - slope * mean(x, w)
-    free = len(x) - 1 - intercept
-    reduced = np.where(none | (free == 0), np.nan, np.sum(w * (y - level - slope * x) ** 2, axis=0) / max(free, 1))
-    return LineFit(slope, level, covariance, reduced)
+    covariance[error_free] = 0.0
+    offset = mean(y, w) - slope * mean(x, w)
+    dof = len(x) - 1 - intercept
+    reduced = np.where(error_free | (dof == 0), np.nan, np.sum(w * (y - offset - slope * x) ** 2, axis=0) / max(dof, 1))
+    return LineFit(slope, offset, covariance, reduced)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +109,7 @@ class MeasuredPanel:
     radiance : (B,) mean of its pixels [uW cm-2 sr-1 nm-1]
     radiance_error : of that mean, likewise
     n : pixels behind the mean
-    sampled : ``radiance_error`` with what it is known by, where it was estimated from the panel's pixels
+    sampled : ``radiance_error`` with its degrees of freedom, where it was estimated from the panel's pixels
     """
 
     name: str
@@ -123,7 +123,7 @@ class MeasuredPanel:
 
 @dataclass(frozen=True, eq=False)
 class EmpiricalLine:
-    """The line L = offset + gain rho of each band, and how the reflectance by it depends on its panels.
+    """The line L = offset + gain rho of each band, and the derivatives of its reflectance by the panels.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class EmpiricalLine:
     reduced_chi2 : (B,) chi-square over P - 2 (P - 1 through the origin); NaN where any line fits
     usable : (B,) False where a panel has no reflectance, or they do not differ enough, or are too noisy, to fix a gain
     good : (B,) bands by which the line is judged
-    panels : that it goes through
+    panels : that it is fitted to
     intercept : False: the line goes through the origin
     least_contrast : of the panels, in a band that is usable
     """
@@ -159,8 +159,8 @@ class EmpiricalLine:
     def without(self, name: str) -> EmpiricalLine | None:
         """The line through the other panels; None where they fix no line."""
         try:
-            others = [p for p in self.panels if p.name != name]
-            return fit_elm(others, self.good, intercept=self.intercept, minimum_contrast=self.least_contrast)
+            panels = [p for p in self.panels if p.name != name]
+            return fit_elm(panels, self.good, intercept=self.intercept, minimum_contrast=self.least_contrast)
         except UsageError:
             return None
 
@@ -172,19 +172,19 @@ class EmpiricalLine:
         """
         error = np.full((len(self.panels), self.gain.size), np.nan)
         for row, panel in zip(error, self.panels, strict=True):
-            if (others := self.without(panel.name)) is not None:
-                row[self.usable] = (others.reflectance(panel.radiance) - panel.reflectance)[self.usable]
+            if (line := self.without(panel.name)) is not None:
+                row[self.usable] = (line.reflectance(panel.radiance) - panel.reflectance)[self.usable]
         return error
 
     @cached_property
     def contradiction(self) -> float:
-        """Factor on the variances of the panels' errors: 1 where they lie on one line within what is stated.
+        """Birge factor on the variances of the panels' errors: 1 where they lie on one line within stated errors.
 
-        Else the reduced chi-square, median over good bands, over what it is on average, where chance exceeds it in one
-        line of a hundred.  Bands whose errors have the correlation rho count as B^2 / sum rho^2, as their chi-squares
-        have rho^2.  Source: Birge, Phys. Rev. 40, 207-227, 1932; York et al., Am. J. Phys. 72, 367-375, 2004.
+        Else the reduced chi-square, median over good bands, over its expectation, where chance exceeds it in at most
+        one line of a hundred.  Bands with error correlation rho count as B^2 / sum rho^2, as their chi-squares have
+        rho^2.  Source: Birge, Phys. Rev. 40, 207-227, 1932; York et al., Am. J. Phys. 72, 367-375, 2004.
 
-        Of twenty bands that err twice as much as stated the variance is 4 times what it should be, and is found:
+        Twenty bands with twice the stated error have 4 times the stated variance:
 
         >>> rng, rho = np.random.default_rng(1), np.array([0.05, 0.3, 0.6])
         >>> panels = [MeasuredPanel(str(r), r + 0.06 * r * rng.standard_normal(20), np.full(20, (0.03 * r) ** 2),
@@ -192,44 +192,44 @@ class EmpiricalLine:
         >>> 3.5 < fit_elm(panels).contradiction < 7.0
         True
         """
-        valid, freedom = np.isfinite(self.reduced_chi2) & self.good, len(self.panels) - 1 - self.intercept
-        if not valid.any() or freedom < 1:
+        valid, dof = np.isfinite(self.reduced_chi2) & self.good, len(self.panels) - 1 - self.intercept
+        if not valid.any() or dof < 1:
             return 1.0
-        squares, total = np.outer(self.gain, self.gain), np.zeros(2 * (self.gain.size,))
+        squares, covariances = np.outer(self.gain, self.gain), np.zeros(2 * (self.gain.size,))
         for p in self.panels:
             x, y = (np.diag(e) if e.ndim == 1 else e for e in (p.reflectance_error, p.radiance_error))
-            total += squares * x + y
-        covariance = total[np.ix_(valid, valid)]
+            covariances += squares * x + y
+        covariance = covariances[np.ix_(valid, valid)]
         sd = np.sqrt(np.diag(covariance))
         rank = (sd.size**2 / np.sum((covariance / np.outer(sd, sd)) ** 2) + 1.0) / 2.0
-        chance = special.betaincinv(rank, rank, (np.arange(200) + 0.5) / 200)  # of the middle one of so many bands
-        usual = 2.0 * special.gammaincinv(freedom / 2.0, chance) / freedom
+        chance = special.betaincinv(rank, rank, (np.arange(200) + 0.5) / 200)  # of the median of so many bands
+        expected = 2.0 * special.gammaincinv(dof / 2.0, chance) / dof
         median = float(np.median(self.reduced_chi2[valid]))
-        return median / float(usual.mean()) if median > np.quantile(usual, 0.99) else 1.0
+        return median / float(expected.mean()) if median > np.quantile(expected, 0.99) else 1.0
 
     def error_covariance(self, radiance: npt.ArrayLike, own: str = "") -> Array:
         """(B, B) error covariance, by its panels, of the reflectance of a mean radiance (B,).
 
         sum over panels of D C_rho D + E C_L E with D, E = diag of the derivatives of the reflectance.  ``own``
-        names the panel whose mean radiance it is: the same pixels then are on both sides, and 1/gain comes on top
-        of E, so that a line through two panels gives their reflectances back whatever their radiances.  Panels
-        that contradict each other have greater errors than is stated: :attr:`contradiction` widens them.
+        names the panel whose mean radiance it is: its pixels then are on both sides, and 1/gain is added to E, so that
+        a line through two panels reproduces their reflectances whatever their radiances.  :attr:`contradiction`
+        widens the errors of panels that lie on no one line.
         """
-        slopes = self._slopes(radiance)
+        slopes = self._derivatives(radiance)
         slopes[1, [panel.name == own for panel in self.panels]] += 1.0 / self.gain
         return self._propagated(slopes)
 
     @cached_property
     def scale_errors(self) -> Array:
-        """(K, B) part by which differences of reflectance are off, as the gain is, along independent directions."""
-        of_gain = self._slopes(self.gain) - self._slopes(0.0 * self.gain)
+        """(K, B) relative errors of reflectance differences, those of the gain, along independent directions."""
+        of_gain = self._derivatives(self.gain) - self._derivatives(0.0 * self.gain)
         return covariance_directions(np.nan_to_num(self._propagated(of_gain)))
 
     def _propagated(self, slopes: Array) -> Array:
-        """(B, B) of what has these derivatives (2, P, B) by the panels' reflectance and radiance."""
+        """(B, B) covariance of a quantity with these derivatives (2, P, B) by the panels' reflectance and radiance."""
         total = np.zeros((self.gain.size, self.gain.size))
-        for panel, of_panel in zip(self.panels, slopes.swapaxes(0, 1), strict=True):
-            for error, slope in zip((panel.reflectance_error, panel.radiance_error), of_panel, strict=True):
+        for panel, panel_slopes in zip(self.panels, slopes.swapaxes(0, 1), strict=True):
+            for error, slope in zip((panel.reflectance_error, panel.radiance_error), panel_slopes, strict=True):
                 total += np.diag(error * slope**2) if error.ndim == 1 else error * np.outer(slope, slope)
         return total * self.contradiction
 
@@ -238,36 +238,36 @@ class EmpiricalLine:
         widened = self.contradiction
         return tuple(
             panel.sampled.of_each(partial(np.multiply, widened * np.outer(e, e)))
-            for panel, e in zip(self.panels, self._slopes(radiance)[1], strict=True)
+            for panel, e in zip(self.panels, self._derivatives(radiance)[1], strict=True)
             if panel.sampled is not None
         )
 
-    def _slopes(self, radiance: npt.ArrayLike) -> Array:
+    def _derivatives(self, radiance: npt.ArrayLike) -> Array:
         """(2, P, B) derivatives of the reflectance of a radiance (B,) by the panels' reflectance and radiance."""
-        gain, offset, step = self._moved
+        gain, offset, step = self._perturbed
         moved = (np.asarray(radiance, dtype=float) - offset) / gain
         return np.asarray((moved[:, :, 0] - moved[:, :, 1]) / (2.0 * step))
 
     @cached_property
-    def _moved(self) -> tuple[Array, Array, Array]:
+    def _perturbed(self) -> tuple[Array, Array, Array]:
         """(2, P, 2, B) gains and offsets with a panel's reflectance, or radiance, a step up and down; (2, P, B) steps.
 
         Central differences: the law of propagation (JCGM 100:2008, 5.2).
         """
-        x, y, vx, vy = (part[:, self.usable] for part in _points(self.panels))
+        x, y, vx, vy = (values[:, self.usable] for values in _points(self.panels))
         count, steps = len(x), _STEP * np.stack([np.maximum(x, 0.01), np.maximum(np.abs(y), 1e-12)])
         columns = []
         for kind, panel, sign in np.ndindex(2, count, 2):
             columns.append((x.copy(), y.copy()))
             columns[-1][kind][panel] += (1 - 2 * sign) * steps[kind, panel]
-        moved = (np.concatenate(part, axis=1) for part in zip(*columns, strict=True))
+        moved = (np.concatenate(values, axis=1) for values in zip(*columns, strict=True))
         fit = fit_line(*moved, *(np.tile(v, len(columns)) for v in (vx, vy)), intercept=self.intercept)
-        parts = (part.reshape(2, count, 2, -1) for part in (fit.slope, fit.intercept))
-        gain, offset, steps = (_spread(part, self.usable) for part in (*parts, steps))
+        parts = (values.reshape(2, count, 2, -1) for values in (fit.slope, fit.intercept))
+        gain, offset, steps = (_in_all_bands(values, self.usable) for values in (*parts, steps))
         return gain, offset, steps
 
 
-def _spread(values: Array, usable: Mask) -> Array:
+def _in_all_bands(values: Array, usable: Mask) -> Array:
     """Values (..., U) of the usable bands among all (..., B), NaN in the others."""
     full = np.full((*values.shape[:-1], usable.size), np.nan)
     full[..., usable] = values
@@ -276,8 +276,8 @@ def _spread(values: Array, usable: Mask) -> Array:
 
 def _points(panels: Sequence[MeasuredPanel]) -> Array:
     """(4, P, B) reflectance, radiance, and the variances of their errors: the diagonal of a covariance."""
-    errors = [[np.diag(e) if e.ndim == 2 else e for e in (p.reflectance_error, p.radiance_error)] for p in panels]
-    return np.stack([[p.reflectance, p.radiance, *each] for p, each in zip(panels, errors, strict=True)], axis=1)
+    variances = [[np.diag(e) if e.ndim == 2 else e for e in (p.reflectance_error, p.radiance_error)] for p in panels]
+    return np.stack([[p.reflectance, p.radiance, *v] for p, v in zip(panels, variances, strict=True)], axis=1)
 
 
 def fit_elm(
@@ -295,9 +295,9 @@ def fit_elm(
 
     Parameters
     ----------
-    good : (B,) the others, whatever they hold, have a line where they can and decide nothing; None: all
+    good : (B,) bands by which panels are accepted; others have a line where one can be fitted; None: all
     intercept : False: L = gain rho, for radiance whose path part is removed or small, for which one panel is enough.
-        The offset and its covariances are 0: that it is none is the assumption
+        The offset and its covariances are 0, by assumption
 
     Raises
     ------
@@ -319,12 +319,12 @@ def fit_elm(
     refuse(len(panels) < 1 + intercept, "line.few", count=len(panels), least=1 + intercept)
     good = np.ones(panels[0].radiance.size, bool) if good is None else good
     points = _points(panels)
-    for p, (rho, *rest) in zip(panels, points[:, :, good].swapaxes(0, 1), strict=True):
-        known = np.isfinite(rho)  # a field spectrum may not reach all bands
-        refuse(not known.any(), "panel.unknown", name=p.name)
-        refuse(not np.isfinite(np.array(rest)[:, known]).all(), "panel.finite", name=p.name)
-        refuse((most := rho[known].max()) > PERCENT_LIMIT, "panel.percent", name=p.name, rho=most)
-        refuse((least := rho[known].min()) < -0.05, "panel.negative", name=p.name, rho=least)
+    for p, (rho, *measured) in zip(panels, points[:, :, good].swapaxes(0, 1), strict=True):
+        covered = np.isfinite(rho)  # a field spectrum may not reach all bands
+        refuse(not covered.any(), "panel.unknown", name=p.name)
+        refuse(not np.isfinite(np.array(measured)[:, covered]).all(), "panel.finite", name=p.name)
+        refuse((brightest := rho[covered].max()) > PERCENT_LIMIT, "panel.percent", name=p.name, rho=brightest)
+        refuse((darkest := rho[covered].min()) < -0.05, "panel.negative", name=p.name, rho=darkest)
     valid = np.asarray(np.isfinite(points).all(axis=(0, 1)))
     exact = np.all(points[2:] == 0.0, axis=0)
     valid &= good | (exact.all(axis=0) == exact.any(axis=0))
@@ -332,15 +332,15 @@ def fit_elm(
     contrast = np.ptp(points[0], axis=0) if intercept else np.full(valid.size, np.inf)
     usable = valid & (contrast >= minimum_contrast)
     if np.mean(usable[valid & good]) < 0.5:
-        names, differ = ", ".join(p.name for p in panels), np.median(contrast[valid & good])
-        raise refusal("line.contrast", names=names, differ=differ, least=minimum_contrast)
+        names, median_contrast = ", ".join(p.name for p in panels), np.median(contrast[valid & good])
+        raise refusal("line.contrast", names=names, differ=median_contrast, least=minimum_contrast)
     fit = fit_line(*(part[:, usable] for part in points), intercept=intercept)
     noisy = ~(fit.slope > MINIMUM_GAIN_SNR * np.sqrt(fit.covariance[:, 0, 0]))
-    lost = noisy[good[usable]]
-    refuse(np.mean(lost) > 0.5, "line.noisy", least=MINIMUM_GAIN_SNR, count=int(lost.sum()), bands=lost.size)
+    failed = noisy[good[usable]]
+    refuse(np.mean(failed) > 0.5, "line.noisy", least=MINIMUM_GAIN_SNR, count=int(failed.sum()), bands=failed.size)
     usable[usable] = ~noisy
     parts = (fit.slope, fit.intercept, fit.covariance.T, fit.reduced_chi2)
-    gain, offset, covariance, chi2 = (_spread(part[..., ~noisy], usable) for part in parts)
+    gain, offset, covariance, chi2 = (_in_all_bands(part[..., ~noisy], usable) for part in parts)
     return EmpiricalLine(gain, offset, covariance.T, chi2, usable, good, panels, intercept, minimum_contrast)
 
 
@@ -350,15 +350,15 @@ def darkest_pixel_panel(
     """The ``least`` radiance of the scene in each band (B,) as a panel of low, assumed reflectance.
 
     The least of many noisy pixels lies below the darkest surface by some standard deviations of the noise; the
-    variance of the panel is therefore that of one pixel's noise, which is each band's own.  What the darkest surface
-    truly reflects is one unknown for all bands.  The darkest pixels of different bands may be different ones.
+    variance of the panel is therefore that of one pixel's noise, independent from band to band.  The reflectance of
+    the darkest surface has one error common to all bands.  The darkest pixels of different bands may differ.
 
     Raises
     ------
     UsageError : a darkest radiance that, in a ``good`` band (B,), is not finite or negative beyond three standard
         deviations of noise.
     """
-    lost = good & (~(least >= -3.0 * np.sqrt(noise)) | ~np.isfinite(least))
-    refuse(np.any(lost), "line.darkest", count=int(np.sum(lost)))
-    each = np.ones(least.size)
-    return MeasuredPanel("darkest pixel", reflectance * each, reflectance_sd**2 * np.outer(each, each), least, noise)
+    invalid = good & (~(least >= -3.0 * np.sqrt(noise)) | ~np.isfinite(least))
+    refuse(np.any(invalid), "line.darkest", count=int(np.sum(invalid)))
+    ones = np.ones(least.size)
+    return MeasuredPanel("darkest pixel", reflectance * ones, reflectance_sd**2 * np.outer(ones, ones), least, noise)

@@ -1,7 +1,7 @@
 """Empirical ROC curves: exact with ties, by pixel or by object, with intervals of curve, areas and alarms.
 
-A pixel is declared a target when its score lies strictly above the threshold.  All that is asked of the background is
-read from its scores in order.
+A pixel is declared a target when its score lies strictly above the threshold.  The background is read from its scores
+in ascending order.
 
 Every area is the mean over targets of a function g of s, the share of the background that outscores the target:
 
@@ -14,9 +14,9 @@ g'(s_i) [background j outscores target i].  For the whole area it is that of DeL
 (Biometrics 44, 837-845, 1988); for the others its first-order form (Dodd & Pepe, Biometrics 59, 614-623, 2003, have
 the restriction to a range of P_FA).  Along a tie g is averaged.
 
-Background scores with their places say what a false-alarm probability is known by: alarms come in clusters.  Which
-class lies where is the scene's and would be the same in another image of it, so that blocks are compared with the
-mean of their class: the layout of classes is no chance.
+Alarms come in clusters, so the uncertainty of a false-alarm probability needs the places of background scores.  The
+layout of classes is the scene's and would be the same in another image of it, so blocks are compared with the mean of
+their class.
 
 Whole objects are scored with a halo, and the background then by the same footprint.
 """
@@ -44,14 +44,14 @@ if TYPE_CHECKING:
 
     from hyperval.imagery import TargetObject
 
-# A roof or a shadow is one piece of luck, not as many as it has pixels. Blocks are the pieces: so many of them that
-# their scatter is known, and so large that neighbours hardly share one.
+# The alarms of a roof or a shadow are one event, not one per pixel. Blocks stand for events: enough of them to estimate
+# their scatter, and large enough to be nearly independent.
 BLOCKS = 64
 SMALLEST_SIDE = 4
 _RANKS = 160  # thresholds at which design effects are looked up
 _DECADE = 10.0
-_HALVES, _SEED = 400, 23  # ways in which the blocks are parted into two halves
-_CONFINED = 0.5  # part of its scatter that a class in few blocks takes away with its own mean, at most
+_HALF_DRAWS, _SEED = 400, 23  # random divisions of the blocks into two halves
+_CONFINED = 0.5  # greatest part of its scatter that a class in few blocks may lose to its own mean
 _GREATEST = 0.75  # weight of the greatest design effect of a decade beside their mean
 
 
@@ -84,8 +84,8 @@ class AlarmBlocks:
         ``classes`` (lines, samples): number of the class of each pixel, from 0 on; None where classes are not known,
         and their differences count as chance.
         """
-        lines, samples = where = np.nonzero(counted & np.isfinite(score_map))
-        return cls.of_places(score_map[where], lines, samples, None, None if classes is None else classes[where])
+        lines, samples = pixels = np.nonzero(counted & np.isfinite(score_map))
+        return cls.of_places(score_map[pixels], lines, samples, None, None if classes is None else classes[pixels])
 
     @classmethod
     def of_places(
@@ -93,11 +93,11 @@ class AlarmBlocks:
     ) -> AlarmBlocks:
         """Scores (n,) at lines and samples (n,) [pixels], of ``classes`` (n,); ``side`` None: about 64 blocks."""
         b = side or block_side(scores.size)
-        number = np.zeros(scores.size, np.int64) if classes is None else np.asarray(classes, np.int64)
-        width, many = int(samples.max(initial=0)) // b + 1, int(number.max(initial=0)) + 1
-        key, block = np.unique((lines // b * width + samples // b) * many + number, return_inverse=True)
-        near = _bartlett(np.stack(np.divmod(key // many, width), axis=1))
-        return cls(scores, block.astype(np.int64), near, _strata(np.bincount(block), key % many, near))
+        class_number = np.zeros(scores.size, np.int64) if classes is None else np.asarray(classes, np.int64)
+        width, n_classes = int(samples.max(initial=0)) // b + 1, int(class_number.max(initial=0)) + 1
+        key, block = np.unique((lines // b * width + samples // b) * n_classes + class_number, return_inverse=True)
+        neighbours = _bartlett(np.stack(np.divmod(key // n_classes, width), axis=1))
+        return cls(scores, block.astype(np.int64), neighbours, _strata(np.bincount(block), key % n_classes, neighbours))
 
     @classmethod
     def of_scores(cls, scores: npt.ArrayLike) -> AlarmBlocks:
@@ -120,36 +120,36 @@ class AlarmBlocks:
     def counts(self, threshold: Array) -> Counts:
         """(T, M) scores above each of the thresholds (T,), which fall."""
         blocks = self.pixels.size
-        first = np.searchsorted(-threshold, -self.scores, side="right")  # the first threshold that lies below
-        cell = np.bincount(first * blocks + self.block, minlength=(threshold.size + 1) * blocks)
+        first_below = np.searchsorted(-threshold, -self.scores, side="right")  # the first threshold that lies below
+        cell = np.bincount(first_below * blocks + self.block, minlength=(threshold.size + 1) * blocks)
         return np.cumsum(cell.reshape(-1, blocks)[: threshold.size], axis=0)
 
     def variance_of_sum(self, sums: Array) -> tuple[Array, Array]:
-        """(T,) variance of sums over all pixels, told from their parts (T, M) by block, and its degrees of freedom.
+        """(T,) variance of sums over all pixels, from their parts (T, M) by block, and its degrees of freedom.
 
         sum_ij w_ij e_i e_j with the weights of Bartlett over neighbouring blocks, so that a cluster across the
-        border of two blocks counts as one.  e is what a block has beyond the mean of its class: where the classes
-        lie is the scene and no chance (Cochran, Sampling Techniques, 1977, 5A.9).  As that mean is theirs, what is
-        left of independent blocks with parts q of their class is 1 - sum_ij w_ij q_i q_j, by which it is divided.
-        Never less than the variance of blocks that know nothing of each other.  Source: Conley, J. Econometrics 92,
-        1-45, 1999, the spatial form of Newey & West, Econometrica 55, 703-708, 1987.
+        border of two blocks counts as one.  e is the departure of a block from the mean of its class (stratification:
+        Cochran, Sampling Techniques, 1977, 5A.9).  As that mean is their own, independent blocks with parts q of their
+        class retain 1 - sum_ij w_ij q_i q_j of their variance, by which it is divided.  Never less than the variance
+        of independent blocks.  Source: Conley, J. Econometrics 92, 1-45, 1999, the spatial form of Newey & West,
+        Econometrica 55, 703-708, 1987.
 
-        The degrees of freedom are 2 V^2 / var(V), less 1, with V = sum e^2 and var(V) from the e themselves: alarms
-        that lie in a few blocks know their clusters badly.  1 at least.
+        The degrees of freedom are 2 V^2 / var(V), less 1, with V = sum e^2 and var(V) from the e themselves: few where
+        alarms lie in a few blocks.  1 at least.
         """
         q, w = _shares(self.pixels, self.stratum), self.neighbours
-        inside = q > 0.0
-        e = sums - (sums @ inside) @ q.T
+        member = q > 0.0
+        e = sums - (sums @ member) @ q.T
         square = e**2
-        of_class = square @ inside
-        v = np.maximum(of_class.sum(axis=1), 1e-300)
-        alone = (of_class / np.maximum(1.0 - np.sum(q**2, axis=0), 0.5)).sum(axis=1)
-        kept = 1.0 - (of_class @ np.einsum("ic,ic->c", q, w @ q)) / v
-        together = np.sum(e * (w @ e.T).T, axis=1) / np.where(kept > 0.0, kept, np.inf)
+        class_squares = square @ member
+        v = np.maximum(class_squares.sum(axis=1), 1e-300)
+        independent = (class_squares / np.maximum(1.0 - np.sum(q**2, axis=0), 0.5)).sum(axis=1)
+        retained = 1.0 - (class_squares @ np.einsum("ic,ic->c", q, w @ q)) / v
+        clustered = np.sum(e * (w @ e.T).T, axis=1) / np.where(retained > 0.0, retained, np.inf)
         scatter = 2.0 * np.sum(square * (w.multiply(w) @ square.T).T, axis=1) - np.sum(square**2, axis=1)
-        scatter -= of_class**2 @ np.sum(q**2, axis=0)
+        scatter -= class_squares**2 @ np.sum(q**2, axis=0)
         dof = 2.0 * v**2 / np.maximum(scatter, 1e-300) - 1.0
-        return np.maximum(alone, together), np.maximum(dof, 1.0)
+        return np.maximum(independent, clustered), np.maximum(dof, 1.0)
 
     @property
     def moment_errors(self) -> tuple[float, float]:
@@ -161,13 +161,13 @@ class AlarmBlocks:
         >>> AlarmBlocks.of_map(np.zeros((60, 60)), np.ones((60, 60), bool)).moment_errors
         (nan, nan)
         """
-        away = self.scores - (self.scores.mean() if self.scores.size else 0.0)
-        square = float(np.mean(away**2)) if self.stratum.size > 1 else 0.0
+        departures = self.scores - (self.scores.mean() if self.scores.size else 0.0)
+        square = float(np.mean(departures**2)) if self.stratum.size > 1 else 0.0
         if square == 0.0:
             return np.nan, np.nan
-        sums = [np.bincount(self.block, x) for x in (away, away**2 - square)]
+        sums = [np.bincount(self.block, x) for x in (departures, departures**2 - square)]
         variance, dof = self.variance_of_sum(np.array(sums))
-        mean, second = (np.sqrt(variance) / away.size * intervals.student_factor(dof)).tolist()
+        mean, second = (np.sqrt(variance) / departures.size * intervals.student_factor(dof)).tolist()
         return mean, 0.5 * second / square
 
     def pfa_limits(self, threshold: Array) -> tuple[Counts, Array, Array]:
@@ -181,28 +181,28 @@ class AlarmBlocks:
         return k, *intervals.jeffreys_limits(k / effect, self.scores.size / effect)
 
     def half_image_factor(self, threshold: Array) -> Array:
-        """(T,) factor by which P_FA of one half of the image misses that of the other, above thresholds that fall.
+        """(T,) ratio of P_FA between halves of the image, above thresholds that fall.
 
         The median over random halves of the blocks of each class, of the greater of the two rates over the smaller;
-        inf where one half has no alarm in half of them or more.  The pixels themselves tell no more of others, so
-        that no model can be asked for more.
+        inf where one half has no alarm in half of them or more.  The pixels predict other pixels no better, so no
+        model can be required to.
         """
         rng = np.random.default_rng(_SEED)
         m = self.pixels.size
         if m < 2:
             return np.full(threshold.size, np.inf)
-        half = np.zeros((m, _HALVES))
+        half = np.zeros((m, _HALF_DRAWS))
         for column in half.T:
             column[np.lexsort((rng.random(m), self.stratum))[::2]] = 1.0
         counts, q = self.counts(threshold), _shares(self.pixels, self.stratum)
-        first = np.argmax(q > 0.0, axis=1)
+        class_index = np.argmax(q > 0.0, axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            rates = [counts @ (part / (q.T @ part)[first]) for part in (half, 1.0 - half)]
+            rates = [counts @ (mask / (q.T @ mask)[class_index]) for mask in (half, 1.0 - half)]
             factor = np.maximum(*rates) / np.minimum(*rates)
         return np.asarray(np.median(np.where(np.isnan(factor), 1.0, factor), axis=1))
 
     @cached_property
-    def _effects(self) -> tuple[Array, Array]:
+    def _effect_table(self) -> tuple[Array, Array]:
         """log(1 + alarms) and the design effect, at ranks from 0 to n, evenly in their logarithm."""
         n = self.scores.size
         if self.stratum.size < 2:
@@ -213,52 +213,52 @@ class AlarmBlocks:
         p = k / n
         independent = n * p * (1.0 - p)
         variance, dof = self.variance_of_sum(by_block.astype(float))
-        beyond = np.where(independent > 0.0, variance / np.maximum(independent, 1e-300), 1.0) - 1.0
-        effect = np.clip(1.0 + beyond * intervals.student_factor(dof) ** 2, 1.0, n)
-        last = np.searchsorted(k, _DECADE * np.maximum(k, 1), side="right")
-        decades = (effect[i : max(j, i + 1)] for i, j in enumerate(last))
+        excess = np.where(independent > 0.0, variance / np.maximum(independent, 1e-300), 1.0) - 1.0
+        effect = np.clip(1.0 + excess * intervals.student_factor(dof) ** 2, 1.0, n)
+        ends = np.searchsorted(k, _DECADE * np.maximum(k, 1), side="right")
+        decades = (effect[i : max(j, i + 1)] for i, j in enumerate(ends))
         return np.log1p(k), np.array([_GREATEST * x.max() + (1.0 - _GREATEST) * x.mean() for x in decades])
 
     def design_effect(self, alarms: npt.ArrayLike) -> Array:
-        """How many times as large the variance of a number of alarms is as that of independent pixels.
+        """Variance of a number of alarms over that of independent pixels.
 
-        Few alarms know their own clusters badly.  So what the effect has beyond 1 is widened by (t/1.96)^2 (JCGM
-        100:2008, G.3), and the effects of all thresholds count that let up to ten times as many pixels through: the
-        greatest by three quarters, as rare alarms may cluster more than the mean says, the mean by one, as chance
-        raises the greatest.  1 where all lie in one block.  Source: Kish, Survey Sampling, 1965, 8.2.
+        Few alarms estimate their clustering badly.  So the excess over 1 is widened by (t/1.96)^2 (JCGM 100:2008, G.3),
+        and averaged over the thresholds that pass up to ten times as many pixels: the greatest has a weight of three
+        quarters, as rare alarms may cluster more than the mean, the mean one quarter, as chance raises the greatest.
+        1 where all lie in one block.  Source: Kish, Survey Sampling, 1965, 8.2.
         """
-        return np.interp(np.log1p(alarms), *self._effects)
+        return np.interp(np.log1p(alarms), *self._effect_table)
 
     def rank_limits(self, pfa: Array) -> tuple[Counts, Counts]:
         """Ranks r, s (K,) of the order statistics between which the threshold lies that truly gives ``pfa`` (K,).
 
         The thresholds whose interval of P_FA holds ``pfa``: those from the s-th to the r-th greatest score; r is 0
         where no score bounds it from above, s is n + 1 where none does from below.  Where there are fewer alarms
-        than ``pfa`` expects, the image may lack the one cluster that would have held them: the design effect is that of
-        the geometric mean of both numbers.  Of scores in one block the number above a threshold is binomial.
+        than ``pfa`` expects, the image may lack one cluster of them: the design effect is that of the geometric mean
+        of both numbers.  Of scores in one block the number above a threshold is binomial.
         """
         n = self.scores.size
         if self.stratum.size < 2:
             return _ranks(n, pfa, LEVEL)
-        # Between these lies the least number of alarms whose upper (0), or lower (1), limit is beyond; n + 1 without.
+        # Bisection for the least number of alarms whose upper (0), or lower (1), limit is beyond; n + 1 without one.
         low, high = np.zeros((2, pfa.size), np.int64), np.full((2, pfa.size), n + 1)
         while np.any(low < high):
             middle = (low + high) // 2
             expected = np.sqrt(np.maximum(middle, 1) * n * pfa)
             effect = self.design_effect(np.maximum(middle, expected))
             below, above = intervals.beyond_jeffreys_limits(middle / effect, n / effect, pfa)
-            done = np.stack([~above[0], below[1]])
-            low, high = np.where(done | (low == high), low, middle + 1), np.where(done, middle, high)
+            passed = np.stack([~above[0], below[1]])
+            low, high = np.where(passed | (low == high), low, middle + 1), np.where(passed, middle, high)
         return low[0], low[1]
 
 
-def _strata(pixels: Counts, of_class: Counts, neighbours: sparse.csr_array) -> Counts:
-    """(M,) class of each block; classes confined to few blocks are taken with the greatest of the others."""
-    names, stratum = np.unique(of_class, return_inverse=True)
+def _strata(pixels: Counts, class_number: Counts, neighbours: sparse.csr_array) -> Counts:
+    """(M,) class of each block; classes confined to few blocks join the largest of the others."""
+    names, stratum = np.unique(class_number, return_inverse=True)
     share = _shares(pixels, stratum)
     confined = np.einsum("ic,ic->c", share, neighbours @ share) > _CONFINED
-    home = int(np.argmax(np.where(confined, 0.0, np.bincount(stratum, pixels)))) if names.size else 0
-    return np.asarray(np.where(confined, home, np.arange(names.size))[stratum])
+    largest = int(np.argmax(np.where(confined, 0.0, np.bincount(stratum, pixels)))) if names.size else 0
+    return np.asarray(np.where(confined, largest, np.arange(names.size))[stratum])
 
 
 def _shares(pixels: Counts, stratum: Counts) -> Array:
@@ -268,8 +268,8 @@ def _shares(pixels: Counts, stratum: Counts) -> Array:
 
 
 def _bartlett(squares: Counts) -> sparse.csr_array:
-    """Weights between blocks, by their places (M, 2): the part of two steps that is left, down and along."""
-    from scipy import sparse, spatial  # what counts no alarms does without
+    """Bartlett's weights between blocks at (M, 2): product over both axes of 1 - distance/2, to neighbours alone."""
+    from scipy import sparse, spatial  # slow to load, and needed for alarms alone
 
     pairs = spatial.KDTree(squares).query_pairs(1.0, np.inf, output_type="ndarray")
     weight = np.prod(1.0 - np.abs(squares[pairs[:, 0]] - squares[pairs[:, 1]]) / 2.0, axis=1)
@@ -280,9 +280,8 @@ def _bartlett(squares: Counts) -> sparse.csr_array:
 _PER_DECADE = 10
 _LEAST_ALARMS = 5
 FEWEST_FOR_A_CURVE = 20
-# With fewer alarms expected at a level nothing is said of it.
-LEAST_EXPECTED_ALARMS = 10.0
-ANOMALY_LEVELS = (1e-4, 1e-3, 1e-2)  # rates of the background at which a threshold of anomalies is stated
+LEAST_EXPECTED_ALARMS = 10.0  # with fewer at a level no ratio or area is stated
+ANOMALY_LEVELS = (1e-4, 1e-3, 1e-2)  # P_FA at which a threshold of anomalies is stated
 
 
 class FalseAlarmRatio(NamedTuple):
@@ -292,9 +291,9 @@ class FalseAlarmRatio(NamedTuple):
     ----------
     value, lower, upper : the ratio and its 95 % interval [1]
     predicted : P_FA of the model at that threshold
-    law_factor : factor by which the pixels that the model's law was fitted to leave that open at 95 %; 1 where the
-        law is stated
-    together : correlation of the errors of law and measured share
+    law_factor : 95 % factor of the ratio by the sampling of the pixels that the model's law was fitted to; 1 where
+        the law is stated
+    correlation : of the errors of law and measured share
     """
 
     value: float
@@ -302,7 +301,7 @@ class FalseAlarmRatio(NamedTuple):
     upper: float
     predicted: float
     law_factor: float
-    together: float
+    correlation: float
 
 
 def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
@@ -322,7 +321,7 @@ def exceedance_curve(background: AlarmBlocks) -> ExceedanceCurve:
     decades = np.log10(n / _LEAST_ALARMS)
     level = 10.0 ** -(np.arange(int(decades * _PER_DECADE), -1, -1) / _PER_DECADE)
     level = level[level <= 0.5]
-    # The lowest threshold that lets at most n P of the scores through; equal scores pass together or not at all.
+    # The lowest threshold that at most n P of the scores exceed; equal scores exceed it all or none.
     falling = np.unique(background.ascending[n - 1 - np.floor(n * level + 1e-9).astype(int)])[::-1]
     alarms, *limits = background.pfa_limits(falling)
     valid = np.count_nonzero(background.counts(falling), axis=1) >= 2
@@ -338,26 +337,26 @@ def nearest_point(curve: ExceedanceCurve, level: float) -> int:
 
 
 def exceedance_at(curve: ExceedanceCurve, threshold: float, values: Array | None = None) -> float:
-    """P(score > threshold), linear in log P between the points of a curve; that of its ends beyond them.
+    """P(score > threshold), linear in log P between the points of a curve, constant beyond its ends.
 
-    ``values`` (T,) : what stands for P, such as a limit of it
+    ``values`` (T,) : in place of P, such as a limit of it
     """
-    keep = curve.probability > 0
+    positive = curve.probability > 0
     p = curve.probability if values is None else values
-    return float(np.exp(np.interp(threshold, curve.threshold[keep], np.log(p[keep]))))
+    return float(np.exp(np.interp(threshold, curve.threshold[positive], np.log(p[positive]))))
 
 
 def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: npt.NDArray[Any]) -> ExceedanceCurve:
-    """A predicted curve with the correlation of its error with that of the measured share, and what carries both.
+    """A predicted curve with the correlation between its error and that of the measured P_FA, and their influences.
 
-    A law that was fitted to the pixels whose false alarms are counted errs as they do.  Each part of the image is
-    left out of both sides in turn; each region keeps its share of the image.
+    A law fitted to the pixels whose false alarms are counted shares their errors.  A joint jackknife leaves each part
+    of the image out of both sides in turn; each region keeps its share of the image.
 
     Parameters
     ----------
     score_map : (lines, samples)
-    number : (lines, samples) part of each pixel that is counted, region by region of ``law.left_out``, and at last
-        those of pixels that lie in none of them; -1 of others
+    number : (lines, samples) part of each counted pixel, region by region of ``law.left_out``, then of pixels that
+        lie in none of them; -1 for others
 
     Examples
     --------
@@ -368,25 +367,25 @@ def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: n
     >>> with_shared_pixels(law, scores, number).correlation.round(6).tolist()
     [1.0, 1.0]
     """
-    size, every, first = law.threshold.size + 1, list(law.left_out.values()), 0
-    fitted = sum(map(len, every))
+    size, left_out, start = law.threshold.size + 1, list(law.left_out.values()), 0
+    fitted = sum(map(len, left_out))
     parts = max(int(number.max()) + 1, fitted)
-    every.append(np.broadcast_to(np.log(law.probability), (parts - fitted, size - 1)))
+    left_out.append(np.broadcast_to(np.log(law.probability), (parts - fitted, size - 1)))
     counted = number >= 0
     rank = np.searchsorted(law.threshold, np.asarray(score_map)[counted])  # thresholds below the score
     cells = np.bincount(number[counted] * size + rank, minlength=parts * size).reshape(parts, size)
     alarms, pixels = cells[:, ::-1].cumsum(axis=1)[:, -2::-1], cells.sum(axis=1)
-    rate, least = alarms.sum(axis=0) / pixels.sum(), 0.5 / pixels.sum()  # half an alarm where none is left
-    without, sums = np.empty(alarms.shape), np.zeros((3, size - 1))
-    for each in every:
-        rows = slice(first, first := first + len(each))
+    rate, least = alarms.sum(axis=0) / pixels.sum(), 0.5 / pixels.sum()  # half an alarm where none remains
+    log_rate, sums = np.empty(alarms.shape), np.zeros((3, size - 1))
+    for part_curves in left_out:
+        rows = slice(start, start := start + len(part_curves))
         k, n = alarms[rows].sum(axis=0), max(int(pixels[rows].sum()), 1)
-        rest = (k - alarms[rows]) / np.maximum(n - pixels[rows], 1)[:, None]
-        without[rows] = np.log(np.maximum(rate + n / pixels.sum() * (rest - k / n), least))
-        if len(each) > 1:
-            a, b = intervals.jackknife_directions(each), intervals.jackknife_directions(without[rows])
+        remaining = (k - alarms[rows]) / np.maximum(n - pixels[rows], 1)[:, None]
+        log_rate[rows] = np.log(np.maximum(rate + n / pixels.sum() * (remaining - k / n), least))
+        if len(part_curves) > 1:
+            a, b = intervals.jackknife_directions(part_curves), intervals.jackknife_directions(log_rate[rows])
             sums += np.sum([a * b, a * a, b * b], axis=1)
-    influence = Influence(number, alarms, law.threshold, np.exp(np.concatenate(every) - without))
+    influence = Influence(number, alarms, law.threshold, np.exp(np.concatenate(left_out) - log_rate))
     correlation = sums[0] / np.sqrt(np.maximum(sums[1] * sums[2], 1e-300))
     return replace(law, correlation=correlation, influence=influence)
 
@@ -394,8 +393,8 @@ def with_shared_pixels(law: ExceedanceCurve, score_map: npt.ArrayLike, number: n
 def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, k: int) -> FalseAlarmRatio:
     """The ratio at a point of the measured curve.
 
-    The limits of both sides go together in quadrature, in the logarithm, less twice their product where both are of
-    the same pixels and err together (Zou & Donner, Stat. Med. 27, 1693-1702, 2008; Zou, Psychol. Methods 12, 399-413,
+    The limits of both sides are added in quadrature, in the logarithm, less twice their product times the correlation
+    where both are of the same pixels (Zou & Donner, Stat. Med. 27, 1693-1702, 2008; Zou, Psychol. Methods 12, 399-413,
     2007).
 
     Examples
@@ -408,42 +407,42 @@ def false_alarm_ratio(predicted: ExceedanceCurve, measured: ExceedanceCurve, k: 
     [1.52, 1.53, 1.3]
     """
     threshold, m = float(measured.threshold[k]), float(measured.probability[k])
-    p, together = exceedance_at(predicted, threshold), 0.0
+    p, correlation = exceedance_at(predicted, threshold), 0.0
     if predicted.correlation is not None:
-        together = float(np.interp(threshold, predicted.threshold, predicted.correlation))
-    sides = predicted.lower, predicted.upper
-    law = np.array([abs(math.log(exceedance_at(predicted, threshold, side) / p)) for side in sides])
+        correlation = float(np.interp(threshold, predicted.threshold, predicted.correlation))
+    limits = predicted.lower, predicted.upper
+    law_width = np.array([abs(math.log(exceedance_at(predicted, threshold, side) / p)) for side in limits])
     with np.errstate(divide="ignore", invalid="ignore"):
-        rate = np.abs(np.log(np.array([measured.upper[k], measured.lower[k]]) / m))
-    down, up = np.sqrt(law**2 + rate**2 - 2.0 * together * law * rate)
-    ends = float(p / m * np.exp(-down)), float(p / m * np.exp(up))
-    return FalseAlarmRatio(p / m, *ends, p, math.exp(max(law)), together)
+        rate_width = np.abs(np.log(np.array([measured.upper[k], measured.lower[k]]) / m))
+    lower_width, upper_width = np.sqrt(law_width**2 + rate_width**2 - 2.0 * correlation * law_width * rate_width)
+    ends = float(p / m * np.exp(-lower_width)), float(p / m * np.exp(upper_width))
+    return FalseAlarmRatio(p / m, *ends, p, math.exp(max(law_width)), correlation)
 
 
-Scores = npt.ArrayLike | AlarmBlocks  # the latter know their places, and come in clusters
+Scores = npt.ArrayLike | AlarmBlocks  # the latter with their places, for clustered errors
 
 POINTS_PER_DECADE = 20
 STATED_PD = (0.5, 0.9)
 LEVEL = 0.95  # of every interval here
-_SAFE = 6.0  # how many times as often the limit without assumptions may be told to miss
-_LOST_ENOUGH = 8.0  # targets' worth of area that a variance can be estimated from
-_ROUNDING = 1.0 + 1e-12  # a share that is a whole number of scores is not taken for the next one
+_SAFETY = 6.0  # nominal error rate of the distribution-free limit over that of the interval
+_LEAST_LOST = 8.0  # missed targets, as a sum of lost area, from which a variance can be estimated
+_ROUNDING = 1.0 + 1e-12  # keeps a share that is a whole number of scores from rounding up to the next
 
 
 def _ranks(n: int, p: npt.ArrayLike, level: float) -> tuple[Counts, Counts]:
-    """Ranks r, s of the greatest scores of n between which the threshold lies that truly passes a share ``p``.
+    """Ranks r, s of the greatest scores of n between which the threshold lies that a true share ``p`` exceeds.
 
     r is the greatest with P(fewer than r of n above it) <= (1 - level)/2: the r-th greatest score bounds it from above,
     and nothing does where r = 0.  s is the least with P(s or more above it) <= (1 - level)/2: the s-th greatest bounds
     it from below, and nothing does where s > n.
     """
-    from scipy import stats  # 25 MB with what it loads, which runs without detection do not need
+    from scipy import stats  # 25 MB, which runs without detection do not need
 
     tail = (1.0 - level) / 2.0
     return stats.binom.ppf(tail, n, p).astype(np.int64), stats.binom.isf(tail, n, p).astype(np.int64) + 1
 
 
-def _placed(background: Scores) -> AlarmBlocks:
+def _as_blocks(background: Scores) -> AlarmBlocks:
     return background if isinstance(background, AlarmBlocks) else AlarmBlocks.of_scores(background)
 
 
@@ -485,24 +484,24 @@ class RankCounts:
     @cached_property
     def shares(self) -> tuple[Array, Array]:
         """(K,) share of the background above each target score, and on it."""
-        later = np.cumsum((self.between[1:] + np.append(self.ties[1:], 0))[::-1])[::-1]
-        return later / self.n, self.ties / self.n
+        higher = np.cumsum((self.between[1:] + np.append(self.ties[1:], 0))[::-1])[::-1]
+        return higher / self.n, self.ties / self.n
 
 
 def counts_of(target_scores: npt.ArrayLike, background_scores: Scores) -> RankCounts:
     """Counts of the background among the targets, scores of any shape; UsageError where a side is empty or has NaN."""
     value, targets = np.unique(ascending(target_scores, "target"), return_counts=True)
-    background = _placed(background_scores).ascending
-    first, last = (np.searchsorted(background, value, side) for side in ("left", "right"))
-    between = np.append(first, background.size) - np.insert(last, 0, 0)
-    return RankCounts(targets, last - first, between)
+    background = _as_blocks(background_scores).ascending
+    lower, upper = (np.searchsorted(background, value, side) for side in ("left", "right"))
+    between = np.append(lower, background.size) - np.insert(upper, 0, 0)
+    return RankCounts(targets, upper - lower, between)
 
 
 def alarms_before_first(target_scores: npt.ArrayLike, background_scores: npt.ArrayLike) -> int:
     """Background pixels that are declared before, or together with, the first pixel of any target.
 
-    The rule of RIT's target detection self-test: the pixels by falling score are read until they meet the target.
-    It favours targets of many pixels or pieces, since the luckiest stands for all, and says nothing of the others.
+    The rule of RIT's target detection self-test: pixels are read by falling score until the first of the target.
+    It favours targets of many pixels or pieces, as the best stands for all, and says nothing of the others.
     Source: Snyder et al., IGARSS 2008, II-915.
 
     Examples
@@ -522,36 +521,36 @@ def alarms_at_detection(
     At that threshold as it stands the number of alarms is binomial, and the exact interval of P_FA is that of
     Clopper & Pearson; no alarm at all gives an upper limit like any other number.  The threshold that truly detects
     ``pd`` is known only through the targets: the number of them above it is binomial, so it lies between two of
-    their order statistics.  How far the alarms at these are from those at the threshold, and how far the limits of
-    :func:`~hyperval.model.jeffreys_limits` are, is taken in quadrature, in the logarithm (Zou & Donner, Stat. Med. 27,
-    1693-1702, 2008): held in 0.96 to 0.98 of cases of 20 to 300 targets.  Of a background whose places are known,
-    alarms that come in clusters count as fewer: they and the pixels are divided by the design effect
-    (:meth:`~hyperval.pixels.AlarmBlocks.design_effect`).
+    their order statistics.  The distances of the alarms there, and of the limits of
+    :func:`~hyperval.model.jeffreys_limits`, from those at the threshold are added in quadrature, in the logarithm
+    (Zou & Donner, Stat. Med. 27, 1693-1702, 2008): coverage 0.96 to 0.98 for 20 to 300 targets.  Where the places of
+    the background are known, alarms and pixels are divided by the design effect
+    (:meth:`~hyperval.pixels.AlarmBlocks.design_effect`), as clustered alarms count as fewer.
     """
-    t, background = ascending(target_scores, "target"), _placed(background_scores)
+    t, background = ascending(target_scores, "target"), _as_blocks(background_scores)
     b, m, n = background.ascending, t.size, background.scores.size
 
     def alarms(rank: int, side: Literal["left", "right"] = "left") -> int:
         """Background scores that reach, or (``right``) exceed, the ``rank``-th greatest target."""
         return n - int(np.searchsorted(b, t[m - rank], side))
 
-    out = []
+    results = []
     for q in pd:
         rank = int(np.ceil(q * m / _ROUNDING))
         r, s = (int(x) for x in _ranks(m, q, LEVEL))
         count, effect = alarms(rank), background.design_effect(alarms(rank))
-        fixed, of_rate = (
+        exact, rate_limits = (
             [float(x) for x in limits(count / effect, n / effect)]
             for limits in (intervals.clopper_pearson, intervals.jeffreys_limits)
         )
         low, high = alarms(r, "right") if r >= 1 else 0.0, alarms(s) if s <= m else n
-        of_rank = max(low, 0.5 * (r >= 1)) / n, max(high, 0.5) / n
+        rank_limits = max(low, 0.5 * (r >= 1)) / n, max(high, 0.5) / n
         share = max(count, 0.5) / n
         with np.errstate(divide="ignore"):
-            low, high = share * np.exp([-1.0, 1.0] * np.hypot(*np.log(np.array([of_rate, of_rank]) / share)))
-        outer = min(float(low), fixed[0]), max(min(float(high), 1.0), fixed[1])
-        out.append(AlarmsAtDetection(q, float(t[m - rank]), count, count / n, *outer, *fixed))
-    return tuple(out)
+            low, high = share * np.exp([-1.0, 1.0] * np.hypot(*np.log(np.array([rate_limits, rank_limits]) / share)))
+        joint = min(float(low), exact[0]), max(min(float(high), 1.0), exact[1])
+        results.append(AlarmsAtDetection(q, float(t[m - rank]), count, count / n, *joint, *exact))
+    return tuple(results)
 
 
 def roc_area(counts: RankCounts, area: RocArea = WHOLE) -> float:
@@ -568,16 +567,16 @@ def roc_area(counts: RankCounts, area: RocArea = WHOLE) -> float:
 def area_variance(counts: RankCounts, area: RocArea = WHOLE) -> tuple[float, float]:
     """Sampling variance of the area: the part of the targets and the part of the background.
 
-    With one target or one background score, whose spread nothing tells, the bound A (1 - A) of Birnbaum & Klose
-    (Ann. Math. Stat. 28, 933-945, 1957) stands in for that part.
+    With one target or one background score, whose spread is unknown, that part is the bound A (1 - A) of Birnbaum &
+    Klose (Ann. Math. Stat. 28, 933-945, 1957).
     """
     m, n, value = counts.m, counts.n, roc_area(counts, area)
     bound = value * (1.0 - value)
-    of_targets = float(counts.targets @ (area.averaged(*counts.shares) - value) ** 2 / (m - 1)) if m > 1 else bound
+    target_part = float(counts.targets @ (area.averaged(*counts.shares) - value) ** 2 / (m - 1)) if m > 1 else bound
     if n < 2:
-        return of_targets / m, bound
+        return target_part / m, bound
     w, times = _influence(counts, area)
-    return of_targets / m, float(times @ (w - times @ w / n) ** 2 / (n - 1)) / n
+    return target_part / m, float(times @ (w - times @ w / n) ** 2 / (n - 1)) / n
 
 
 def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -> tuple[float, float]:
@@ -596,19 +595,19 @@ def clustered_variance(counts: RankCounts, area: RocArea, blocks: AlarmBlocks) -
 
 def _influence(counts: RankCounts, area: RocArea) -> tuple[Array, Counts]:
     """W of the background scores and their numbers: below the targets, on the first, between it and the second, ..."""
-    over, tie = counts.shares
-    a, b, flat = area.low, area.high, tie <= 0.0
+    s, tie = counts.shares
+    a, b, untied = area.low, area.high, tie <= 0.0
     with np.errstate(divide="ignore"):
-        steep = 1.0 / (np.maximum(over, 1e-300) * np.log(b / a)) if area.logarithmic else 1.0 / (b - a)
-    step, ends = np.where(flat, 1.0, tie), area.share(over + tie)
-    # What one more score above the target, or level with it, takes away of the mean of g along the tie.
-    above = np.where(flat, np.where((over >= a) & (over < b), -steep, 0.0), (ends - area.share(over)) / step)
-    level = (ends - area.averaged(over, tie)) / step
-    # Between targets k - 1 and k: above targets 0 .. k - 1; on target k what is level with it too.
+        slope = 1.0 / (np.maximum(s, 1e-300) * np.log(b / a)) if area.logarithmic else 1.0 / (b - a)
+    width, ends = np.where(untied, 1.0, tie), area.share(s + tie)
+    # Decrease of the mean of g along the tie by one more score above the target, or level with it.
+    above = np.where(untied, np.where((s >= a) & (s < b), -slope, 0.0), (ends - area.share(s)) / width)
+    level = (ends - area.averaged(s, tie)) / width
+    # A score between targets k - 1 and k lies above targets 0 .. k - 1; one equal to target k is level with it too.
     between = np.concatenate([[0.0], np.cumsum(counts.targets * above)]) / counts.m
-    on = between[:-1] + counts.targets * level / counts.m
+    tied = between[:-1] + counts.targets * level / counts.m
     places = np.arange(1, between.size)
-    return np.insert(between, places, on), np.insert(counts.between, places, counts.ties)
+    return np.insert(between, places, tied), np.insert(counts.between, places, counts.ties)
 
 
 def logit_interval(
@@ -635,24 +634,24 @@ def interval_of_mean(
 ) -> tuple[float, float]:
     """Interval of an area from the placements (m,) of its targets and the two parts of its variance.
 
-    The logit interval; where fewer than 8 targets' worth is lost (won, for a value below 1/2), towards the far end
-    at least the limit that the placements give without any assumption: few targets, all found, cannot show the one
-    in ten that is not.  That limit is far on the safe side: at a sixth of the confidence (0.70 for 0.95) the truth
-    lies beyond it in at most 0.022 of draws (5 to 40 targets, normal and two-mode scores, 1,000 draws each), at
-    0.95 in none.  From 8 on the logit interval holds the truth in 0.94 to 0.96 of draws by itself.
+    The logit interval; where the lost area (the area itself, for a value below 1/2) sums to fewer than 8 targets, its
+    far limit is at least the distribution-free one of the placements: few targets, all found, cannot show the one in
+    ten that is not.  That limit is conservative: with six times the error rate (0.70 for 0.95) the truth lies beyond it
+    in at most 0.022 of draws (5 to 40 targets, normal and two-mode scores, 1,000 draws each), at 0.95 in none.  From
+    8 on the coverage of the logit interval by itself is 0.94 to 0.96.
     """
     value = float(np.clip(placed.mean(), 0.0, 1.0))
     variance, m = target_variance + background_variance, placed.size
     low, high = logit_interval(value, variance, m, n)
-    if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _LOST_ENOUGH:
+    if min(float(np.sum(1.0 - placed)), float(np.sum(placed))) >= _LEAST_LOST:
         return low, high
-    least, greatest = intervals.bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFE * (1.0 - LEVEL))
+    least, greatest = intervals.bounded_mean_limits(np.clip(placed, 0.0, 1.0), 1.0 - _SAFETY * (1.0 - LEVEL))
     normal = float(special.ndtri(0.5 + LEVEL / 2.0))
-    half = normal * np.sqrt(background_variance)
-    near = logit_interval(value, variance, m, np.inf, quantile=normal)
+    background_half = normal * np.sqrt(background_variance)
+    normal_limits = logit_interval(value, variance, m, np.inf, quantile=normal)
     if value > 0.5:
-        return max(min(low, value - np.hypot(value - least, half)), 0.0), near[1]
-    return near[0], min(max(high, value + np.hypot(greatest - value, half)), 1.0)
+        return max(min(low, value - np.hypot(value - least, background_half)), 0.0), normal_limits[1]
+    return normal_limits[0], min(max(high, value + np.hypot(greatest - value, background_half)), 1.0)
 
 
 def area_estimates(
@@ -660,18 +659,18 @@ def area_estimates(
 ) -> dict[str, AreaEstimate]:
     """Areas by name with 95 % intervals, by DeLong's variance, of a background that may come in clusters."""
     method = "DeLong" if counts.m > 1 else f"one {unit}: the greatest variance there can be"
-    out = {}
+    estimates = {}
     for name, area in areas.items():
         placed = np.repeat(area.averaged(*counts.shares), counts.targets)
-        of_targets, of_background = area_variance(counts, area)
+        target_part, background_part = area_variance(counts, area)
         clustered, dof = clustered_variance(counts, area, blocks)
-        of_background = max(of_background, clustered)
-        # Few blocks know their scatter badly; by the part of the background in the whole (Satterthwaite).
-        share = clustered / max(of_targets + of_background, 1e-300)
-        known_by = min(float(counts.n), 1.0 + dof / max(share, 1e-6) ** 2)
-        low, high = interval_of_mean(placed, of_targets, of_background, known_by)
-        out[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, of_background)
-    return out
+        background_part = max(background_part, clustered)
+        # Few blocks estimate their scatter badly; by the background's part of the variance (Satterthwaite).
+        share = clustered / max(target_part + background_part, 1e-300)
+        effective_n = min(float(counts.n), 1.0 + dof / max(share, 1e-6) ** 2)
+        low, high = interval_of_mean(placed, target_part, background_part, effective_n)
+        estimates[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, background_part)
+    return estimates
 
 
 def pooled_areas(parts: Sequence[Mapping[str, AreaEstimate]], n: int) -> dict[str, AreaEstimate]:
@@ -680,19 +679,19 @@ def pooled_areas(parts: Sequence[Mapping[str, AreaEstimate]], n: int) -> dict[st
     The pooled curve is the average of the groups' by their numbers of targets, and so are its areas.  The groups
     may share their background, so the standard deviations that it brings are added.
     """
-    out = {}
+    estimates = {}
     for name in parts[0]:
         if not all(name in p and p[name].placements is not None for p in parts):
             continue
-        each = [np.asarray(p[name].placements) for p in parts]
-        placed = np.concatenate(each)
-        share = np.array([e.size for e in each]) / placed.size
+        groups = [np.asarray(p[name].placements) for p in parts]
+        placed = np.concatenate(groups)
+        share = np.array([e.size for e in groups]) / placed.size
         background = float(share @ np.sqrt([p[name].background_variance for p in parts])) ** 2
-        of_targets = float(placed.var(ddof=1)) / placed.size if placed.size > 1 else 0.25
-        low, high = interval_of_mean(placed, of_targets, background, n)
-        method = f"{placed.size} targets of {len(each)} groups"
-        out[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, background)
-    return out
+        target_part = float(placed.var(ddof=1)) / placed.size if placed.size > 1 else 0.25
+        low, high = interval_of_mean(placed, target_part, background, n)
+        method = f"{placed.size} targets of {len(groups)} groups"
+        estimates[name] = AreaEstimate(float(placed.mean()), low, high, method, placed, background)
+    return estimates
 
 
 def empirical_roc(
@@ -732,7 +731,7 @@ def empirical_roc(
     ------
     UsageError : no targets, no background, NaN, or a ``pfa`` outside (0, 1].
     """
-    t, background = ascending(target_scores, "target"), _placed(background_scores)
+    t, background = ascending(target_scores, "target"), _as_blocks(background_scores)
     b, m, n = background.ascending, t.size, int(background.scores.size)
     if pfa is None:
         decades = int(np.ceil(np.log10(max(n, 10))))
@@ -749,15 +748,15 @@ def empirical_roc(
     )
     alarms = np.where(k >= n, n, n - np.searchsorted(b, threshold, side="right"))
 
-    def above(at: Array, everything: Mask) -> Counts:
+    def above(thresholds: Array, everything: Mask) -> Counts:
         """How many targets lie above the threshold; all of them where ``everything`` is declared, -inf included."""
-        return np.where(everything, m, m - np.searchsorted(t, at, side="right"))
+        return np.where(everything, m, m - np.searchsorted(t, thresholds, side="right"))
 
     detected = above(threshold, alarms == n)
-    every = p >= 1.0  # declares everything, whatever the sample
-    few, many = above(greatest, every), above(least, np.isneginf(least))
+    whole_image = p >= 1.0  # declares everything, whatever the sample
+    few, many = above(greatest, whole_image), above(least, np.isneginf(least))
     pd, (low, high) = detected / m, intervals.mid_p_limits(detected, m)
-    lower, upper = _widened(pd, (np.where(every, 1.0, low), high), pd - few / m, many / m - pd)
+    lower, upper = _widened(pd, (np.where(whole_image, 1.0, low), high), pd - few / m, many / m - pd)
     effect = background.design_effect(alarms)
     return RocCurve(p, pd, lower, upper, threshold, unit, int(m), n, background_area_km2, alarms, effect)
 
@@ -765,7 +764,7 @@ def empirical_roc(
 def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array) -> tuple[Array, Array]:
     """Limits of a curve with more uncertainty to either side, in quadrature; they rise as the true P_D does."""
     low, high = limits
-    # Never inside the binomial limits: what could lie inside them is rounding.
+    # Rounding must not bring them inside the binomial limits.
     lower = np.clip(pd - np.hypot(pd - low, below), 0.0, low)
     upper = np.clip(pd + np.hypot(high - pd, above), high, 1.0)
     return np.minimum.accumulate(lower[::-1])[::-1], np.maximum.accumulate(upper)
@@ -773,8 +772,8 @@ def _widened(pd: Array, limits: tuple[Array, Array], below: Array, above: Array)
 
 def with_summary(curve: RocCurve, target_scores: npt.ArrayLike, background_scores: Scores) -> RocCurve:
     """The curve of these scores with its areas and alarms at stated P_D."""
-    background, n = _placed(background_scores), int(curve.n_background or 0)
-    # Those whose range the background reaches: the low end expects alarms enough.
+    background, n = _as_blocks(background_scores), int(curve.n_background or 0)
+    # Areas whose lowest P_FA the background can resolve.
     areas = {k: a for k, a in AREAS.items() if not a.logarithmic or a.low * n >= LEAST_EXPECTED_ALARMS}
     estimates = area_estimates(counts_of(target_scores, background), areas, curve.unit, background)
     return replace(curve, areas=estimates, at_detection=alarms_at_detection(target_scores, background))
@@ -795,26 +794,26 @@ def pooled_roc(curves: Sequence[RocCurve]) -> RocCurve:
     for curve in curves:
         n = int(curve.n_target or 0)
         pd, low, high = (values[-size:] for values in (curve.pd, curve.pd_lower, curve.pd_upper))
-        alone = intervals.mid_p_limits(np.rint(pd * n), n)
+        binomial = intervals.mid_p_limits(np.rint(pd * n), n)
         detected += np.rint(pd * n)
-        # What was added in quadrature to the binomial limits.
-        below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - alone[0]) ** 2, 0.0))
-        above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (alone[1] - pd) ** 2, 0.0))
+        # The sampling of the threshold, in quadrature beside the binomial limits.
+        below += n / total * np.sqrt(np.maximum((pd - low) ** 2 - (pd - binomial[0]) ** 2, 0.0))
+        above += n / total * np.sqrt(np.maximum((high - pd) ** 2 - (binomial[1] - pd) ** 2, 0.0))
     pd = detected / total
     lower, upper = _widened(pd, intervals.mid_p_limits(detected, total), below, above)
     n_background = min((c.n_background for c in curves if c.n_background is not None), default=None)
     areas = pooled_areas([c.areas for c in curves], n_background or 0)
-    first = min((c.alarms_before_first for c in curves if c.alarms_before_first is not None), default=None)
-    every = np.full(grid.shape, np.nan)  # threshold: each curve has its own
+    first_alarms = min((c.alarms_before_first for c in curves if c.alarms_before_first is not None), default=None)
+    no_threshold = np.full(grid.shape, np.nan)  # threshold: each curve has its own
     counted = curves[0].unit, total, n_background, curves[0].background_area_km2
-    return RocCurve(grid, pd, lower, upper, every, *counted, areas=areas, alarms_before_first=first)
+    return RocCurve(grid, pd, lower, upper, no_threshold, *counted, areas=areas, alarms_before_first=first_alarms)
 
 
 def average_roc(curves: Sequence[RocCurve], weights: npt.ArrayLike) -> RocCurve:
     """The predicted curve of several groups of targets at the same false-alarm probability.
 
-    P_D is the average of the groups by ``weights`` (how many targets each has); the bands are averaged as if
-    the errors of all groups went together, which is the widest they can be.
+    P_D is the average of the groups by ``weights`` (how many targets each has); the limits are averaged as if the
+    errors of all groups were fully correlated, which is the widest case.
     """
     first, share = curves[0], np.asarray(weights, dtype=float) / np.sum(weights)
     pd, low, high = (share @ np.stack([getattr(c, k) for c in curves]) for k in ("pd", "pd_lower", "pd_upper"))
@@ -856,7 +855,7 @@ def footprint_tiles(score_map: Array, shape: Mask, exclude: Mask | None = None) 
     Parameters
     ----------
     score_map : (lines, samples), NaN where invalid
-    shape : (h, w) the object's own with its halo, cut to its bounding box
+    shape : (h, w) footprint of the object with its halo, cut to its bounding box
     exclude : (lines, samples) True on targets and their guard ring
 
     Returns

@@ -9,7 +9,7 @@ from hyperval.data import Array, Index, Mask
 from hyperval.errors import refuse
 from hyperval.products import SpectralEstimate
 
-_TOGETHER = 2048  # pixels whose distances from their mean are in memory at once
+_CHUNK = 2048  # pixels whose distances from their mean are in memory at once
 
 
 def snr_decorrelated(pixels: Array, mean_error: Array | None = None, good: Mask | None = None) -> SpectralEstimate:
@@ -27,8 +27,8 @@ def snr_decorrelated(pixels: Array, mean_error: Array | None = None, good: Mask 
       where there is much texture, so that what goes beyond twice that is cut off;
     - errors of c, of covariance var e S^-1/(n - 3) with the neighbours' covariance S, raise both squares by chance;
       the expectation is taken off;
-    - a variance is more often too small than too large, by the median of chi-square, (1 - 2/(9 (n - 3)))^3 of its
-      mean (Wilson & Hilferty, Proc. Natl. Acad. Sci. 17, 684-688, 1931), by which it is divided.
+    - the median of a variance estimate is that of chi-square, (1 - 2/(9 (n - 3)))^3 of its mean (Wilson & Hilferty,
+      Proc. Natl. Acad. Sci. 17, 684-688, 1931), by which it is divided.
 
     Medians of 36 pixels and more are right to 1 % where texture is brightness, of 16 to 2 %.
 
@@ -37,7 +37,7 @@ def snr_decorrelated(pixels: Array, mean_error: Array | None = None, good: Mask 
     pixels : (n, B) of one region, n >= 5, finite in the good bands, which are three or more
     mean_error : (B, B) error covariance of their mean, of which texture on the ground is the greater part where it is
         correlated; None: that of n pixels of noise alone
-    good : (B,) the others, whatever they hold, have no SNR and are no band's neighbours; None: all
+    good : (B,) the others have no SNR and are no band's neighbours; None: all
 
     Examples
     --------
@@ -55,19 +55,19 @@ def snr_decorrelated(pixels: Array, mean_error: Array | None = None, good: Mask 
     refuse(not np.isfinite(x).all(axis=0)[used].all(), "snr.finite")
     refuse(used.size < 3, "snr.bands", bands=used.size)
     mean = x.mean(axis=0)
-    parts = (x[start : start + _TOGETHER] - mean for start in range(0, n, _TOGETHER))  # a copy of all takes 16 MB
+    parts = (x[start : start + _CHUNK] - mean for start in range(0, n, _CHUNK))  # a copy of all takes 16 MB
     variance, relative_variance, correlation = _noise(sum(z.T @ z for z in parts) / (n - 3), mean, n - 3, used)
     sd = np.sqrt(variance) / (1.0 - 2.0 / (9.0 * (n - 3))) ** 1.5
     with np.errstate(divide="ignore", invalid="ignore"):
         snr = np.where(sd > 0, mean / sd, np.nan)
         # First order: var(mean/s) = var(mean)/s^2, 1/n of noise, + snr^2 times a quarter of the relative variance of
         # s^2; the two parts are independent for normal noise.
-        of_noise = np.abs(snr) * np.sqrt(relative_variance) / 2.0
-        of_mean = np.eye(bands) / n if mean_error is None else np.asarray(mean_error, dtype=float) / np.outer(sd, sd)
-    of_mean = np.where(np.isfinite(of_mean), of_mean, 0.0)
-    covariance = np.outer(np.nan_to_num(of_noise), np.nan_to_num(of_noise)) * correlation
-    budget = {"mean": np.sqrt(np.diag(of_mean)), "noise estimate": of_noise}
-    return SpectralEstimate(snr, covariance + of_mean, None, n, budget)
+        noise_part = np.abs(snr) * np.sqrt(relative_variance) / 2.0
+        mean_part = np.eye(bands) / n if mean_error is None else np.asarray(mean_error, dtype=float) / np.outer(sd, sd)
+    mean_part = np.where(np.isfinite(mean_part), mean_part, 0.0)
+    covariance = np.outer(np.nan_to_num(noise_part), np.nan_to_num(noise_part)) * correlation
+    budget = {"mean": np.sqrt(np.diag(mean_part)), "noise estimate": noise_part}
+    return SpectralEstimate(snr, covariance + mean_part, None, n, budget)
 
 
 def snr_from_moments(mean: npt.ArrayLike, covariance: npt.ArrayLike, good: npt.ArrayLike) -> Array:
@@ -90,36 +90,36 @@ def _noise(covariance: Array, mean: Array, dof: float, used: Index) -> tuple[Arr
     (noise, error, unexplained), residuals = np.zeros((3, mean.size)), np.eye(mean.size)
     neighbours = used[[[1, 2], *([i - 1, i + 1] for i in range(1, used.size - 1)), [used.size - 3, used.size - 2]]]
     pairs = covariance[neighbours[:, :, None], neighbours[:, None, :]]
-    for b, near, inverse in zip(used.tolist(), neighbours, np.linalg.pinv(pairs, hermitian=True), strict=True):
-        c = inverse @ covariance[near, b]
-        residual = max(covariance[b, b] - c @ covariance[near, b], 0.0)
+    for b, pair, inverse in zip(used.tolist(), neighbours, np.linalg.pinv(pairs, hermitian=True), strict=True):
+        c = inverse @ covariance[pair, b]
+        residual = max(covariance[b, b] - c @ covariance[pair, b], 0.0)
         if residual == 0.0:
             continue
         slopes = residual * inverse / dof  # covariance of the errors of c
-        by_chance = np.trace(slopes)
-        squares = 1.0 + max(c @ c - by_chance, -0.5)
+        chance = np.trace(slopes)
+        squares = 1.0 + max(c @ c - chance, -0.5)
         brightness = mean / mean[b] if mean[b] else np.ones_like(mean)
-        h = brightness[near]
+        h = brightness[pair]
         texture, texture_error = _texture(covariance, brightness, b, dof, used)
-        rest_part = 1.0 - c @ h
-        rest = (rest_part**2 - h @ slopes @ h) * texture
+        unexplained_share = 1.0 - c @ h
+        leakage = (unexplained_share**2 - h @ slopes @ h) * texture
         if texture > 0:
-            most = residual**2 / (2.0 * texture)
-            rest = min(max(rest, -most), most)
-        noise[b] = max(residual - rest, 0.0) / squares
-        residuals[b, near] = -c
-        unexplained[b] = np.sign(rest_part) * np.sqrt(max(rest, 0.0))
+            bound = residual**2 / (2.0 * texture)
+            leakage = min(max(leakage, -bound), bound)
+        noise[b] = max(residual - leakage, 0.0) / squares
+        residuals[b, pair] = -c
+        unexplained[b] = np.sign(unexplained_share) * np.sqrt(max(leakage, 0.0))
         # First order in residual, texture and c; second where the first vanishes, as it does without texture.
-        by_c = 2.0 * (texture * rest_part * h - noise[b] * c)
+        gradient = 2.0 * (texture * unexplained_share * h - noise[b] * c)
         squared_error = (
-            2.0 / dof * (residual + noise[b] * by_chance) ** 2
-            + texture_error * (rest_part**4 + 4.0 * rest_part**2 * (h @ slopes @ h))
-            + by_c @ slopes @ by_c
+            2.0 / dof * (residual + noise[b] * chance) ** 2
+            + texture_error * (unexplained_share**4 + 4.0 * unexplained_share**2 * (h @ slopes @ h))
+            + gradient @ slopes @ gradient
             + 2.0 * noise[b] ** 2 * np.trace(slopes @ slopes)
         )
-        if noise[b] > 0.0:  # else the band has no SNR, and no error of one
+        if noise[b] > 0.0:  # else the band has no SNR
             error[b] = squared_error / (squares * noise[b]) ** 2
-    # Residuals of neighbouring bands share noise, all share texture; errors of variances go together by the square.
+    # Residuals of neighbouring bands share noise, all share texture; variances correlate by the square of it.
     shared = residuals * noise @ residuals.T + np.outer(unexplained, unexplained)
     size = np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
     correlation = (shared / np.outer(size, size)) ** 2

@@ -1,15 +1,14 @@
-"""One pass over a stored cube by segments of lines, the moments of regions of one label image, and what they are worth.
+"""One pass over a stored cube by segments of lines, the moments of regions of one label image, and their errors.
 
 Segments and blocks depend on the size of the cube alone and results are joined in order, so that the number of threads
 changes nothing.  Sums of pixels and of their products are taken in float64, block by block, about a point near the
 pixels: a whole number where the stored numbers are whole, so that the differences, their products and the sums of these
 are exact while they stay below 2^53.
 
-Neighbours on the ground resemble each other: a region is worth fewer independent pixels than it has.  A sample
-covariance of n < B pixels has no variance at all in B - n + 1 directions; an error taken from it is nought there, and a
-test that divides by it finds a difference in every spectrum.  What so few pixels do tell is the variance of each band
-and the few common factors that stand out of chance; the rest is taken as independent from band to band, as the noise of
-a sensor is.
+Neighbouring pixels are correlated: a region is worth fewer independent pixels than it has.  A sample covariance of
+n < B pixels has no variance at all in B - n + 1 directions; an error taken from it is 0 there, and a test that divides
+by it finds a difference in every spectrum.  So few pixels do determine the variance of each band and the few common
+factors significant against chance; the rest is taken as independent from band to band, as the noise of a sensor is.
 
 Sample eigenvalues are biased (the great ones too great, the small ones too small) where n is not far above the number
 of bands.  A prediction is therefore not compared with a measured eigenvalue itself, but with what n pixels drawn from
@@ -42,17 +41,17 @@ Result = TypeVar("Result")
 Watch = Callable[[Iterator[Any]], Iterator[Any]]
 
 SCENE = "scene"
-# Smaller blocks stay nearer to the core, but each costs its calls; larger ones take more memory.
+# Smaller blocks fit the processor's cache, but each costs its calls; larger ones take more memory.
 BLOCK_PIXELS = 1920
 BLOCKS_PER_SEGMENT = 16
 MAX_THREADS = 4  # more only wait for memory
-_LINES_LABELLED = 256  # at a time
-# Pixels are taken about the mean of at least so many of the first block.
+_LABEL_LINES = 256  # at a time
+# Sums are about the mean of at least so many pixels of the first block.
 CENTRED_ON = 64
 
 
-# Some lines of a cube: which they are; (F, N) stored numbers of the bands that are asked for, pixel by pixel, in memory
-# that the next block takes; and which pixels (lines, samples) hold data.
+# A block of lines: their slice; (F, N) stored numbers of the chosen bands, pixel by pixel, in memory that the next
+# block reuses; and the mask (lines, samples) of pixels that hold data.
 StoredBlock = tuple[slice, Array, Mask]
 
 
@@ -74,8 +73,8 @@ def by_segments(cube: Cube, block_lines: int, work: Callable[[range], Result], w
     segments = _segments(cube.lines, block_lines)
 
     def results() -> Iterator[tuple[range, Result]]:
-        with cube.raster.kept_open(), single_blas_thread() as alone:
-            count = min(available_cores(), MAX_THREADS) if alone and not cube.raster.in_blocks else 1
+        with cube.raster.kept_open(), single_blas_thread() as one_thread:
+            count = min(available_cores(), MAX_THREADS) if one_thread and not cube.raster.in_blocks else 1
             if count <= 1:
                 yield from zip(segments, map(work, segments), strict=True)
                 return
@@ -95,11 +94,11 @@ def stream(
     needed: Mask | None = None,
     watch: Watch = iter,
 ) -> Iterator[Result]:
-    """What ``work`` makes of the blocks of each segment of a cube, in order: the whole image once.
+    """The result of ``work`` on the blocks of each segment of a cube, in order: one pass over the image.
 
     Parameters
     ----------
-    bands : (B,) that are handed out, all by default
+    bands : (B,) that are read, all by default
     needed : (B,) that must hold data in a usable pixel, all by default; others are NaN where they hold none
     watch : wraps the iterator over the parts of the pass, for a progress bar
 
@@ -116,17 +115,17 @@ def stream(
     """
     step = min(max(1, round(BLOCK_PIXELS / cube.samples)), cube.lines)
     chosen = np.flatnonzero(np.ones(cube.bands, bool) if bands is None else bands)
-    # Ends of stretches of neighbours, among the chosen.
+    # Ends of runs of adjacent bands among the chosen.
     ends = np.flatnonzero(np.diff(chosen, append=cube.bands + 1) > 1) + 1
-    count, most = chosen.size, step * cube.samples
-    others = [] if needed is None else np.flatnonzero(~needed[chosen]).tolist()
+    count, block_pixels = chosen.size, step * cube.samples
+    optional = [] if needed is None else np.flatnonzero(~needed[chosen]).tolist()
 
-    def blocks(firsts: range) -> Iterator[StoredBlock]:
-        buffer, memory = np.empty(cube.raster.bands * most, cube.dtype), np.empty(count * most)
-        for first in firsts:
-            lines = min(step, cube.lines - first)
+    def blocks(first_lines: range) -> Iterator[StoredBlock]:
+        buffer, memory = np.empty(cube.raster.bands * block_pixels, cube.dtype), np.empty(count * block_pixels)
+        for first_line in first_lines:
+            lines = min(step, cube.lines - first_line)
             pixels = lines * cube.samples
-            stored, usable = cube.read_stored(first, lines, needed, buffer)
+            stored, usable = cube.read_stored(first_line, lines, needed, buffer)
             # In the order of the file: by pixel where the bands of a pixel lie side by side.
             by_pixel = stored.strides[0] < stored.strides[2]
             flat = memory[: count * pixels]
@@ -134,12 +133,12 @@ def stream(
             image = numbers.reshape(count, lines, cube.samples)
             for start, end in zip([0, *ends[:-1]], ends, strict=False):
                 image[start:end] = stored[chosen[start] : chosen[end - 1] + 1]
-            for band in others:
+            for band in optional:
                 image[band][cube.lacking(stored[chosen[band]])] = np.nan
             del stored  # a view of lines that a raster may hold: they would stay while it reads the next
-            yield slice(first, first + lines), numbers, usable
+            yield slice(first_line, first_line + lines), numbers, usable
 
-    return by_segments(cube, step, lambda firsts: work(blocks(firsts)), watch)
+    return by_segments(cube, step, lambda first_lines: work(blocks(first_lines)), watch)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,17 +175,17 @@ class Labels(Mapping[str, Mask]):
         number, members = self.number, dict(self.members)
         count = len(next(iter(members.values()))) if members else int(number.max(initial=0)) + 1
         for name, mask in masks:
-            some = [slice(i, i + _LINES_LABELLED) for i in range(0, len(number), _LINES_LABELLED)]
-            used = np.zeros(2 * count, bool)
-            for rows in some:
-                used[2 * number[rows].astype(np.intp) + mask[rows]] = True
-            kept = np.flatnonzero(used)
-            finer = np.empty(number.shape, np.min_scalar_type(max(kept.size - 1, 0)))
-            table = np.cumsum(used) - 1
-            for rows in some:
-                finer[rows] = table[2 * number[rows].astype(np.intp) + mask[rows]]
-            number, count = finer, kept.size
-            members = {key: bits[kept // 2] for key, bits in members.items()} | {name: kept % 2 == 1}
+            strips = [slice(i, i + _LABEL_LINES) for i in range(0, len(number), _LABEL_LINES)]
+            occurs = np.zeros(2 * count, bool)
+            for rows in strips:
+                occurs[2 * number[rows].astype(np.intp) + mask[rows]] = True
+            present = np.flatnonzero(occurs)
+            relabelled = np.empty(number.shape, np.min_scalar_type(max(present.size - 1, 0)))
+            lookup = np.cumsum(occurs) - 1
+            for rows in strips:
+                relabelled[rows] = lookup[2 * number[rows].astype(np.intp) + mask[rows]]
+            number, count = relabelled, present.size
+            members = {key: bits[present // 2] for key, bits in members.items()} | {name: present % 2 == 1}
         return Labels(number, members)
 
     def displaced(self, names: Sequence[str], by: tuple[int, int], first: int = 0) -> Labels:
@@ -201,12 +200,12 @@ class Labels(Mapping[str, Mask]):
         [[True, True], [True, True]]
         """
 
-        def away(x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        def shifted(x: npt.NDArray[Any]) -> npt.NDArray[Any]:
             return np.concatenate([x[:first], np.roll(x, by, (0, 1))[first:]])
 
         if len(names) == len(self):
-            return Labels(away(self.number), self.members)
-        return Labels.of(self.number.shape, {name: away(m) if name in names else m for name, m in self.items()})
+            return Labels(shifted(self.number), self.members)
+        return Labels.of(self.number.shape, {name: shifted(m) if name in names else m for name, m in self.items()})
 
     def mask(self, chosen: Mask) -> Mask:
         """(lines, samples) pixels of some of the labels (K,)."""
@@ -239,29 +238,29 @@ class Sums(NamedTuple):
     second: Array
 
     @classmethod
-    def of(cls, pixels: Array, before: Sums | None, *, whole: bool) -> Sums:
-        """Of pixels (B, n) and those ``before``, whose memory is taken; ``whole``: they are whole numbers."""
-        if before is None:
+    def of(cls, pixels: Array, previous: Sums | None, *, integers: bool) -> Sums:
+        """Of pixels (B, n) added to ``previous``, both overwritten; ``integers``: pixels are whole numbers."""
+        if previous is None:
             centre, bands = pixels[:, :: max(1, pixels.shape[1] // CENTRED_ON)].mean(axis=1), len(pixels)
-            before = cls(np.rint(centre) if whole else centre, 0, np.zeros(bands), np.zeros((bands, bands)))
-        reference, n, first, second = before
+            previous = cls(np.rint(centre) if integers else centre, 0, np.zeros(bands), np.zeros((bands, bands)))
+        reference, n, first, second = previous
         pixels -= reference[:, None]
-        # In place: of many regions each block has some pixels.  NumPy makes the product of an array and its transpose
-        # a symmetric rank-k update: half the work.
+        # In place, as each block adds to many regions.  NumPy makes the product of an array and its transpose a
+        # symmetric rank-k update: half the work.
         second += pixels @ pixels.T
         first += pixels @ np.ones(pixels.shape[1])
         return cls(reference, n + pixels.shape[1], first, second)
 
     def merged(self, other: Sums) -> Sums:
         """With the sums of another set of pixels."""
-        e = other.reference - self.reference
-        half = np.outer(e, other.first + 0.5 * other.n * e)
-        first, second = self.first + (other.first + other.n * e), self.second + (other.second + half + half.T)
+        offset = other.reference - self.reference
+        cross = np.outer(offset, other.first + 0.5 * other.n * offset)
+        first, second = self.first + (other.first + other.n * offset), self.second + (other.second + cross + cross.T)
         return Sums(self.reference, self.n + other.n, first, second)
 
     def mean_and_covariance(self) -> tuple[Array, Array]:
-        """Mean (B,) and unbiased covariance (B, B) of the pixels; 0 of a single one, as nothing is known of it."""
-        # First to a whole number c beside the mean, which is exact for whole numbers, then the rest of the way.
+        """Mean (B,) and unbiased covariance (B, B) of the pixels; 0 for a single one."""
+        # The centre moves to a whole number c near the mean, exactly for whole numbers, then by e to the mean.
         c = np.rint(self.first / self.n)
         mixed = np.outer(c, self.first - 0.5 * self.n * c)
         e = (self.first - self.n * c) / self.n
@@ -292,22 +291,22 @@ def region_statistics(cube: Cube, labels: Labels, needed: Mask, *, watch: Watch 
 
     def segment(blocks: Iterator[StoredBlock]) -> dict[int, Sums]:
         """Sums by label."""
-        found: dict[int, Sums] = {}
+        sums_by_label: dict[int, Sums] = {}
         for rows, pixels, usable in blocks:
             label, valid = number[rows].ravel(), usable.ravel()
             if not valid.all():
                 pixels, label = pixels[:, valid], label[valid]
             for key in np.flatnonzero(np.bincount(label, minlength=wanted.size) * wanted).tolist():
-                some = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
-                found[key] = Sums.of(some, found.get(key), whole=cube.dtype.kind in "iu")
-        return found
+                selected = pixels if label.size == np.count_nonzero(label == key) else pixels[:, label == key]
+                sums_by_label[key] = Sums.of(selected, sums_by_label.get(key), integers=cube.dtype.kind in "iu")
+        return sums_by_label
 
-    # One BLAS thread to the end: a second one, woken for the small products there, would spin into the next pass.
+    # One BLAS thread to the end: a second, started for the small products there, would spin into the next pass.
     with single_blas_thread():
-        for found in stream(cube, segment, needed=needed, watch=watch):
-            while found:  # taken from there: 2 MB for each label
-                key, new = found.popitem()
-                sums[key] = sums[key].merged(new) if key in sums else new
+        for sums_by_label in stream(cube, segment, needed=needed, watch=watch):
+            while sums_by_label:  # freed one by one: 2 MB for each label
+                key, addition = sums_by_label.popitem()
+                sums[key] = sums[key].merged(addition) if key in sums else addition
         return {name: _statistics(cube, name, labels, sums) for name in members}
 
 
@@ -349,28 +348,28 @@ def lag_correlation(windows: Iterable[tuple[Array, Mask]], reach: int) -> tuple[
     -------
     correlation (K, 2R + 1, 2R + 1) at lags of -R to R lines and samples, and the pairs of pixels behind it
     """
-    lags, summed = np.ix_(*2 * [np.arange(-reach, reach + 1)]), 0.0
+    lags, products = np.ix_(*2 * [np.arange(-reach, reach + 1)]), 0.0
     for values, mask in windows:
-        # The mask is correlated with the rest: it counts the pairs.
+        # The autocorrelation of the mask counts the pairs.
         quantities = np.concatenate([np.where(mask, values, 0.0), mask[None].astype(float)])
-        # So many zeros behind the window that no lag meets its other end.
+        # Zero padding, so that no lag wraps around the window.
         size = tuple(fft.next_fast_len(n + reach, real=True) for n in mask.shape)
-        summed = summed + fft.irfft2(np.abs(fft.rfft2(quantities, size)) ** 2, size)[:, *lags]
-    total, counted = np.asarray(summed)[:-1], np.round(np.asarray(summed)[-1])
+        products = products + fft.irfft2(np.abs(fft.rfft2(quantities, size)) ** 2, size)[:, *lags]
+    total, pairs = np.asarray(products)[:-1], np.round(np.asarray(products)[-1])
     with np.errstate(divide="ignore", invalid="ignore"):
-        covariance = np.where(counted > 0, total / counted, 0.0)
+        covariance = np.where(pairs > 0, total / pairs, 0.0)
         value = covariance / covariance[:, reach, reach][:, None, None]
-    return np.nan_to_num(value), counted
+    return np.nan_to_num(value), pairs
 
 
 def neighbour_shares(mask: Mask, reach: int, rng: np.random.Generator, most: int = 2000) -> Array:
     """(2R + 1, 2R + 1) share of the pixels of a region whose neighbour at each lag belongs to it as well."""
-    pixels, counted = np.transpose(drawn_pixels(mask, most, rng)), np.zeros((2 * reach + 1,) * 2)
+    pixels, counts = np.transpose(drawn_pixels(mask, most, rng)), np.zeros((2 * reach + 1,) * 2)
     for line, sample in pixels:
-        near = mask[max(line - reach, 0) : line + reach + 1, max(sample - reach, 0) : sample + reach + 1]
-        above, before = max(reach - line, 0), max(reach - sample, 0)
-        counted[above : above + near.shape[0], before : before + near.shape[1]] += near
-    return counted / len(pixels)
+        window = mask[max(line - reach, 0) : line + reach + 1, max(sample - reach, 0) : sample + reach + 1]
+        row, column = max(reach - line, 0), max(reach - sample, 0)
+        counts[row : row + window.shape[0], column : column + window.shape[1]] += window
+    return counts / len(pixels)
 
 
 def drawn_pixels(mask: Mask, most: int, rng: np.random.Generator) -> tuple[Index, Index]:
@@ -378,9 +377,9 @@ def drawn_pixels(mask: Mask, most: int, rng: np.random.Generator) -> tuple[Index
 
     Line by line: the places of all pixels of a large image would take 16 bytes for each.
     """
-    until = np.cumsum(np.count_nonzero(mask, axis=1))
-    count = int(until[-1]) if until.size else 0
-    return nth_pixels(mask, rng.choice(count, most, replace=False) if count > most else np.arange(count), until)
+    cumulative = np.cumsum(np.count_nonzero(mask, axis=1))
+    count = int(cumulative[-1]) if cumulative.size else 0
+    return nth_pixels(mask, rng.choice(count, most, replace=False) if count > most else np.arange(count), cumulative)
 
 
 def nth_pixels(mask: Mask, numbers: Index, until: Index | None = None) -> tuple[Index, Index]:
@@ -392,17 +391,17 @@ def nth_pixels(mask: Mask, numbers: Index, until: Index | None = None) -> tuple[
     lines = np.searchsorted(until, numbers, side="right")
     samples = np.empty(lines.size, np.intp)
     order = np.argsort(lines, kind="stable")
-    for some in np.split(order, np.flatnonzero(np.diff(lines[order])) + 1) if lines.size else ():
-        line = int(lines[some[0]])
-        before = int(until[line - 1]) if line else 0
-        samples[some] = np.flatnonzero(mask[line])[numbers[some] - before]
+    for members in np.split(order, np.flatnonzero(np.diff(lines[order])) + 1) if lines.size else ():
+        line = int(lines[members[0]])
+        earlier = int(until[line - 1]) if line else 0
+        samples[members] = np.flatnonzero(mask[line])[numbers[members] - earlier]
     return lines, samples
 
 
 COMPONENTS = 24  # leading ones whose correlation on the ground is measured one by one
 _RING_NOISE = 2.0  # standard errors
-MOST_TAKEN = 0.5  # of the correlation, by the region's own mean; more cannot be put back
-MIXTURES = 4  # of all the others, which are measured together
+MOST_REMOVED = 0.5  # part of the correlation removed by the region's own mean; more cannot be restored
+MIXTURES = 4  # random combinations of all the other components
 
 
 @dataclass(frozen=True)
@@ -417,21 +416,21 @@ class PrincipalComponents:
 
     vectors: Array
     values: Array
-    rest: Array
+    mixtures: Array
 
     def scores(self, centred: Array) -> Array:
         """(K + M, ...) quantities of variance 1 of pixels (..., B) with their mean removed."""
-        return np.moveaxis(centred @ np.hstack([self.vectors / np.sqrt(self.values), self.rest]), -1, 0)
+        return np.moveaxis(centred @ np.hstack([self.vectors / np.sqrt(self.values), self.mixtures]), -1, 0)
 
 
 def covariance_components(covariance: Array, rng: np.random.Generator, count: int = COMPONENTS) -> PrincipalComponents:
     """Components of a covariance (B, B); directions without variance are left out."""
-    every = EigenDirections.of(covariance)
-    values, vectors = every.values, every.vectors
-    others = vectors[:, count:] / np.sqrt(values[count:])
-    mix = rng.standard_normal((others.shape[1], MIXTURES))
-    rest = others @ (mix / np.linalg.norm(mix, axis=0)) if others.shape[1] else np.zeros((covariance.shape[0], 0))
-    return PrincipalComponents(vectors[:, :count], values[:count], rest)
+    eigen = EigenDirections.of(covariance)
+    values, vectors = eigen.values, eigen.vectors
+    minor = vectors[:, count:] / np.sqrt(values[count:])
+    mix = rng.standard_normal((minor.shape[1], MIXTURES))
+    mixtures = minor @ (mix / np.linalg.norm(mix, axis=0)) if minor.shape[1] else np.zeros((covariance.shape[0], 0))
+    return PrincipalComponents(vectors[:, :count], values[:count], mixtures)
 
 
 def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: int, reach: int) -> tuple[Array, Array]:
@@ -459,16 +458,16 @@ def independent_pixels(windows: Iterable[tuple[Array, Mask]], shares: Array, n: 
     def by_ring(values: Array) -> Array:
         return np.asarray(np.bincount(ring, values.ravel()), dtype=float)[: reach + 1]
 
-    pairs, near = np.maximum(by_ring(counted), 1e-12), by_ring(shares)
+    pairs, region_share = np.maximum(by_ring(counted), 1e-12), by_ring(shares)
     mean = np.array([by_ring(counted * rho) for rho in correlation]) / pairs
     noise = mean <= _RING_NOISE / np.sqrt(0.5 * pairs)  # every pair of pixels stands there twice
     noise[:, 0] = False
-    share = np.where(np.logical_or.accumulate(noise, axis=1), 0.0, near)
-    total, squares, summed = (np.sum(share * part, axis=1) for part in (mean, mean**2, 1.0))
-    found = np.maximum(total, 1.0)
-    total = found / (1.0 - np.minimum(np.maximum(summed - found, 0.0) / n, MOST_TAKEN))
-    taken = total / n
-    squares = (1.0 - taken) ** 2 * squares + 2.0 * taken * (1.0 - taken) * found + taken**2 * summed
+    weights = np.where(np.logical_or.accumulate(noise, axis=1), 0.0, region_share)
+    total, squares, share_sum = (np.sum(weights * part, axis=1) for part in (mean, mean**2, 1.0))
+    observed = np.maximum(total, 1.0)
+    total = observed / (1.0 - np.minimum(np.maximum(share_sum - observed, 0.0) / n, MOST_REMOVED))
+    removed = total / n
+    squares = (1.0 - removed) ** 2 * squares + 2.0 * removed * (1.0 - removed) * observed + removed**2 * share_sum
     total, squares = (np.clip(part, 1.0, 0.5 * n) for part in (total, squares))
     # E[s^2] = sigma^2 (1 - total/n) n/(n - 1) of s^2 with divisor n - 1, var(mean) = sigma^2 total/n.
     return np.maximum((n / total - 1.0) * n / (n - 1.0), 1.0), n / squares
@@ -492,11 +491,11 @@ def mean_error_covariance(covariance: Array, components: PrincipalComponents, in
     than that whose components they are.
     """
     k = components.values.size
-    of_rest = 1.0 / float(np.mean(1.0 / independent[k:])) if independent.size > k else float(independent[k - 1])
+    n_rest = 1.0 / float(np.mean(1.0 / independent[k:])) if independent.size > k else float(independent[k - 1])
     v = components.vectors
-    scaled = v * (np.sqrt(of_rest / independent[:k]) - 1.0)
-    once = covariance + scaled @ (v.T @ covariance)  # D C, by products of K columns
-    return np.asarray((once + (once @ v) @ scaled.T) / of_rest)
+    scaled = v * (np.sqrt(n_rest / independent[:k]) - 1.0)
+    scaled_rows = covariance + scaled @ (v.T @ covariance)  # D C, by products of K columns
+    return np.asarray((scaled_rows + (scaled_rows @ v) @ scaled.T) / n_rest)
 
 
 # With fewer the variance of a single band is hardly known, however many bands there are.
@@ -524,17 +523,17 @@ def factor_covariance(covariance: npt.ArrayLike, n: int) -> tuple[Array, Array, 
     sd, m, bands = np.sqrt(np.diag(s)), n - 1, s.shape[0]
     values, vectors = np.linalg.eigh(s / np.outer(sd, sd))
     values, vectors = np.clip(values[::-1], 0.0, None), vectors[:, ::-1]
-    found = np.arange(min(m - 1, bands))
-    edges = values[::-1].cumsum()[::-1][found] / bands * (1.0 + np.sqrt(bands / (m - found))) ** 2
-    count = int(np.append(values[found] <= edges, True).argmax())
+    counts = np.arange(min(m - 1, bands))
+    edges = values[::-1].cumsum()[::-1][counts] / bands * (1.0 + np.sqrt(bands / (m - counts))) ** 2
+    count = int(np.append(values[counts] <= edges, True).argmax())
     factors = (vectors[:, :count] * values[:count]) @ vectors[:, :count].T
-    # Each factor fitted takes its part of the bands' own variance along.
-    rest = np.clip(1.0 - np.diag(factors), 0.0, None) * (m / (m - count))
-    out = factors + np.diag(rest)
-    scatter = np.sum(factors**2) + np.trace(factors) ** 2 + 2.0 * np.sum(rest**2)
-    dof = m * (np.sum(out**2) + np.trace(out) ** 2) / scatter
-    factors, dof = (factors, dof) if m >= FEWEST_DOF else (out, m)
-    return out * np.outer(sd, sd), factors * np.outer(sd, sd), float(dof)
+    # Each fitted factor absorbs part of the bands' independent variance.
+    unique = np.clip(1.0 - np.diag(factors), 0.0, None) * (m / (m - count))
+    model = factors + np.diag(unique)
+    scatter = np.sum(factors**2) + np.trace(factors) ** 2 + 2.0 * np.sum(unique**2)
+    dof = m * (np.sum(model**2) + np.trace(model) ** 2) / scatter
+    factors, dof = (factors, dof) if m >= FEWEST_DOF else (model, m)
+    return model * np.outer(sd, sd), factors * np.outer(sd, sd), float(dof)
 
 
 # A texture of less than this part of the noise's variance has no factor of its own.
@@ -589,13 +588,13 @@ def noise_part(
     expectation = np.array([[np.sum(m * part) for part in parts] for m in whitened])
     inverse = np.linalg.pinv(expectation)
     factors = inverse @ [np.sum(m * s) for m in whitened]
-    along, of = EigenDirections.of(sigma).vectors, np.atleast_1d(dof).astype(float)
-    root = (along * of[np.minimum(np.arange(along.shape[1]), of.size - 1)] ** -0.25) @ along.T
-    shown = [root @ (max(float(f), 0.0) * part) @ root for f, part in zip(factors, parts, strict=True)]
+    vectors, dofs = EigenDirections.of(sigma).vectors, np.atleast_1d(dof).astype(float)
+    root = (vectors * dofs[np.minimum(np.arange(vectors.shape[1]), dofs.size - 1)] ** -0.25) @ vectors.T
+    fitted = [root @ (max(float(f), 0.0) * part) @ root for f, part in zip(factors, parts, strict=True)]
     # Muirhead 1982, 1.6: cov(S_ij, S_kl) of normal pixels, and what an elliptical law of the texture adds.
-    whole, heavy = ([m @ part for m in whitened] for part in (sum(shown), sum(shown[1:], np.zeros_like(sigma))))
-    traces = np.array([np.trace(x) for x in heavy])
-    normal, tails = (2.0 * np.array([[np.sum(x * y.T) for y in each] for x in each]) for each in (whole, heavy))
+    total, elliptical = ([m @ part for m in whitened] for part in (sum(fitted), sum(fitted[1:], np.zeros_like(sigma))))
+    traces = np.array([np.trace(x) for x in elliptical])
+    normal, tails = (2.0 * np.array([[np.sum(x * y.T) for y in terms] for x in terms]) for terms in (total, elliptical))
     covariance = normal + kurtosis * (tails + np.outer(traces, traces))
     variance = (inverse @ covariance @ inverse.T)[0, 0]
     weights = np.tensordot(inverse[0], whitened, 1)
@@ -624,7 +623,7 @@ PIXELS_PER_DIRECTION = 3.0
 
 @dataclass(frozen=True)
 class EigenDirections:
-    """Eigenvectors (B, P) and eigenvalues (P,) of a covariance, largest first, without those that are rounding."""
+    """Eigenvectors (B, P) and eigenvalues (P,) of a covariance, largest first, above rounding error."""
 
     vectors: Array
     values: Array
@@ -644,7 +643,7 @@ class EigenDirections:
 
 
 class Statistics(NamedTuple):
-    """What is compared of a covariance S with the predicted one, Sigma; of drawn ones, with a leading axis of draws.
+    """Statistics of a covariance S compared with those of Sigma, the predicted; for draws with a leading axis of draws.
 
     Attributes
     ----------
@@ -666,17 +665,17 @@ def statistics_of_covariance(
     ``count`` leading eigenvalues, and the angles of ``spaces``, by the Gram matrix (m, m) of D^1/2 F.
     """
     scaled = np.sqrt(directions.values)[:, None] * factor
-    eigenvalues, angles = _leading(scaled.T @ scaled, scaled[: max(spaces, default=0)], count, spaces)
+    eigenvalues, angles = _eigen_angles(scaled.T @ scaled, scaled[: max(spaces, default=0)], count, spaces, 0.0)
     return Statistics(eigenvalues, np.asarray(np.sum(scaled**2)), angles)
 
 
-def _leading(gram: Array, along: Array, count: int, spaces: tuple[int, ...], rest: float = 0.0) -> tuple[Array, Array]:
-    """(..., K) eigenvalues and (..., A) angles [deg] of S = F F^T by F^T F (..., m, m) and F along the leading
-    predicted directions (..., k, m); ``rest`` is added to every eigenvalue.
+def _eigen_angles(gram: Array, rows: Array, count: int, spaces: tuple[int, ...], tail: float) -> tuple[Array, Array]:
+    """(..., K) eigenvalues and (..., A) angles [deg] of S = F F^T by F^T F (..., m, m) and the ``rows`` (..., k, m) of
+    F along the leading predicted directions; ``tail`` is added to every eigenvalue.
     """
-    values, turned = (x[..., ::-1] for x in np.linalg.eigh(gram))
-    values, most = values[..., :count] + rest, along.shape[-2]
-    overlap = along @ turned[..., :most] / np.sqrt(np.maximum(values[..., None, :most], 1e-300))
+    values, vectors = (x[..., ::-1] for x in np.linalg.eigh(gram))
+    values, size = values[..., :count] + tail, rows.shape[-2]
+    overlap = rows @ vectors[..., :size] / np.sqrt(np.maximum(values[..., None, :size], 1e-300))
     return values, principal_angles_deg(overlap, spaces)
 
 
@@ -688,10 +687,10 @@ def covariance_distance(whitened: npt.ArrayLike) -> float:
     """
     w = np.asarray(whitened, dtype=float)
     try:
-        both, alone = (np.diag(np.linalg.cholesky(m)) for m in (np.eye(len(w)) + w, w))
+        half_sum, root = (np.diag(np.linalg.cholesky(m)) for m in (np.eye(len(w)) + w, w))
     except np.linalg.LinAlgError:
         return float("inf")
-    return float(np.sum(np.log(both) - 0.5 * np.log(alone)) - 0.5 * len(w) * np.log(2.0))
+    return float(np.sum(np.log(half_sum) - 0.5 * np.log(root)) - 0.5 * len(w) * np.log(2.0))
 
 
 def principal_angles_deg(overlap: npt.ArrayLike, spaces: tuple[int, ...]) -> Array:
@@ -700,8 +699,8 @@ def principal_angles_deg(overlap: npt.ArrayLike, spaces: tuple[int, ...]) -> Arr
     Its cosine is the least singular value of the bases' overlap A^T B, here (..., K, K) (Bjorck & Golub 1973).
     """
     m = np.asarray(overlap, dtype=float)
-    least = [np.linalg.svd(m[..., :k, :k], compute_uv=False)[..., -1] for k in spaces]
-    return np.degrees(np.arccos(np.minimum(np.reshape(least, (len(spaces), *m.shape[:-2])), 1.0))).T
+    cosines = [np.linalg.svd(m[..., :k, :k], compute_uv=False)[..., -1] for k in spaces]
+    return np.degrees(np.arccos(np.minimum(np.reshape(cosines, (len(spaces), *m.shape[:-2])), 1.0))).T
 
 
 def kurtosis_parameter(tail_dof: float) -> float:
@@ -713,7 +712,7 @@ def kurtosis_parameter(tail_dof: float) -> float:
 
 
 def band_limits(drawn: Array) -> tuple[Array, Array]:
-    """Least and greatest value that a further draw keeps to with probability 0.95.
+    """Limits that a further draw lies between with probability 0.95.
 
     >>> tuple(float(end) for end in band_limits(np.arange(119.0) + 1.0))  # below 3 of 120 places, or above: 6/120
     (3.0, 117.0)
@@ -722,7 +721,7 @@ def band_limits(drawn: Array) -> tuple[Array, Array]:
     return ordered[rank - 1], ordered[-rank]
 
 
-def _moved(
+def _perturbed_roots(
     directions: EigenDirections, errors: Array, factors: Iterator[Array], rng: np.random.Generator
 ) -> Iterator[tuple[Array, Array]]:
     """Blocks of roots (n or 1, B, P) of drawn covariances e^r (Sigma + diag q) e^r, to first order in q, with factors.
@@ -746,11 +745,11 @@ def sampling_band(
     draws: int = DRAWS,
     errors: Array | None = None,
 ) -> Statistics:
-    """What samples of the predicted covariance show by chance; each statistic by draws of its own.
+    """Sampling distributions of the statistics under the predicted covariance; each statistic by draws of its own.
 
-    The trace is the sum of chi-squares that it is.  Eigenvalues and angles are those of the leading directions, to
+    The trace is drawn as a sum of chi-squares.  Eigenvalues and angles are those of the leading directions, to
     which the others add their mean, lambda_j/n_j each, and to second order lambda_j^2/(n lambda_K): as many are
-    drawn as leave that below a twentieth of a standard deviation.
+    drawn as keep that below a twentieth of a standard deviation.
 
     Parameters
     ----------
@@ -786,25 +785,25 @@ def sampling_band(
     values, size = directions.values, directions.values.size
     n = np.broadcast_to(np.asarray(independent, dtype=float), (size,))
     dof = n / (1.0 + kurtosis)
-    beyond = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)
-    unseen = beyond <= _LEAST_SHIFT * values[count - 1] ** 2 * np.sqrt(2.0 * dof.min())
-    kept = max(int(unseen.argmax()), count)
-    most = round(0.025 * _LARGEST_WORK / kept**3) * 40 - 1
-    draws = min(draws, max(most, FEWEST_DRAWS))
-    leading, trace, parts = EigenDirections(directions.vectors[:, :kept], values[:kept]), [], []
+    tail_squares = np.append(np.cumsum(values[::-1] ** 2)[::-1], 0.0)
+    negligible = tail_squares <= _LEAST_SHIFT * values[count - 1] ** 2 * np.sqrt(2.0 * dof.min())
+    drawn_size = max(int(negligible.argmax()), count)
+    affordable = round(0.025 * _LARGEST_WORK / drawn_size**3) * 40 - 1
+    draws = min(draws, max(affordable, FEWEST_DRAWS))
+    leading, trace, parts = EigenDirections(directions.vectors[:, :drawn_size], values[:drawn_size]), [], []
     if errors is None or not errors.size:  # along the directions themselves
-        leading, errors = replace(leading, vectors=np.eye(kept)), np.zeros((2, 0, kept))
-    along = leading.vectors[:, : max(spaces, default=0)].T
-    factors = (drawn_factor(kept, n[:kept], rng, kurtosis) for _ in range(draws))
-    rest = float(np.sum(values[kept:] / dof[kept:]))
+        leading, errors = replace(leading, vectors=np.eye(drawn_size)), np.zeros((2, 0, drawn_size))
+    rows = leading.vectors[:, : max(spaces, default=0)].T
+    factors = (drawn_factor(drawn_size, n[:drawn_size], rng, kurtosis) for _ in range(draws))
+    tail = float(np.sum(values[drawn_size:] / dof[drawn_size:]))
     with single_blas_thread():
-        for roots, block in _moved(leading, errors, factors, rng.spawn(1)[0]):
+        for roots, block in _perturbed_roots(leading, errors, factors, rng.spawn(1)[0]):
             drawn = roots @ np.pad(block, [(0, 0), (0, 0), (0, max(count - block.shape[-1], 0))])
-            parts.append(_leading(np.swapaxes(drawn, -1, -2) @ drawn, along @ drawn, count, spaces, rest))
+            parts.append(_eigen_angles(np.swapaxes(drawn, -1, -2) @ drawn, rows @ drawn, count, spaces, tail))
             trace.append(np.full(len(block), np.sum(roots**2, axis=(1, 2)) / leading.values.sum()))
     eigenvalues, angles = (np.concatenate(part) for part in zip(*parts, strict=True))
-    common = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
-    total = np.concatenate(trace) * common * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
+    scale_factor = np.exp(rng.normal(0.0, np.sqrt(kurtosis / n.min()), draws))
+    total = np.concatenate(trace) * scale_factor * ((rng.chisquare(dof, (draws, size)) / dof) @ values)
     return Statistics(eigenvalues, total, angles)
 
 
@@ -820,15 +819,15 @@ def distance_band(
     """
     size, whiten = directions.values.size, (directions.vectors / np.sqrt(directions.values)).T
     factors = (drawn_factor(size, independent, rng, kurtosis) for _ in range(_DISTANCE_DRAWS))
-    alone, moved = [], []
+    chance, perturbed = [], []
     with single_blas_thread():
-        for roots, block in _moved(directions, errors, factors, rng.spawn(1)[0]):
-            alone += [covariance_distance(f @ f.T) for f in block]
-            moved += [covariance_distance(f @ f.T) for f in whiten @ roots @ block] if errors.size else []
-    found = np.array(moved or alone)
-    mean, shape = float(found.mean()), float(found.mean() ** 2 / found.var())
+        for roots, block in _perturbed_roots(directions, errors, factors, rng.spawn(1)[0]):
+            chance += [covariance_distance(f @ f.T) for f in block]
+            perturbed += [covariance_distance(f @ f.T) for f in whiten @ roots @ block] if errors.size else []
+    distances = np.array(perturbed or chance)
+    mean, shape = float(distances.mean()), float(distances.mean() ** 2 / distances.var())
     low, high = mean / shape * special.gammaincinv(shape, [0.025, 0.975])
-    return float(np.mean(alone)), float(low), float(high)
+    return float(np.mean(chance)), float(low), float(high)
 
 
 def full_rank(independent: npt.ArrayLike, size: int) -> bool:

@@ -1,6 +1,6 @@
 """Wavelength errors of a spectrum, by absorptions of the atmosphere, by the red edge of plants, or after compensation.
 
-In a reflectance the oxygen A band tells: a band labelled at w that lies at w - s was divided by the transmittance at w,
+A reflectance shows it in the oxygen A band: a band labelled w that lies at w - s was divided by the transmittance at w,
 not by its own:
 
     rho'(w) / rho(w) = (1 - W' k(w - s)) / (1 - W k(w))
@@ -27,18 +27,18 @@ from hyperval.spectra.axis import SIGMA_PER_FWHM, SpectralAxis
 # The two branches of the band: share, centre and spread [nm]. Fitted to MODTRAN 6 in channels of 5.7 nm, rms 0.003
 # of up to 0.47 absorbed.
 _BRANCHES = ((0.48, 761.24, 0.80), (0.52, 764.38, 2.57))
-# What the shape of two branches is worth [nm]: shifts of -5 to 5 nm simulated line by line are found within 1.2.
+# Uncertainty by the shape of two branches [nm]: shifts of -5 to 5 nm simulated line by line are found within 1.2.
 _SHAPE = 1.0
 # Equivalent width [nm], sun to sensor: 4.0 by MODTRAN 6 from 2.3 km under a sun at 31 degrees; as the root of the
 # path, 3.6 to 6 from other heights and suns.
-_WIDTH, _WIDTH_SPREAD = 4.5, 0.25
+_WIDTH, _WIDTH_SD = 4.5, 0.25
 RANGE_NM = (742.0, 787.0)
 _DEGREE = 3  # of the polynomial that the logarithm of the surface follows there
-LEAST_OXYGEN_BANDS = _DEGREE + 6  # three more than the fit has free numbers
+LEAST_OXYGEN_BANDS = _DEGREE + 6  # three more than the fit has parameters
 MOST_SHIFT = 10.0  # [nm]
 _STEP = 1.0  # of the shifts that are tried first [nm]
-_LEAST_FIGURE = 1e-4  # relative: what four digits of a reflectance can tell
-_ALPHA = 1e-4  # of so many shifts tried a few are independent: 1e-3 together
+_LEAST_FIGURE = 1e-4  # relative: rounding of a reflectance to four digits
+_ALPHA = 1e-4  # of one test; a few of the shifts tried are independent: 1e-3 in all
 
 
 def oxygen_absorption(wavelength_nm: npt.ArrayLike, fwhm_nm: npt.ArrayLike) -> Array:
@@ -51,69 +51,69 @@ def oxygen_absorption(wavelength_nm: npt.ArrayLike, fwhm_nm: npt.ArrayLike) -> A
 
 
 def oxygen_residual(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike, fwhm_nm: npt.ArrayLike) -> Shift | None:
-    """The shift that explains what is left of the oxygen A band; None where nothing is left beyond the scatter.
+    """The shift that explains the residual of the oxygen A band; None where there is none beyond the scatter.
 
     Least squares in the logarithm over 742 to 787 nm: the surface as a cubic, both equivalent widths and the shift.
-    Its uncertainty is by scatter and shape; what the light went through is known to a quarter, and so is a shift.
-    Nothing is left, or was taken out by interpolation, where no shift improves on the cubic by more than chance (F
-    test with two free numbers).  Where no shift of the light does, the compensation is tried at the same place as the
-    light: labels that were changed after it.
+    Its uncertainty is that of scatter and shape; the path of the light is known to a quarter, and so is a shift.
+    There is no residual, or it was interpolated over, where no shift improves on the cubic by more than chance (F
+    test with two parameters).  Where no shift of the light does, the compensation is shifted along with it: labels
+    that were changed afterwards.
 
     Parameters
     ----------
     wavelength_nm, reflectance, fwhm_nm : (B,) finite
     """
     w, y, fwhm = (np.asarray(x, dtype=float) for x in (wavelength_nm, reflectance, fwhm_nm))
-    use = (w > RANGE_NM[0]) & (w < RANGE_NM[1]) & (y > 0.0)
-    if use.sum() < LEAST_OXYGEN_BANDS:
+    used = (w > RANGE_NM[0]) & (w < RANGE_NM[1]) & (y > 0.0)
+    if used.sum() < LEAST_OXYGEN_BANDS:
         return None
-    w, z, fwhm = w[use], np.log(y[use]), fwhm[use]
+    w, z, fwhm = w[used], np.log(y[used]), fwhm[used]
     centre = 0.5 * (RANGE_NM[0] + RANGE_NM[1])
     powers = np.vander((w - centre) / (RANGE_NM[1] - centre), _DEGREE + 1)
     return next(filter(None, (_oxygen_fit(z, powers, w, fwhm, follows) for follows in (0.0, 1.0))), None)
 
 
 def _oxygen_fit(z: Array, powers: Array, w: Array, fwhm: Array, follows: float) -> Shift | None:
-    """The same of log reflectance (B,), where the compensation lies ``follows`` times the shift from its place."""
+    """The same of log reflectance (B,), with the compensation shifted by ``follows`` times the shift of the light."""
 
-    def absorbed(shift: float) -> Array:
+    def absorption(shift: float) -> Array:
         return oxygen_absorption(w - shift, fwhm)
 
-    # First with the usual width, linear in what the compensation departs from it.
-    def start(shift: float) -> tuple[Array, Array]:
-        taken = absorbed(follows * shift)
-        out = _log_transmitted(_WIDTH * taken)
-        return np.column_stack([powers, taken / np.exp(out)]), z - _log_transmitted(_WIDTH * absorbed(shift)) + out
+    # The start: the usual width of the light, linear in the departure of the compensation's from it.
+    def linear(shift: float) -> tuple[Array, Array]:
+        k = absorption(follows * shift)
+        log_t = _log_transmitted(_WIDTH * k)
+        return np.column_stack([powers, k / np.exp(log_t)]), z - _log_transmitted(_WIDTH * absorption(shift)) + log_t
 
-    start_shift = float(min(np.arange(-MOST_SHIFT, MOST_SHIFT + _STEP, _STEP), key=lambda shift: _rest(*start(shift))))
-    free = w.size - powers.shape[1] - 2  # what the light went through is all but given
+    start_shift = float(min(np.arange(-MOST_SHIFT, MOST_SHIFT + _STEP, _STEP), key=lambda s: _misfit(*linear(s))))
+    dof = w.size - powers.shape[1] - 2  # the width of the light is held by its prior
 
-    def rest(p: Array) -> Array:
-        taken = _log_transmitted(p[2] * absorbed(follows * p[0]))
-        return np.asarray(z - _log_transmitted(p[1] * absorbed(p[0])) + taken - powers @ p[3:])
+    def residuals(p: Array) -> Array:
+        removed = _log_transmitted(p[2] * absorption(follows * p[0]))
+        return np.asarray(z - _log_transmitted(p[1] * absorption(p[0])) + removed - powers @ p[3:])
 
     def weighted(p: Array, scatter: float) -> Array:
-        return np.append(rest(p) / scatter, (p[1] / _WIDTH - 1.0) / _WIDTH_SPREAD)
+        return np.append(residuals(p) / scatter, (p[1] / _WIDTH - 1.0) / _WIDTH_SD)
 
-    *surface, more = np.linalg.lstsq(*start(start_shift))[0]
-    p = np.array([start_shift, _WIDTH, _WIDTH + more, *surface])
+    *surface, extra_width = np.linalg.lstsq(*linear(start_shift))[0]
+    p = np.array([start_shift, _WIDTH, _WIDTH + extra_width, *surface])
     for _ in range(2):
-        scatter = max(float(np.sqrt(np.sum(rest(p) ** 2) / free)), _LEAST_FIGURE)
+        scatter = max(float(np.sqrt(np.sum(residuals(p) ** 2) / dof)), _LEAST_FIGURE)
         best = scipy.optimize.least_squares(weighted, p, method="lm", args=(scatter,))
         p = best.x
-    after = float(np.sum(rest(p) ** 2))
-    gain = 0.5 * max(_rest(powers, z) - after, 0.0) / max(after / free, _LEAST_FIGURE**2)
-    if special.fdtrc(2, free, gain) > _ALPHA or abs(p[0]) > MOST_SHIFT:
+    squares = float(np.sum(residuals(p) ** 2))
+    gain = 0.5 * max(_misfit(powers, z) - squares, 0.0) / max(squares / dof, _LEAST_FIGURE**2)
+    if special.fdtrc(2, dof, gain) > _ALPHA or abs(p[0]) > MOST_SHIFT:
         return None
     covariance = np.linalg.pinv(best.jac.T @ best.jac)
-    by_scatter = student_factor(free) * np.sqrt(covariance[0, 0])
+    by_scatter = student_factor(dof) * np.sqrt(covariance[0, 0])
     return Shift(OXYGEN_RESIDUAL, float(p[0]), float(np.hypot(_SHAPE, by_scatter)))
 
 
 def oxygen_band_width(wavelength_nm: npt.ArrayLike, spectrum: npt.ArrayLike) -> float:
-    """FWHM [nm] of Gaussian bands through which a spectrum (B,) shows the oxygen A band, a whole one; NaN without it.
+    """FWHM [nm], a whole number, of Gaussian bands that a spectrum (B,) shows the oxygen A band through; else NaN.
 
-    Least squares over 740 to 790 nm: what stands beside the band as a parabola, how much is absorbed, and the width.
+    Least squares over 740 to 790 nm: continuum as a parabola, depth and width of the absorption.
 
     Examples
     --------
@@ -122,27 +122,27 @@ def oxygen_band_width(wavelength_nm: npt.ArrayLike, spectrum: npt.ArrayLike) -> 
     12.0
     """
     w, y = np.asarray(wavelength_nm, dtype=float), np.asarray(spectrum, dtype=float)
-    use = (w >= 740.0) & (w <= 790.0) & np.isfinite(y)
-    beside = np.vander((w[use] - 765.0) / 25.0, 3)
-    if use.sum() < beside.shape[1] + LEAST_BANDS:
+    used = (w >= 740.0) & (w <= 790.0) & np.isfinite(y)
+    continuum = np.vander((w[used] - 765.0) / 25.0, 3)
+    if used.sum() < continuum.shape[1] + LEAST_BANDS:
         return float("nan")
     tried = np.arange(1.0, 41.0)
-    rests = [_rest(np.column_stack([beside, oxygen_absorption(w[use], f)]), y[use]) for f in tried]
-    return float(tried[np.argmin(rests)]) if min(rests) < 0.1 * _rest(beside, y[use]) else float("nan")
+    squares = [_misfit(np.column_stack([continuum, oxygen_absorption(w[used], f)]), y[used]) for f in tried]
+    return float(tried[np.argmin(squares)]) if min(squares) < 0.1 * _misfit(continuum, y[used]) else float("nan")
 
 
 def _log_transmitted(absorbed: Array) -> Array:
     return np.asarray(np.log1p(-np.minimum(absorbed, 0.99)))
 
 
-def _rest(columns: Array, values: Array) -> float:
-    """Sum of squares that columns (n, p) leave of values (n,)."""
+def _misfit(columns: Array, values: Array) -> float:
+    """Residual sum of squares of values (n,) regressed on columns (n, p)."""
     return float(np.sum((values - columns @ np.linalg.lstsq(columns, values)[0]) ** 2))
 
 
 LEAST_DEPTH = 0.15  # of an absorption under the line between its shoulders
 LEAST_BANDS = 3  # in a feature
-MOST_GAP = 2.5  # widest step between bands of a feature, in their usual step: bands left out hide its centre
+MOST_GAP = 2.5  # widest step between bands of a feature over their median one: missing bands hide its centre
 LEAST_LEVEL = 0.8  # of the infrared's, in the last band before 770 nm
 LEAST_PLANT = 3.0  # reflectance at 785 nm over that at 675 nm
 _STEPS = 20
@@ -151,7 +151,7 @@ _SAMPLING = 0.08  # part of the band spacing by which a centre of few bands is u
 
 @dataclass(frozen=True)
 class Feature:
-    """An absorption: the centre of its area and how well that is known, and where it is looked for [nm]."""
+    """An absorption: the centre of its area, its standard uncertainty, and the window searched [nm]."""
 
     key: str
     name: str
@@ -175,7 +175,7 @@ RED_EDGE = Feature("red-edge", "red edge of plants", 717.0, 5.0, 50.0, 20.0)
 
 @dataclass(frozen=True)
 class Shift:
-    """How far a feature lies from its place: wavelengths as labelled less the true ones [nm]."""
+    """Wavelength error at a feature: wavelengths as labelled less the true ones [nm]."""
 
     feature: str
     nm: float
@@ -183,17 +183,16 @@ class Shift:
 
     @property
     def certain(self) -> bool:
-        """Whether the 95 % interval leaves 0 out."""
+        """Whether the 95 % interval excludes 0."""
         return abs(self.nm) > Z95 * self.uncertainty_nm
 
 
 def absorption_centre(wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, feature: Feature) -> tuple[float, float]:
     """Centre of the area of an absorption under the line between its shoulders, and its depth; NaN without one.
 
-    The first moment of what is absorbed, sum d w dw / sum d dw with d = 1 - L / L_line: a symmetric band response
-    widens the absorption and leaves the moment where it is.  The window follows the centre until both agree, so
-    that a shift of its own width is found too.  Bands left out within it take part of the absorption away, so that
-    there is no centre.
+    The first moment of the absorbed part, sum d w dw / sum d dw with d = 1 - L / L_line: a symmetric band response
+    widens the absorption and does not move the moment.  The window follows the centre until both agree, so that a
+    shift of its own width is found too.  Where bands are missing in it there is no centre.
 
     Parameters
     ----------
@@ -204,26 +203,26 @@ def absorption_centre(wavelength_nm: npt.ArrayLike, radiance: npt.ArrayLike, fea
     index = np.flatnonzero(wide)
     if index.size < LEAST_BANDS + 2:
         return float("nan"), 0.0
-    line = np.interp(w[index], w[index[[0, -1]]], y[index[[0, -1]]])
-    centre, depth = float(w[index][np.argmin(y[index] / np.where(line > 0.0, line, np.inf))]), 0.0
+    continuum = np.interp(w[index], w[index[[0, -1]]], y[index[[0, -1]]])
+    centre, depth = float(w[index][np.argmin(y[index] / np.where(continuum > 0.0, continuum, np.inf))]), 0.0
     width = np.gradient(w)
     for _ in range(_STEPS):
-        before, inside, after = _around(w, centre, feature)
-        if not before.any() or not after.any() or inside.sum() < LEAST_BANDS:
+        blue, core, red = _feature_bands(w, centre, feature)
+        if not blue.any() or not red.any() or core.sum() < LEAST_BANDS:
             return float("nan"), 0.0
-        steps = np.diff(w[before | inside | after])
+        steps = np.diff(w[blue | core | red])
         if steps.max() > MOST_GAP * np.median(steps):
             return float("nan"), 0.0
-        d = 1.0 - y[inside] / _line(w, y, before, inside, after)
-        area = float(np.sum(d * width[inside]))
+        d = 1.0 - y[core] / _continuum(w, y, blue, core, red)
+        area = float(np.sum(d * width[core]))
         depth = float(d.max())
         if depth < LEAST_DEPTH or area <= 0.0:
             return float("nan"), depth
-        moved = float(np.sum(d * w[inside] * width[inside])) / area
-        if abs(moved - centre) < 1e-3:
+        moment = float(np.sum(d * w[core] * width[core])) / area
+        if abs(moment - centre) < 1e-3:
             break
-        # Half steps: bands enter and leave the window, which makes whole ones swing.
-        centre = 0.5 * (centre + moved)
+        # Half steps: bands enter and leave the window, which makes full ones oscillate.
+        centre = 0.5 * (centre + moment)
     return centre, depth
 
 
@@ -232,8 +231,8 @@ def centre_uncertainty(
 ) -> float:
     """Standard uncertainty [nm] of an absorption's centre by the errors of its bands and shoulders; NaN without one.
 
-    First order: the part p = (w - c) dw / (A L_line) of the centre c per absorbed part d, A = sum d dw being the area
-    of the absorption, changes by -p for a unit of radiance in a band inside, and by p L / L_line for one of the line.
+    First order, with p = (w - c) dw / (A L_line) and the area A = sum d dw of the absorption: the centre c changes by
+    -p for a unit of radiance in a band of the core, and by p L / L_line for one of the line.
 
     Parameters
     ----------
@@ -242,29 +241,29 @@ def centre_uncertainty(
     w, y, cov = (np.asarray(x, dtype=float) for x in (wavelength_nm, radiance, covariance))
     if not np.isfinite(centre_nm):
         return float("nan")
-    before, inside, after = _around(w, centre_nm, feature)
-    line, width = _line(w, y, before, inside, after), np.gradient(w)[inside]
-    area = float(np.sum((1.0 - y[inside] / line) * width))
-    part, slope = (w[inside] - centre_nm) * width / (area * line), np.zeros(w.size)
-    slope[inside] = -part
-    for shoulder, levels in ((before, (1.0, 0.0)), (after, (0.0, 1.0))):
-        along = np.interp(w[inside], [w[before].mean(), w[after].mean()], levels)
-        slope[shoulder] = (part * y[inside] / line) @ along / np.count_nonzero(shoulder)
+    blue, core, red = _feature_bands(w, centre_nm, feature)
+    continuum, width = _continuum(w, y, blue, core, red), np.gradient(w)[core]
+    area = float(np.sum((1.0 - y[core] / continuum) * width))
+    part, slope = (w[core] - centre_nm) * width / (area * continuum), np.zeros(w.size)
+    slope[core] = -part
+    for shoulder, levels in ((blue, (1.0, 0.0)), (red, (0.0, 1.0))):
+        interpolation = np.interp(w[core], [w[blue].mean(), w[red].mean()], levels)
+        slope[shoulder] = (part * y[core] / continuum) @ interpolation / np.count_nonzero(shoulder)
     return float(np.sqrt(max(slope @ cov @ slope, 0.0)))
 
 
-def _around(w: Array, centre: float, feature: Feature) -> tuple[Mask, Mask, Mask]:
-    """Bands of the shoulder before, of the absorption and of the shoulder after."""
+def _feature_bands(w: Array, centre: float, feature: Feature) -> tuple[Mask, Mask, Mask]:
+    """Bands of the blue shoulder, of the absorption's core and of the red shoulder."""
     low, high = centre - feature.half_nm, centre + feature.half_nm
-    before = (w >= low - feature.shoulder_nm) & (w < low)
-    after = (w > high) & (w <= high + feature.shoulder_nm)
-    return before, (w >= low) & (w <= high), after
+    blue = (w >= low - feature.shoulder_nm) & (w < low)
+    red = (w > high) & (w <= high + feature.shoulder_nm)
+    return blue, (w >= low) & (w <= high), red
 
 
-def _line(w: Array, y: Array, before: Mask, inside: Mask, after: Mask) -> Array:
-    """Radiance of the line between the shoulders at the bands inside."""
-    ends = [w[before].mean(), w[after].mean()], [y[before].mean(), y[after].mean()]
-    return np.asarray(np.interp(w[inside], *ends))
+def _continuum(w: Array, y: Array, blue: Mask, core: Mask, red: Mask) -> Array:
+    """Radiance of the line between the shoulders in the bands of the core."""
+    ends = [w[blue].mean(), w[red].mean()], [y[blue].mean(), y[red].mean()]
+    return np.asarray(np.interp(w[core], *ends))
 
 
 def red_edge(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike) -> float:
@@ -290,17 +289,17 @@ def red_edge(wavelength_nm: npt.ArrayLike, reflectance: npt.ArrayLike) -> float:
 def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectance: bool = False) -> Iterator[Shift]:
     """Shift of every feature that a spectrum (B,) shows.
 
-    Radiance is looked at for absorptions of oxygen and water vapour, reflectance, from which they were taken out,
-    for what was left of the oxygen band and for the red edge.  Bands that are bad or unknown are left out.
+    Radiance shows absorptions of oxygen and water vapour; reflectance, which is compensated for them, the residual
+    of the oxygen band and the red edge.  Bands that are bad or unknown are not used.
     """
     y = np.asarray(spectrum, dtype=float)
     order = np.argsort(axis.centre_nm, kind="stable")
-    use = order[(axis.good & np.isfinite(y))[order]]
-    if use.size < LEAST_BANDS + 2:
+    used = order[(axis.good & np.isfinite(y))[order]]
+    if used.size < LEAST_BANDS + 2:
         return
-    w, y = axis.centre_nm[use], y[use]
+    w, y = axis.centre_nm[used], y[used]
     if reflectance:
-        residual = oxygen_residual(w, y, axis.fwhm_nm[use])
+        residual = oxygen_residual(w, y, axis.fwhm_nm[used])
         if residual is not None:
             yield residual
         edge = red_edge(w, y)
@@ -308,8 +307,8 @@ def wavelength_shifts(spectrum: npt.ArrayLike, axis: SpectralAxis, *, reflectanc
             yield _shift(RED_EDGE, edge, w)
         return
     for feature in FEATURES:
-        near = np.abs(w - feature.centre_nm) <= feature.half_nm
-        if near.sum() < LEAST_BANDS or np.max(axis.fwhm_nm[use][near]) > feature.half_nm:
+        in_feature = np.abs(w - feature.centre_nm) <= feature.half_nm
+        if in_feature.sum() < LEAST_BANDS or np.max(axis.fwhm_nm[used][in_feature]) > feature.half_nm:
             continue
         centre, _ = absorption_centre(w, y, feature)
         if np.isfinite(centre):
@@ -326,12 +325,12 @@ def _shift(feature: Feature, edge_nm: float, wavelength_nm: Array) -> Shift:
 def common_shifts(spectra: Iterable[Array], axis: SpectralAxis, *, reflectance: bool) -> list[tuple[Shift, int]]:
     """Shift of every feature that some of the spectra (B,) show, and how many do.
 
-    It is the median over these spectra.  Its uncertainty is that of where the feature lies, which the spectra share:
-    it is not divided by their number.  Where it differs between spectra it is the median.
+    It is the median over these spectra, and so is its uncertainty: that of the feature's position, which the spectra
+    share, is not divided by their number.
     """
     found: dict[str, list[Shift]] = {}
     for spectrum in spectra:
         for shift in wavelength_shifts(spectrum, axis, reflectance=reflectance):
             found.setdefault(shift.feature, []).append(shift)
-    middle = {name: np.median([(s.nm, s.uncertainty_nm) for s in each], axis=0) for name, each in found.items()}
-    return [(Shift(name, *map(float, middle[name])), len(each)) for name, each in found.items()]
+    medians = {name: np.median([(s.nm, s.uncertainty_nm) for s in shifts], axis=0) for name, shifts in found.items()}
+    return [(Shift(name, *map(float, medians[name])), len(shifts)) for name, shifts in found.items()]

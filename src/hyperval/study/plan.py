@@ -356,7 +356,7 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     stated, between, count = world.stated, world.stated.atmosphere, study.atmosphere.checked
     rng = np.random.default_rng([study.design.seed, 6])
     states = {f"atmosphere.{k}": _between(np.array(n), rng.random(count)) for k, n in between.nodes.items()}
-    exact = replace(between, nodes={}, kept={})
+    exact = replace(between, nodes={}, cache={})
     ours, theirs = between(states, count), exact(states, count)
 
     clear = theirs.gas_transmittance > LEAST_GAS
@@ -368,7 +368,7 @@ def _sky_error(study: StudyFile, world: World) -> dict[str, float]:
     columns |= {m.path: np.full(count, m.of(0.5 * sum(q.between))) for q in study.required for m in q.targets}
     columns |= states
     a, _ = output_values(world, columns, study.outputs)
-    b, _ = output_values(World(replace(stated, atmosphere=exact, kept={})), columns, study.outputs)
+    b, _ = output_values(World(replace(stated, atmosphere=exact, cache={})), columns, study.outputs)
     worst = np.abs(a - b).max(axis=0).tolist()
     return errors | {f"output {output.name}": one for output, one in zip(study.outputs, worst, strict=True)}
 
