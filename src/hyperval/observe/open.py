@@ -119,6 +119,14 @@ class Place:
         >>> place = Place(image, labels, planks).mistaken({"lines": 2, "beyond": 0.5})
         >>> [target.corner[0] for target in place.targets], place.near_targets[:, 0].nonzero()[0].tolist()
         ([0, 5], [0, 5])
+
+        An offset is relative to what good bands hold:
+
+        >>> from types import SimpleNamespace
+        >>> image.axis = SimpleNamespace(good=np.array([True, True, False]))
+        >>> scene = {SCENE: SimpleNamespace(mean=np.array([1.0, 3.0, 1e9]))}
+        >>> float(Place(image, labels, planks, statistics=scene).mistaken({"offset": 0.1}).cube.offset)
+        0.2
         """
         cube, stated = self.cube, mistake
         shift, factor = (int(stated.get("lines", 0)), int(stated.get("samples", 0))), 1.0 + stated.get("gain", 0.0)
