@@ -126,6 +126,20 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     What the files do not say is left to be filled in, each with the option that gives it.  Of an image without
     wavelengths the objects of its map and their spectrum are written into files in ``folder``.
 
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import write_cube
+    >>> from hyperval.spectra import SpectralAxis
+    >>> corners = [[1, 1], [8, 1], [8, 8], [1, 1]]
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = (drawn := Path(folder) / "a.json").write_text(f'{{"type": "Polygon", "coordinates": [{corners}]}}')
+    ...     np.save(numbers := Path(folder) / "a.npy", np.ones((9, 9, 3)))  # whose bands go by number
+    ...     starter_campaign(StarterSources(numbers, [drawn]), Path(folder), "a")[1][:1]
+    ...     axis = SpectralAxis(np.array([500.0, 600.0]), np.ones(2))
+    ...     raw = write_cube(Path(folder) / "raw", np.ones((9, 9, 2)), data_type=12, axis=axis)
+    ...     print(re.search("FILL_IN.*", starter_campaign(StarterSources(raw), Path(folder), "a")[0])[0])
+    ['collection.regions: a.json: pixel coordinates']
+    FILL_IN: radiance, reflectance or counts (--quantity)'}
+
     Raises
     ------
     InputError : files that are missing or corrupt, regions outside the image.
@@ -170,7 +184,7 @@ class Draft:
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         refuse(quantity == "deviations", "scale.deviations", sources.cube, quantity="radiance or reflectance")
         lines, samples, bands = self.raster.size
-        asked = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
+        asked = quantity or f"{FILL_IN}: radiance, reflectance or counts (--quantity)"
         header = self.reference(sources.header) if sources.header else None
         entries = {"header": header, "variable": sources.key or None, "scale": sources.scale}
         cube: Entry = {"path": self.reference(sources.cube), "quantity": asked}
@@ -188,6 +202,8 @@ class Draft:
         else:
             self._unit_and_order()
         self._scale()
+        for entry in regions if FILL_IN not in str(cube) else ():
+            self._coordinates(entry, regions=[entry])
         if FILL_IN in str(cube):
             flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
             options = {} if numbered else {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
@@ -250,9 +266,7 @@ class Draft:
             self.guess("sort_bands")
 
     def _by_wavelength(self) -> None:
-        collection, quantity, sources = self.collection, self.quantity, self.sources
-        for entry in collection["regions"] if sources.regions else ():
-            self._coordinates(entry, regions=[entry])
+        collection, quantity = self.collection, self.quantity
         place = self._place()
         if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
             collection["regions"].append(_WHOLE)
