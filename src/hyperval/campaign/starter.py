@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from glob import escape
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -395,10 +395,19 @@ class Draft:
         return out
 
     @cached_property
-    def kinds(self) -> list[RecordedSpectrum]:
-        """The spectra, of replicates, whose names differ in their last number alone, the mean."""
-        named = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", one.name.lower()))
-        return [one for name, members in named.items() for one in _replicates(name, members)]
+    def kinds(self) -> list[list[RecordedSpectrum]]:
+        """The spectra, of replicates the mean: of names that differ in their last number alone; by name of folder.
+
+        >>> of = lambda name, level: FieldSpectrum(name, np.array([500.0, 600.0]), np.array([1.0, 2.0]) * level)
+        >>> draft = Draft(StarterSources(Path()), Path(), None, "")
+        >>> files = {"turf/s1": 0.2, "turf/s2": 0.21, "lot/s1": 0.3, "lot/s2": 0.31, "DryClay1": 0.1, "DryClay2": 0.1}
+        >>> draft.spectra = [RecordedSpectrum(Path(f).name, {"file": f}, of(f, level)) for f, level in files.items()]
+        >>> [draft.matching(name).source["replicates"] for name in ("turf", "dry")]
+        [{'files': ['turf/s1', 'turf/s2']}, {'files': ['DryClay1', 'DryClay2']}]
+        """
+        numbered = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", _parted(one.name)))
+        folders = grouped(self.spectra, lambda one: Path(one.source["file"]).parent.name)
+        return [[one for n, members in each.items() for one in _replicates(n, members)] for each in (numbered, folders)]
 
     def matching(self, name: str) -> RecordedSpectrum | None:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has.
@@ -407,10 +416,11 @@ class Draft:
         the dark, is none of the scene, unless the scene has such a panel.
         """
         words, is_reference = _words(name), _REFERENCE.search(name)
-        tests, both = (frozenset.__eq__, frozenset.__ge__, frozenset.__le__), (self.spectra, self.kinds)
+        tests, both = (frozenset.__eq__, frozenset.__ge__, frozenset.__le__), (self.spectra, self.kinds[0])
         pools = [[s for s in p if _words(s.name) and (is_reference or not _REFERENCE.search(s.name))] for p in both]
         fits = ([s for s in pool if test(_words(s.name), words)] for test, pool in product(tests, pools))
-        return next((matches[0] for matches in fits if len(matches) == 1), None)
+        in_folder = [s for s in self.kinds[1] if _words(s.name) == words]
+        return next((matches[0] for matches in (*fits, in_folder) if len(matches) == 1), None)
 
     def _unused(self) -> None:
         """Say which options and files of spectra stand nowhere in the campaign, and which replicates are averaged."""
@@ -422,12 +432,11 @@ class Draft:
         unread = [k for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
         if options := [f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread]:
             self.guess("unread", names=", ".join(options), quantity=self.quantity)
-        if means := [spectrum.name for spectrum in self.kinds if str(spectrum.source) in text and "#" in spectrum.name]:
-            self.guess("replicates", names=", ".join(means))
+        if means := {of: s.name for s in chain(*self.kinds) if "replicates" in (of := str(s.source)) and of in text}:
+            self.guess("replicates", names=", ".join(means.values()))
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
-        if idle:
-            names = [Path(file).name for file in idle]
+        if names := [Path(file).name for file in idle]:
             self.guess("unused", names=", ".join(names[:_MOST_NAMED]) + ", ..." * (len(names) > _MOST_NAMED))
 
     # The model --------------------------------------------------------------------------------------------------------
@@ -488,8 +497,7 @@ class Draft:
             if len(bands) == len(axis) and np.all(np.abs(bands.centre_nm - axis.centre_nm) < bands.fwhm_nm):
                 self.guess("sensor", name=name)
                 return name
-        has = f"no sensor of the library has these {len(axis)} bands"
-        return f"{FILL_IN}: {has}; --sensor names a file (hyperval sensor new)"
+        return f"{FILL_IN}: no sensor of the library has these {len(axis)} bands: --sensor FILE (hyperval sensor new)"
 
     def _add_targets(self, place: Place, scenario: Entry) -> None:
         """Detection in the image, and the targets of the model."""
@@ -601,10 +609,14 @@ class Draft:
         return masks, why + f" of {most!r}; other materials of the map are left out" * bool(rest.any()), rest
 
 
+def _parted(name: str) -> str:
+    """A name in small letters, words in CamelCase parted."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
+
+
 def _words(name: str) -> frozenset[str]:
     """Words and numbers of a name in small letters; CamelCase and underscores part them."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    return frozenset(re.findall(r"[a-z]+|[0-9]+", parted.lower()))
+    return frozenset(re.findall(r"[a-z]+|[0-9]+", _parted(name)))
 
 
 def _records(path: Path, reference: str) -> list[RecordedSpectrum]:
