@@ -716,6 +716,11 @@ def open_matrix(
     ...     open_matrix(path, "MATLAB 5")
     Traceback (most recent call last):
     hyperval.errors.InputError: ...fft.mat: 'data' holds complex128...
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "gt.mat", dict.fromkeys(("TRLabel", "TSLabel"), np.ones((2, 3))))
+    ...     open_matrix(path, "MATLAB 5", plane=(2, 3))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: ...2 arrays could be meant: TRLabel, TSLabel...init takes a file of that map alone
 
     Raises
     ------

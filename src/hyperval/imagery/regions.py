@@ -771,6 +771,11 @@ def read_regions(
     ...         list(read_regions(path, (9, 9), patterns=["Point"], coordinates="pixel"))
     ['Point']
     ['Point']
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = Path(path := f"{folder}/a.json").write_text(json.dumps(collection))
+    ...     read_regions(path, (9, 9))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: ...init --targets takes a list of pixels (region,line,sample)
 
     Raises
     ------
