@@ -41,12 +41,15 @@ def to_internal(unit: str, quantity: str) -> float:
 
     >>> to_internal("(microwatts/cm^2)/(nm*sr)", "radiance"), to_internal("W⋅m-2⋅sr-1⋅um-1", "radiance")
     (1.0, 0.1)
+    >>> to_internal("percent", "radiance")
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: unknown radiance unit 'percent'...scale: 0.01
 
     Raises
     ------
     UsageError : an unknown unit.
     """
-    units = _QUANTITIES[quantity][2]
+    units = _QUANTITIES[quantity][2] + "; of a reflectance in percent, scale: 0.01" * (unit in ("%", "percent"))
     return needed(_factor(unit, quantity), "unit.unknown", quantity=quantity, unit=unit, known=units)
 
 

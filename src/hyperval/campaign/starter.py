@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from glob import escape
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -126,6 +126,20 @@ def starter_campaign(sources: StarterSources, folder: Path, name: str) -> tuple[
     What the files do not say is left to be filled in, each with the option that gives it.  Of an image without
     wavelengths the objects of its map and their spectrum are written into files in ``folder``.
 
+    >>> from tempfile import TemporaryDirectory
+    >>> from hyperval.imagery import write_cube
+    >>> from hyperval.spectra import SpectralAxis
+    >>> corners = [[1, 1], [8, 1], [8, 8], [1, 1]]
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = (drawn := Path(folder) / "a.json").write_text(f'{{"type": "Polygon", "coordinates": [{corners}]}}')
+    ...     np.save(numbers := Path(folder) / "a.npy", np.ones((9, 9, 3)))  # whose bands go by number
+    ...     starter_campaign(StarterSources(numbers, [drawn]), Path(folder), "a")[1][:1]
+    ...     axis = SpectralAxis(np.array([500.0, 600.0]), np.ones(2))
+    ...     raw = write_cube(Path(folder) / "raw", np.ones((9, 9, 2)), data_type=12, axis=axis)
+    ...     print(re.search("FILL_IN.*", starter_campaign(StarterSources(raw), Path(folder), "a")[0])[0])
+    ['collection.regions: a.json: pixel coordinates']
+    FILL_IN: radiance, reflectance or counts (--quantity)'}
+
     Raises
     ------
     InputError : files that are missing or corrupt, regions outside the image.
@@ -170,7 +184,7 @@ class Draft:
         refuse(numbered and quantity == "radiance", "starter.no_wavelengths", sources.cube)
         refuse(quantity == "deviations", "scale.deviations", sources.cube, quantity="radiance or reflectance")
         lines, samples, bands = self.raster.size
-        asked = quantity or f"{FILL_IN}: radiance or reflectance (--quantity)"
+        asked = quantity or f"{FILL_IN}: radiance, reflectance or counts (--quantity)"
         header = self.reference(sources.header) if sources.header else None
         entries = {"header": header, "variable": sources.key or None, "scale": sources.scale}
         cube: Entry = {"path": self.reference(sources.cube), "quantity": asked}
@@ -188,6 +202,8 @@ class Draft:
         else:
             self._unit_and_order()
         self._scale()
+        for entry in regions if FILL_IN not in str(cube) else ():
+            self._coordinates(entry, regions=[entry])
         if FILL_IN in str(cube):
             flight = {"time_utc": "--time", "altitude_km": "--altitude-km", "sensor": "--sensor"}
             options = {} if numbered else {"spectra": "--spectra"} | (flight if quantity != "reflectance" else {})
@@ -250,9 +266,7 @@ class Draft:
             self.guess("sort_bands")
 
     def _by_wavelength(self) -> None:
-        collection, quantity, sources = self.collection, self.quantity, self.sources
-        for entry in collection["regions"] if sources.regions else ():
-            self._coordinates(entry, regions=[entry])
+        collection, quantity = self.collection, self.quantity
         place = self._place()
         if not any(place.pixels_of(region).any() for region in place.regions):  # of targets alone
             collection["regions"].append(_WHOLE)
@@ -381,10 +395,19 @@ class Draft:
         return out
 
     @cached_property
-    def kinds(self) -> list[RecordedSpectrum]:
-        """The spectra, of replicates, whose names differ in their last number alone, the mean."""
-        named = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", one.name.lower()))
-        return [one for name, members in named.items() for one in _replicates(name, members)]
+    def kinds(self) -> list[list[RecordedSpectrum]]:
+        """The spectra, of replicates the mean: of names that differ in their last number alone; by name of folder.
+
+        >>> of = lambda name, level: FieldSpectrum(name, np.array([500.0, 600.0]), np.array([1.0, 2.0]) * level)
+        >>> draft = Draft(StarterSources(Path()), Path(), None, "")
+        >>> files = {"turf/s1": 0.2, "turf/s2": 0.21, "lot/s1": 0.3, "lot/s2": 0.31, "DryClay1": 0.1, "DryClay2": 0.1}
+        >>> draft.spectra = [RecordedSpectrum(Path(f).name, {"file": f}, of(f, level)) for f, level in files.items()]
+        >>> [draft.matching(name).source["replicates"] for name in ("turf", "dry")]
+        [{'files': ['turf/s1', 'turf/s2']}, {'files': ['DryClay1', 'DryClay2']}]
+        """
+        numbered = grouped(self.spectra, lambda one: re.sub(r"[0-9]+(?=[^0-9]*$)", "#", _parted(one.name)))
+        folders = grouped(self.spectra, lambda one: Path(one.source["file"]).parent.name)
+        return [[one for n, members in each.items() for one in _replicates(n, members)] for each in (numbered, folders)]
 
     def matching(self, name: str) -> RecordedSpectrum | None:
         """The spectrum of the same name, else the only one with all its words, else the only one whose words it has.
@@ -393,10 +416,11 @@ class Draft:
         the dark, is none of the scene, unless the scene has such a panel.
         """
         words, is_reference = _words(name), _REFERENCE.search(name)
-        tests, both = (frozenset.__eq__, frozenset.__ge__, frozenset.__le__), (self.spectra, self.kinds)
+        tests, both = (frozenset.__eq__, frozenset.__ge__, frozenset.__le__), (self.spectra, self.kinds[0])
         pools = [[s for s in p if _words(s.name) and (is_reference or not _REFERENCE.search(s.name))] for p in both]
         fits = ([s for s in pool if test(_words(s.name), words)] for test, pool in product(tests, pools))
-        return next((matches[0] for matches in fits if len(matches) == 1), None)
+        in_folder = [s for s in self.kinds[1] if _words(s.name) == words]
+        return next((matches[0] for matches in (*fits, in_folder) if len(matches) == 1), None)
 
     def _unused(self) -> None:
         """Say which options and files of spectra stand nowhere in the campaign, and which replicates are averaged."""
@@ -408,12 +432,11 @@ class Draft:
         unread = [k for k, key in keys.items() if getattr(sources, k) is not None and f"'{key}'" not in text]
         if options := [f"--{name.removesuffix('_utc').replace('_', '-')}" for name in unread]:
             self.guess("unread", names=", ".join(options), quantity=self.quantity)
-        if means := [spectrum.name for spectrum in self.kinds if str(spectrum.source) in text and "#" in spectrum.name]:
-            self.guess("replicates", names=", ".join(means))
+        if means := {of: s.name for s in chain(*self.kinds) if "replicates" in (of := str(s.source)) and of in text}:
+            self.guess("replicates", names=", ".join(means.values()))
         files = [] if "by_number" in cube else [spectrum.source["file"] for spectrum in self.spectra]
         idle = dict.fromkeys(file for file in files or map(str, self.sources.spectra) if repr(file) not in text)
-        if idle:
-            names = [Path(file).name for file in idle]
+        if names := [Path(file).name for file in idle]:
             self.guess("unused", names=", ".join(names[:_MOST_NAMED]) + ", ..." * (len(names) > _MOST_NAMED))
 
     # The model --------------------------------------------------------------------------------------------------------
@@ -474,8 +497,7 @@ class Draft:
             if len(bands) == len(axis) and np.all(np.abs(bands.centre_nm - axis.centre_nm) < bands.fwhm_nm):
                 self.guess("sensor", name=name)
                 return name
-        has = f"no sensor of the library has these {len(axis)} bands"
-        return f"{FILL_IN}: {has}; --sensor names a file (hyperval sensor new)"
+        return f"{FILL_IN}: no sensor of the library has these {len(axis)} bands: --sensor FILE (hyperval sensor new)"
 
     def _add_targets(self, place: Place, scenario: Entry) -> None:
         """Detection in the image, and the targets of the model."""
@@ -587,10 +609,14 @@ class Draft:
         return masks, why + f" of {most!r}; other materials of the map are left out" * bool(rest.any()), rest
 
 
+def _parted(name: str) -> str:
+    """A name in small letters, words in CamelCase parted."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()
+
+
 def _words(name: str) -> frozenset[str]:
     """Words and numbers of a name in small letters; CamelCase and underscores part them."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
-    return frozenset(re.findall(r"[a-z]+|[0-9]+", parted.lower()))
+    return frozenset(re.findall(r"[a-z]+|[0-9]+", _parted(name)))
 
 
 def _records(path: Path, reference: str) -> list[RecordedSpectrum]:

@@ -11,10 +11,9 @@ import tempfile
 import threading
 import warnings
 import weakref
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -177,6 +176,8 @@ def _fields(name: str, value: Any) -> Iterator[tuple[str, Numbers]]:
     if value.dtype.names and value.size == 1:
         for field_name in value.dtype.names:
             yield from _fields(f"{name}/{field_name}", np.asarray(value[field_name].flat[0]))
+    elif value.dtype.kind == "O" and all(np.asarray(v).dtype.kind == "U" for v in value.flat):  # a cell of texts
+        yield name, np.array(["".join(np.ravel(v)) for v in value.flat], str)
     elif value.dtype.kind in "iufbcU":
         yield name, value
 
@@ -612,8 +613,7 @@ def _shapes(path: Path, kind: str) -> dict[str, tuple[int, ...]]:
             elif what == "struct":  # whose size is known when it is read
                 if why := trial(partial(scipy.io.loadmat, path, variable_names=[name])):
                     raise ValueError(why)
-                fields = _matrix(path, kind, name).items()
-                shapes |= {field: value.shape for field, value in fields if value.dtype.kind != "U"}
+                shapes |= {n: v.shape for n, v in _matrix(path, kind, name).items() if v.dtype.kind != "U"}
     else:
         check_own_values(path)
 
@@ -663,15 +663,18 @@ def _likely(names: list[str], shapes: Mapping[str, tuple[int, ...]], is_map: boo
     return named if len(named) == 1 else names
 
 
-def _entries_of(arrays: Mapping[str, Numbers]) -> dict[str, str]:
-    """The entries of an ENVI header as readers in MATLAB keep them, in a struct ``info`` beside the image."""
-    texts_of = defaultdict[str, list[str]](list)
-    for name, value in arrays.items():
-        _, found, rest = name.partition("/info/")
-        if found:
+def _entries_of(arrays: Mapping[str, Numbers], name: str) -> dict[str, str]:
+    """The entries of an ENVI header as readers in MATLAB keep them, in a struct ``info`` beside the image.
+
+    The only list of texts in the struct of a map, if ``name`` is one, has the names of its classes from 1 on.
+    """
+    entries, group = dict[str, str](), name.rpartition("/")[0]
+    for other, value in arrays.items():
+        if key := other.partition("/info/")[2].split("/")[0].replace("_", " "):
             texts = [str(v) if value.dtype.kind == "U" else f"{v:.15g}" for v in value.flat]
-            texts_of[rest.split("/")[0].replace("_", " ")] += texts
-    return {key: ", ".join(words) for key, words in texts_of.items()}
+            entries[key] = ", ".join([*([entries[key]] if key in entries else []), *texts])
+    lists = [v for n, v in arrays.items() if v.dtype.kind == "U" and v.size > 1 and n.rpartition("/")[0] == group]
+    return entries | ({"class names": ", ".join(["unclassified", *lists[0].flat])} if len(lists) == 1 else {})
 
 
 @reader
@@ -698,6 +701,12 @@ def open_matrix(
     ...     (opened := open_matrix(path, "MATLAB 5")).transform.to_gdal(), opened.crs.to_epsg()
     ((7.0, 1.0, 0.0, 12.0, 0.0, -1.0), 32616)
 
+    >>> held["sceneLabels"] = {"labels": [[-1, 1, 2], [1, 1, 3]], "Names": np.array(["oak", "lot", "sea"], "O")}
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "hsi.mat", {"hsi": held})
+    ...     open_matrix(path, "MATLAB 5", plane=(2, 3)).description.entries
+    {'class names': 'unclassified, oak, lot, sea'}
+
     >>> with TemporaryDirectory() as folder:
     ...     scipy.io.savemat(path := Path(folder) / "cube.mat", {"data": np.ones((2, 3, 4)), "map": np.ones((2, 3))})
     ...     open_matrix(path, "MATLAB 5").description.notes
@@ -707,6 +716,11 @@ def open_matrix(
     ...     open_matrix(path, "MATLAB 5")
     Traceback (most recent call last):
     hyperval.errors.InputError: ...fft.mat: 'data' holds complex128...
+    >>> with TemporaryDirectory() as folder:
+    ...     scipy.io.savemat(path := Path(folder) / "gt.mat", dict.fromkeys(("TRLabel", "TSLabel"), np.ones((2, 3))))
+    ...     open_matrix(path, "MATLAB 5", plane=(2, 3))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: ...2 arrays could be meant: TRLabel, TSLabel...init takes a file of that map alone
 
     Raises
     ------
@@ -748,7 +762,7 @@ def open_matrix(
     keys = (*_FILLS, "scale_factor", "add_offset", "units", "long_name") if tree else ()
     with store.kept_open() as file:
         held = {key: file[name].attrs.get(key) for key in keys}
-        entries = {} if tree else _entries_of(file)
+        entries = {} if tree else _entries_of(file, name)
     header = EnviHeader(path, sizes["s"], sizes["l"], sizes.get("b", 1), 0, "", 0, 0, entries=entries)
     bands = None if wave is None else ListedBands(wave, width, header.text("wavelength units"))
     unit, title = (" ".join(texts_of(held.get(key))) for key in ("units", "long_name"))
@@ -758,5 +772,6 @@ def open_matrix(
     notes += () if certain else ("axes are taken as lines, samples, bands: neither wavelengths nor a map tell them",)
     scale = Scale(*packing(held), f"scale of the array {name!r}")
     about = Description(f"array {name!r} of a {kind} file", bands, scale, quantity, scaled, stated(held), notes=notes)
+    about = replace(about, entries=entries) if plane else about
     place = None if east is None or north is None else _even_grid(east, north), crs_of(header)
     return array_raster(store, (piece,), about, place)

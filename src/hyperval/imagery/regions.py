@@ -163,6 +163,12 @@ class ImageGrid:
     def place(self, geometry: BaseGeometry, stated: CRS | None, where: str) -> BaseGeometry:
         """A geometry of a file in a stated system, in continuous pixel coordinates.
 
+        Lines below 0 are those of a GIS, which shows an image without a place upside down: the first from 0 to -1.
+
+        >>> drawn = geometry_of({"type": "Point", "coordinates": [1.5, -2.5]}, "a drawing of QGIS")
+        >>> ImageGrid((9, 9), coordinates="pixel").place(drawn, None, "a drawing of QGIS").wkt
+        'POINT (1.5 2.5)'
+
         Raises
         ------
         InputError : the file states another system than ``coordinates``, or it cannot be placed.
@@ -173,7 +179,7 @@ class ImageGrid:
         if means == "lonlat" and stated is not None and not stated.is_geographic:
             raise refusal("region.other_system", where, stated=stated, told="not in longitude and latitude")
         if means == "pixel":
-            return geometry
+            return shapely.transform(geometry, lambda xy: xy * (1.0, -1.0)) if geometry.bounds[3] <= 0.0 else geometry
         if means is None and stated is None:  # degrees are assumed
             xy = shapely.get_coordinates(geometry)
             for x, y in xy[np.any(np.abs(xy) > (180.0, 90.0), axis=1)]:
@@ -765,6 +771,11 @@ def read_regions(
     ...         list(read_regions(path, (9, 9), patterns=["Point"], coordinates="pixel"))
     ['Point']
     ['Point']
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = Path(path := f"{folder}/a.json").write_text(json.dumps(collection))
+    ...     read_regions(path, (9, 9))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: ...init --targets takes a list of pixels (region,line,sample)
 
     Raises
     ------

@@ -193,7 +193,8 @@ def pixel_fills(geometry: Geometry, offset: npt.ArrayLike, heading_deg: npt.Arra
     shift = np.asarray(offset, dtype=float)
     length, width = geometry.sides_pixels
     refuse(max(length, width) > MAX_PIXELS_ACROSS, "fill.large", most=MAX_PIXELS_ACROSS)
-    s_y, s_x = (SIGMA_PER_FWHM * fwhm for fwhm in _fwhm_yx(geometry.psf_fwhm_pixels))
+    blur = geometry.psf_fwhm_pixels
+    s_y, s_x = (SIGMA_PER_FWHM * fwhm for fwhm in (blur if isinstance(blur, tuple) else (blur or 0.0,) * 2))
     sharpest = min(s_y, s_x)  # decides how finely the integrand is cut
     half = int(np.ceil(0.5 * np.hypot(length, width) + 0.5 + 5.0 * max(s_y, s_x))) + 1
     borders = np.arange(-half - 0.5, half + 1.0)  # each pixel ends where the next begins
@@ -231,11 +232,6 @@ def aperture_weights(edges: npt.ArrayLike, first: int, count: int, psf_fwhm_pixe
     borders = first + np.arange(count + 1)
     ramps = _ramp(np.asarray(edges, dtype=float)[:, None] - borders, psf_fwhm_pixels * SIGMA_PER_FWHM)
     return np.diff(_differences(ramps), axis=0).T
-
-
-def _fwhm_yx(blur: Blur) -> tuple[float, float]:
-    """FWHM of the Gaussian along y and x [pixels]."""
-    return blur if isinstance(blur, tuple) else (blur or 0.0, blur or 0.0)
 
 
 def _chord(y: Array, c: Array, d: Array, length: float, width: float) -> tuple[Array, Array]:

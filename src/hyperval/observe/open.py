@@ -52,7 +52,7 @@ from hyperval.pixels import SCENE as SCENE
 from hyperval.pixels import EmpiricalLine, Labels
 from hyperval.progress import track
 from hyperval.spectra import SIGMA_PER_FWHM, SpectralAxis, fwhm_from_spacing, number_table, spacing_note
-from hyperval.units import RADIANCE_UNIT, to_internal
+from hyperval.units import RADIANCE_UNIT, plausible, to_internal
 
 IMAGE = "image"
 MAX_TABLE_BYTES = 10 << 20
@@ -281,8 +281,7 @@ def check_line_for_detection(place: Place, collection: CollectionSection) -> Non
 def open_source(source: CubeSource, resolve: Resolve, bands: BandTableFile | None = None) -> Cube:
     """Open the cube that a campaign names, with its bands from a table where the campaign names one."""
     # The unit that simulations write; other cubes without a unit are refused with the campaign.
-    simulated = RADIANCE_UNIT if source.quantity == "radiance" and not source.may_state_unit else None
-    unit = source.unit or simulated
+    unit = source.unit or (RADIANCE_UNIT if source.quantity == "radiance" and not source.may_state_unit else None)
     stated = source.model_dump(include={"quantity", "variable", "engine", "scale", "wavelength_unit", "sort_bands"})
     axis: SpectralAxis | Literal["numbers"] | None = "numbers" if source.by_number else None
     if bands is not None and axis is None:
@@ -296,8 +295,7 @@ def number_rows(path: Path, what: str) -> tuple[Array, int]:
     """Rows (n, columns) of a text table, and the line of the first; titles stand in one row, or begin with #."""
     checked_file(path, what=what, most=MAX_TABLE_BYTES)
     lines = [line.split("#")[0] for line in read_text(path).splitlines()]
-    start = next((number for number, line in enumerate(lines, start=1) if line.strip()), None)
-    start = needed(start, "rows.none", path)
+    start = needed(next((number for number, line in enumerate(lines, 1) if line.strip()), None), "rows.none", path)
     header, rows, first_row = number_table("\n".join(lines), path)
     damaged = r"^[-+.]?[0-9]|(?<![^\s,;])[-+.]?[0-9][-+.0-9eE]*(?![^\s,;])"  # begins with a number, or holds one
     refuse(any(re.search(damaged, line) for line in header), "rows.heading", f"{path}:{start}")
@@ -306,12 +304,26 @@ def number_rows(path: Path, what: str) -> tuple[Array, int]:
 
 @reader
 def read_band_table(path: Path, table: BandTableFile) -> SpectralAxis:
-    """The spectral axis of a whitespace-separated text table."""
+    """The spectral axis of a text table, whose first column often numbers the bands.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     _ = (path := Path(folder) / "bands.csv").write_text("Band,Wavelength\\n1,0.41\\n2,0.42\\n3,0.44\\n")
+    ...     read_band_table(path, BandTableFile(path="", wavelength_unit="um", centre_column=1)).centre_nm
+    ...     read_band_table(path, BandTableFile(path="", wavelength_unit="um"))
+    Traceback (most recent call last):
+    hyperval.errors.InputError: ...bands.csv: not a table of bands: column 0 holds 1 to 3 um...centre_column...
+
+    Raises
+    ------
+    InputError : a table without numbers or of too few columns, or numbers that are no wavelengths in that unit.
+    """
     last_column = max(table.centre_column, table.fwhm_column or 0)
     rows, first_row = number_rows(path, "table of bands")
     refuse(rows.shape[1] <= last_column, "rows.columns", f"{path}:{first_row}", shape=rows.shape, least=last_column + 1)
-    factor = to_internal(table.wavelength_unit, "wavelength")
-    centre = rows[:, table.centre_column] * factor
+    stored, factor = rows[:, table.centre_column], to_internal(table.wavelength_unit, "wavelength")
+    centre, numbers = stored * factor, stored[0] in (0.0, 1.0) and np.all(np.diff(stored) == 1.0)
+    refuse(numbers or not plausible(centre), "rows.bands", path, least=stored.min(), most=stored.max(), table=table)
     try:
         fwhm = fwhm_from_spacing(centre)[0] if table.fwhm_column is None else rows[:, table.fwhm_column] * factor
         return SpectralAxis(centre, fwhm)
