@@ -41,14 +41,22 @@ class PositiveDefinite:
     ----------
     matrix : (F, F), or (P,) packed over ``scale``
     scale : (F,); None: the standard deviations
+    bands : (F,) numbers from 0 of the bands where others were left out, for messages; None: all count
 
     Raises
     ------
     UsageError : singular, indefinite, or worse conditioned than float64 can carry; the message names
         the rank and the condition number.
+
+    Examples
+    --------
+    >>> PositiveDefinite(np.diag([1.0, 0.0]), bands=np.array([3, 14]))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: the background matrix is singular: 1 of 2 bands have no variance (first: band 15)
+      to fix it: drop those bands from the detector's bands
     """
 
-    def __init__(self, matrix: npt.ArrayLike, scale: Array | None = None):
+    def __init__(self, matrix: npt.ArrayLike, scale: Array | None = None, bands: Index | None = None):
         values = np.asarray(matrix, dtype=float)
         if scale is None:
             scale = np.sqrt(np.maximum(np.diag(values), 0.0))
@@ -56,7 +64,7 @@ class PositiveDefinite:
                 values = packed(values / scale[:, None] / scale)
         self.scale, self._values = scale, values
         diagonal = values[diagonal_places(scale.size)]
-        bad = np.flatnonzero(~(diagonal > 0))
+        bad = (np.arange(scale.size) if bands is None else bands)[~(diagonal > 0)]
         refuse(bad.size, "background.flat", bad=bad.size, bands=scale.size, first=bad[:1] + 1)
         refuse(not np.isfinite(values.sum()), "background.finite")
         self._cholesky, failed = dpftrf(scale.size, values, uplo="L")

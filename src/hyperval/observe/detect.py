@@ -193,7 +193,7 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
     } or {name: (name, None) for name in detection.detectors}  # anomalies need no target
     inverts = not set(detection.detectors) <= set(px.WITHOUT_COVARIANCE)
     with single_blas_thread():  # small matrices: more threads only wait for each other
-        inverted = PositiveDefinite(covariance[np.ix_(bands, bands)]) if inverts else None
+        inverted = PositiveDefinite(covariance[np.ix_(bands, bands)], None, np.flatnonzero(bands)) if inverts else None
         detectors = {
             key: px.pixel_detector(name, spectrum, mean[bands], inverted, undesired)
             for key, (name, spectrum) in forms.items()
@@ -400,8 +400,9 @@ def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceC
     return said("anomalies", detector=detector, **about)
 
 
-# Sum of scores or abundances over an object, the pixels summed, and the same sum elsewhere on the background.
-ObjectSum = tuple[float, int, Sequence[float] | Array]
+# Sum of scores or abundances over an object, the pixels summed, the same sum elsewhere on the background, and the area
+# [m2] whose sum the object should have, NaN where what it has besides tells nothing of the error.
+ObjectSum = tuple[float, int, Sequence[float] | Array, float]
 
 
 def target_areas(
@@ -410,8 +411,10 @@ def target_areas(
     """Sum of scores over each object times the pixel area, and the area that the truth states [m2].
 
     By subject and detector, for every check that is asked for.  The uncertainty is the spread of the same sum over
-    background that has the object's footprint.  Both are means over the objects of a subject that hold data in all of
-    their pixels, as what lies under one that does not is no part of 0; without one the subject is not measured.
+    background that has the object's footprint, or among the objects themselves about their stated areas where that is
+    greater, as where they lie on the most varied ground of a scene.  Both are means over the objects of a subject that
+    hold data in all of their pixels, as what lies under one that does not is no part of 0; without one the subject is
+    not measured.
     """
     areas: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
@@ -419,22 +422,34 @@ def target_areas(
     for check in detection.areas:
         sums = _footprint_sums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
         for subject, members in target_groups(place.targets, targets[check.target], detection.group).items():
-            each = [(o, sums(o)) for o in members]
-            measured = [(o, found) for o, found in each if not math.isnan(found[0])]
+            each = [sums(o) for o in members]
+            measured = [found for found in each if not math.isnan(found[0])]
             if measured:
-                areas[subject, check.detector] = _mean_area(place, [found for _, found in measured])
-            stated = float(np.mean([o.area_m2 for o, _ in measured or each]))
-            if np.isfinite(stated):  # a truth may say where the objects are and not how large
+                areas[subject, check.detector] = _mean_area(place, measured)
+            # A truth may say where the objects are and not how large.
+            if math.isfinite(stated := float(np.mean([size for *_, size in measured or each]))):
                 nominal[subject, check.detector] = stated
     return areas, nominal
 
 
 def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
-    """Mean over objects of what was summed on each, times the pixel area; its error by the sums elsewhere."""
-    totals, pixels, elsewhere = zip(*objects, strict=True)
-    each = needed(place.pixel_area_m2, "areas.ground") / len(totals)
+    """Mean over objects of what was summed on each, times the pixel area.
+
+    Its error by the sums elsewhere, or by those of the objects about their areas, whichever is greater.
+
+    >>> from types import SimpleNamespace
+    >>> place, on_lawn = SimpleNamespace(pixel_area_m2=2.0), [-0.1, 0.0, 0.1]
+    >>> def error(size):
+    ...     on_gravel = [(total, 9, on_lawn, size) for total in (1.3, 0.7, 1.0, 1.0)]
+    ...     return round(_mean_area(place, on_gravel).standard_uncertainty, 3)
+    >>> error(math.nan), error(2.0)
+    (0.1, 0.245)
+    """
+    totals, pixels, elsewhere, sizes = zip(*objects, strict=True)
+    n, area = len(totals), needed(place.pixel_area_m2, "areas.ground")
     variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
-    return Abundance(sum(totals) * each, math.sqrt(variance) * each, sum(pixels), nominal)
+    among = n * np.var(totals - np.divide(sizes, area), ddof=1) if n > 1 else math.nan
+    return Abundance(sum(totals) * (area / n), math.sqrt(np.fmax(variance, among)) * (area / n), sum(pixels), nominal)
 
 
 def _footprint_sums(
@@ -454,7 +469,7 @@ def _footprint_sums(
         key = shape.shape, shape.tobytes()
         if key not in spread:
             spread[key] = px.footprint_tiles(scores, shape, taken)[0].sum(axis=1)
-        return float(np.sum(scores[near][summed])), int(summed.sum()), spread[key]
+        return float(np.sum(scores[near][summed])), int(summed.sum()), spread[key], item.area_m2
 
     return of
 
@@ -532,7 +547,7 @@ def _abundance_sum(found: _Footprints, spectrum: Array, noise: PositiveDefinite 
     between = np.stack([np.broadcast_to(spectrum, found.background.shape), found.background], axis=1)
     parts = fully_constrained(found.pixels, between[found.place], noise)[:, 0]
     area, *elsewhere = np.bincount(found.place, parts, minlength=len(found.background)).tolist()
-    return area, int(np.count_nonzero(found.place == 0)), elsewhere
+    return area, int(np.count_nonzero(found.place == 0)), elsewhere, math.nan
 
 
 def _footprints(
