@@ -275,7 +275,7 @@ class FilterBase:
         return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
 
 
-def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
+def filter_base(stated: Stated, view: Retrieved, u: int, bands: Index) -> FilterBase:
     """Mean and covariance of the background that the filter of one truth is built on, factorised (3.8, 3.11).
 
     Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
@@ -307,7 +307,7 @@ def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
     values = np.array(latest(of.kept, "still", key, still))
     values[diagonal_places(slope.size)] += f @ noise / slope**2
     if choice is None:
-        return FilterBase(mean, None, PositiveDefinite(values, slope))
+        return FilterBase(mean, None, PositiveDefinite(values, slope, bands))
     covariance = unpacked(values, slope.size) * np.outer(slope, slope)
     psi = principal_components(covariance, choice.pca)
     return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))
