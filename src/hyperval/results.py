@@ -348,7 +348,7 @@ class Pair:
         (nan, 0.9998)
         """
         halves = [(r.upper - r.lower) / 2 for r in (self.a, self.b) if r]
-        return max((max(h, _LEAST_WIDTH * self._value) for h in halves if h > 0), default=math.nan)
+        return max((max(h, _LEAST_WIDTH * self._value) for h in halves if 0 < h < math.inf), default=math.nan)
 
     @property
     def _value(self) -> float:
@@ -356,11 +356,23 @@ class Pair:
 
     @property
     def size(self) -> float:
-        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal."""
-        if not self.a or not self.b or not self.difference:
+        """Difference over the half width of the wider interval; over the value where there is none; 0 if equal.
+
+        Infinite where one alone has a value, or a finite one.
+
+        >>> key = "c", "covariance", "s", "m", "background_tail_dof"
+        >>> def sizes(*values):
+        ...     a, b = (Result(*key, x, lower=4.0, upper=math.inf) for x in values)
+        ...     return Pair(a, b).size, Pair(b, a).size
+        >>> sizes(8.0, 10.0), sizes(8.0, math.nan), sizes(8.0, math.inf)  # an open interval is no scale
+        ((0.2, 0.2), (inf, inf), (inf, inf))
+        >>> sizes(math.nan, math.nan), sizes(math.inf, math.inf)
+        ((0.0, 0.0), (0.0, 0.0))
+        """
+        if not self.a or not self.b or repr(self.a.value) == repr(self.b.value):
             return 0.0
         scale = self._value if math.isnan(self.half_width) else self.half_width
-        return abs(self.difference) / scale if scale > 0 else 0.0
+        return abs(self.difference) / scale if math.isfinite(self.difference) else math.inf
 
 
 def paired(a: ResultTable, b: ResultTable) -> list[Pair]:

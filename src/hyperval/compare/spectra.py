@@ -346,16 +346,16 @@ def whitening(covariance: npt.ArrayLike, estimated: Sequence[EstimatedPart] = ()
     fixed = stated - sum((p.covariance for p in estimated), np.zeros_like(stated))
     parts = [(p, p.covariance if p.model is None else p.model) for p in estimated]
     kept, whiten = _unit_directions(fixed + sum((m for _, m in parts), np.zeros_like(stated)))
-    bands = np.ix_(kept, kept)
-    nu = covariance_dof([(whiten.T @ m[bands] @ whiten, p.dof) for p, m in parts])
+    nu = covariance_dof([(whiten.T @ m @ whiten, p.dof) for p, m in parts])
     if nu < DOF_PER_DIRECTION * whiten.shape[1]:
         samples = [(m, p.dof) if p.sample is None else (p.sample, p.sample_dof) for p, m in parts]
-        whiten, nu = _smooth(fixed[bands], [(s[bands], v) for s, v in samples])
+        bands = np.ix_(kept, kept)
+        smooth, nu = _smooth(fixed[bands], [(s[bands], v) for s, v in samples])
+        whiten = np.zeros((kept.size, smooth.shape[1]))
+        whiten[kept] = smooth
     else:
-        nu = covariance_dof([_with_factors(p.of_each(lambda c: c[bands]), m[bands], whiten) for p, m in parts])
-    transform = np.zeros((whiten.shape[1], kept.size))
-    transform[:, kept] = whiten.T
-    return Whitening(transform, nu)
+        nu = covariance_dof([_with_factors(p, m, whiten) for p, m in parts])
+    return Whitening(whiten.T, nu)
 
 
 def _with_factors(part: EstimatedPart, model: Array, whiten: Array) -> tuple[Array, float]:
@@ -463,17 +463,22 @@ def spectral_angle_degrees(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
 
 
 def _unit_directions(covariance: npt.ArrayLike) -> tuple[Mask, Array]:
-    """Bands with a variance, and (bands, K) directions of unit variance and no covariance, the least first."""
+    """Bands with a variance, and (B, K) directions of unit variance and no covariance in them, the least first.
+
+    >>> rank_one = np.array([[4.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, -1e-17]])  # the last by rounding
+    >>> _unit_directions(rank_one)[1].round(9).tolist()
+    [[0.25], [0.5], [0.0]]
+    """
     cov = np.asarray(covariance, dtype=float)
-    sd = np.sqrt(np.diag(cov))
+    sd = np.sqrt(np.clip(np.diag(cov), 0.0, None))
     refuse(not np.all(np.isfinite(cov)), "compare.finite")
     some = np.asarray(sd > 0)
-    if not np.any(some):
-        return some, np.zeros((0, 0))
     scaled = cov[np.ix_(some, some)] / np.outer(sd[some], sd[some])
     values, vectors = np.linalg.eigh((scaled + scaled.T) / 2.0)
-    keep = values > EIGENVALUE_CUT * values[-1]
-    return some, vectors[:, keep] / sd[some][:, None] / np.sqrt(values[keep])
+    keep = values > EIGENVALUE_CUT * np.max(values, initial=0.0)
+    directions = np.zeros((sd.size, int(keep.sum())))
+    directions[some] = vectors[:, keep] / sd[some][:, None] / np.sqrt(values[keep])
+    return some, directions
 
 
 def wavelength_rows(predicted: SpectralEstimate, observed: SpectralEstimate, axis: SpectralAxis) -> Iterator[Result]:

@@ -249,7 +249,7 @@ class Evaluation(Cached):
         filters = {key: LinearFilter(np.full(shape, np.nan), np.full(shape[0], np.nan)) for key in wanted}
         for v in range(self.at.size) if wanted else ():
             try:
-                base = filter_base(self.stated, view, v)
+                base = filter_base(self.stated, view, v, self.bands)
                 designs = [base.filter(detector, of_truth(x, v)) for (_, detector), x in wanted.items()]
             except UsageError as error:
                 self.problems |= dict.fromkeys(np.flatnonzero(self.which == v).tolist(), error)
@@ -504,7 +504,7 @@ def _ace_pixels(e: Evaluation, u: int, target: int) -> AcePixels:
     """One truth: exceedance of the background, and of target pixels at nodes over all fills of its populations."""
     processing, named = e.scenario.processing, e.targets[target]
     v, view = int(e.which[u]), e.view.rows(e.which[u : u + 1])
-    classes, base, signatures = view.classes, filter_base(e.stated, e.view, v), view.signatures[named.name][0]
+    classes, base, signatures = view.classes, filter_base(e.stated, e.view, v, e.bands), view.signatures[named.name][0]
     space = ace_space(base.of(signatures), base.of(base.mean), base.factor)
     slope, surroundings = view.slope[0], e.view.classes.covariance(v)
 

@@ -41,14 +41,22 @@ class PositiveDefinite:
     ----------
     matrix : (F, F), or (P,) packed over ``scale``
     scale : (F,); None: the standard deviations
+    bands : (F,) numbers from 0 of the bands where others were left out, for messages; None: all count
 
     Raises
     ------
     UsageError : singular, indefinite, or worse conditioned than float64 can carry; the message names
         the rank and the condition number.
+
+    Examples
+    --------
+    >>> PositiveDefinite(np.diag([1.0, 0.0]), bands=np.array([3, 14]))
+    Traceback (most recent call last):
+    hyperval.errors.UsageError: the background matrix is singular: 1 of 2 bands have no variance (first: band 15)
+      to fix it: drop those bands from the detector's bands
     """
 
-    def __init__(self, matrix: npt.ArrayLike, scale: Array | None = None):
+    def __init__(self, matrix: npt.ArrayLike, scale: Array | None = None, bands: Index | None = None):
         values = np.asarray(matrix, dtype=float)
         if scale is None:
             scale = np.sqrt(np.maximum(np.diag(values), 0.0))
@@ -56,7 +64,7 @@ class PositiveDefinite:
                 values = packed(values / scale[:, None] / scale)
         self.scale, self._values = scale, values
         diagonal = values[diagonal_places(scale.size)]
-        bad = np.flatnonzero(~(diagonal > 0))
+        bad = (np.arange(scale.size) if bands is None else bands)[~(diagonal > 0)]
         refuse(bad.size, "background.flat", bad=bad.size, bands=scale.size, first=bad[:1] + 1)
         refuse(not np.isfinite(values.sum()), "background.finite")
         self._cholesky, failed = dpftrf(scale.size, values, uplo="L")
@@ -267,7 +275,7 @@ class FilterBase:
         return LinearFilter(weights if self.psi is None else weights @ self.psi, offset)
 
 
-def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
+def filter_base(stated: Stated, view: Retrieved, u: int, bands: Index) -> FilterBase:
     """Mean and covariance of the background that the filter of one truth is built on, factorised (3.8, 3.11).
 
     Sum w_k [D_A g_k Sigma_k D_A + kappa g_k D_B Sigma_ave D_B + N_k + (mu_k - mu)(mu_k - mu)^T] with everything
@@ -299,7 +307,7 @@ def filter_base(stated: Stated, view: Retrieved, u: int) -> FilterBase:
     values = np.array(latest(classes.cache, "still", key, noiseless))
     values[diagonal_places(slope.size)] += f @ noise / slope**2
     if space is None:
-        return FilterBase(mean, None, PositiveDefinite(values, slope))
+        return FilterBase(mean, None, PositiveDefinite(values, slope, bands))
     covariance = unpacked(values, slope.size) * np.outer(slope, slope)
     psi = principal_components(covariance, space.pca)
     return FilterBase(mean, psi, PositiveDefinite(feature_covariance(psi, covariance)))

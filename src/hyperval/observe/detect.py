@@ -193,7 +193,7 @@ def _filter_bank(place: Place, detection: Detection, spectra: Mapping[str, Array
     } or {name: (name, None) for name in detection.detectors}  # anomalies need no target
     inverts = not set(detection.detectors) <= set(px.WITHOUT_COVARIANCE)
     with single_blas_thread():  # small matrices: more threads only wait for each other
-        inverted = PositiveDefinite(covariance[np.ix_(bands, bands)]) if inverts else None
+        inverted = PositiveDefinite(covariance[np.ix_(bands, bands)], None, np.flatnonzero(bands)) if inverts else None
         detectors = {
             key: px.pixel_detector(name, spectrum, mean[bands], inverted, undesired)
             for key, (name, spectrum) in forms.items()
@@ -399,8 +399,9 @@ def _anomaly_note(place: Place, detector: str, scores: Array, curve: ExceedanceC
     return said("anomalies", detector=detector, **facts)
 
 
-# Sum of scores or abundances over an object, the pixels summed, and the same sum elsewhere on the background.
-ObjectSum = tuple[float, int, Sequence[float] | Array]
+# Sum of scores or abundances over an object, the pixels summed, the same sum elsewhere on the background, and the area
+# [m2] that the object's sum stands for; NaN where sums of several objects do not show the error.
+ObjectSum = tuple[float, int, Sequence[float] | Array, float]
 
 
 def target_areas(
@@ -409,8 +410,9 @@ def target_areas(
     """Sum of scores over each object times the pixel area, and the area that the truth states [m2].
 
     By subject and detector, for every check of the campaign.  The uncertainty is the spread of the same sum over
-    background that has the object's footprint.  Both are means over the objects of a subject that hold data in all of
-    their pixels; without one the subject is not measured.
+    background that has the object's footprint, or among the objects themselves about what is due to their stated areas
+    where that is greater, as where they lie on the most varied ground of a scene.  Both are means over the objects of a
+    subject that hold data in all of their pixels; without one the subject is not measured.
     """
     areas: dict[tuple[str, str], Abundance] = {}
     nominal: dict[tuple[str, str], float] = {}
@@ -418,22 +420,36 @@ def target_areas(
     for check in detection.areas:
         sums = _footprint_sums(place, detection, maps[f"{check.target}-{check.detector}"], check.margin_pixels)
         for subject, members in target_groups(place.targets, targets[check.target], detection.group).items():
-            sums_by_object = [(o, sums(o)) for o in members]
-            measured = [(o, total) for o, total in sums_by_object if not math.isnan(total[0])]
+            sums_by_object = [sums(o) for o in members]
+            measured = [total for total in sums_by_object if not math.isnan(total[0])]
             if measured:
-                areas[subject, check.detector] = _mean_area(place, [total for _, total in measured])
-            area_m2 = float(np.mean([o.area_m2 for o, _ in measured or sums_by_object]))
-            if np.isfinite(area_m2):  # a truth may say where the objects are and not how large
+                areas[subject, check.detector] = _mean_area(place, measured)
+            # A truth may say where the objects are and not how large.
+            if math.isfinite(area_m2 := float(np.mean([size for *_, size in measured or sums_by_object]))):
                 nominal[subject, check.detector] = area_m2
     return areas, nominal
 
 
 def _mean_area(place: Place, objects: Iterable[ObjectSum], nominal: float | None = None) -> Abundance:
-    """Mean over objects of their sums, times the pixel area; its error by the sums on the background."""
-    totals, pixels, elsewhere = zip(*objects, strict=True)
-    scale = needed(place.pixel_area_m2, "areas.ground") / len(totals)
+    """Mean over objects of their sums, times the pixel area.
+
+    Its error is by the sums on the background, or by those of the objects about what is due to their sizes, whichever
+    is greater.
+
+    >>> from types import SimpleNamespace
+    >>> place, on_lawn = SimpleNamespace(pixel_area_m2=2.0), [-0.1, 0.0, 0.1]
+    >>> def error(size):
+    ...     on_gravel = [(total, 9, on_lawn, size) for total in (1.3, 0.7, 1.0, 1.0)]
+    ...     return round(_mean_area(place, on_gravel).standard_uncertainty, 3)
+    >>> error(math.nan), error(2.0)
+    (0.1, 0.245)
+    """
+    totals, pixels, elsewhere, sizes = zip(*objects, strict=True)
+    n, scale = len(totals), needed(place.pixel_area_m2, "areas.ground") / len(totals)
     variance = sum(float(np.var(sums, ddof=1)) if len(sums) > 1 else math.nan for sums in elsewhere)
-    return Abundance(sum(totals) * scale, math.sqrt(variance) * scale, sum(pixels), nominal)
+    # About what is due to their sizes: a detector that is off by a factor is not an error of single objects.
+    among = n * np.var(totals - np.multiply(sizes, sum(totals) / sum(sizes)), ddof=1) if n > 1 else math.nan
+    return Abundance(sum(totals) * scale, math.sqrt(np.fmax(variance, among)) * scale, sum(pixels), nominal)
 
 
 def _footprint_sums(
@@ -453,7 +469,7 @@ def _footprint_sums(
         key = shape.shape, shape.tobytes()
         if key not in background_sums:
             background_sums[key] = px.footprint_tiles(scores, shape, excluded)[0].sum(axis=1)
-        return float(np.sum(scores[window][footprint])), int(footprint.sum()), background_sums[key]
+        return float(np.sum(scores[window][footprint])), int(footprint.sum()), background_sums[key], item.area_m2
 
     return object_sum
 
@@ -531,7 +547,7 @@ def _abundance_sum(footprints: _Footprints, spectrum: Array, noise: PositiveDefi
     endmembers = np.stack([np.broadcast_to(spectrum, footprints.background.shape), footprints.background], axis=1)
     abundances = fully_constrained(footprints.pixels, endmembers[footprints.place], noise)[:, 0]
     area, *elsewhere = np.bincount(footprints.place, abundances, minlength=len(footprints.background)).tolist()
-    return area, int(np.count_nonzero(footprints.place == 0)), elsewhere
+    return area, int(np.count_nonzero(footprints.place == 0)), elsewhere, math.nan
 
 
 def _footprints(
