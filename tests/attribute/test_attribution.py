@@ -34,7 +34,7 @@ BASE, ORIGINS = run(SCENE), Origins(axis=AXIS, engine=engine)
 
 def test_noise_without_signal_is_a_cause_of_a_sensor_that_is_changed_nowhere():
     (noise,) = [c for c in further_candidates([read_world(SCENE, ORIGINS)]) if c.name == "noise without signal"]
-    (truth,) = noise.at(0, 20.0)
+    (truth,) = noise.truths(0, 20.0)
     there = predict(with_settings(SCENE, {"sensor_changes": {"fixed_noise_factor": 2.0}}), ORIGINS).snr["grass"].mean
     np.testing.assert_allclose(predict(SCENE, ORIGINS, truth=truth).snr["grass"].mean, there, rtol=1e-12)
 

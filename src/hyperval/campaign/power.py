@@ -264,7 +264,7 @@ def _power(job: Job, file: Path | None) -> Power:
     return Power(name, table, changes=[f"{n}: {a}, accepted: {b}" for n, (a, b) in pairs.items() if a != b])
 
 
-def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
+def power_table(job: Job, errors: Mapping[str, attribute.Perturbation]) -> PowerTable:
     """Observe once, predict with each of ``errors``, and compare each time.
 
     Raises
@@ -276,7 +276,7 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
         origins = [collection.origins(scenario) for scenario in collection.scenarios]
         stated = [predict(s, o, objects=True) for s, o in zip(collection.scenarios, origins, strict=True)]
 
-        def injected(error: attribute.Family) -> Injected:
+        def injected(error: attribute.Perturbation) -> Injected:
             """The comparisons that it changes, and the cause that the attribution finds for it.
 
             The prediction of a scenario that it does not apply to stays.
@@ -293,13 +293,13 @@ def power_table(job: Job, errors: Mapping[str, attribute.Family]) -> PowerTable:
             predictions, truths = zip(*sides, strict=True)
             found = turned(before, outcomes(collection, predicted_side(collection, predictions, truths)))
             (with_it,), level = causes.evaluate([truths], "injected error"), causes.predicted
-            cause = causes.or_rarer(with_it - level, np.arange(level.size), level, causes.of_inputs)
-            reason = " or ".join((cause.first, *cause.confounded[:3])) + (", enough" if cause.enough else "")
+            cause = causes.explain_with_rarer(with_it - level, np.arange(level.size), level, causes.input_columns)
+            reason = " or ".join((cause.first_cause, *cause.confounded[:3])) + ", enough" * cause.is_sufficient
             return found.model_copy(update={"reason": reason})
 
         prediction = predicted_side(collection, stated)
         before = outcomes(collection, prediction)
-        causes = attribute.causes_of(asked_again(collection, prediction))
+        causes = attribute.collect_causes(asked_again(collection, prediction))
         rows = {name: injected(error) for name, error in track(errors.items(), "injected errors", len(errors))}
         are_met = [r.outcome is not Outcome.DISAGREES for r in before if r.gates and r.evidence is Evidence.MODEL]
         files, values, reasons = own_files(collection.inputs.entries()), gate_values(before), _calibrated(causes)
@@ -313,20 +313,20 @@ def _calibrated(causes: attribute.Causes) -> Reasons:
     """What the attribution says of worlds drawn within the stated uncertainty, a fixed seed."""
     named, grouped = dict[str, Counter[str]](), Counter[str]()
     stated, wrong = list[tuple[float, bool]](), list[bool]()
-    for kind, found in causes.residuals.whitened()[0].drawn(np.random.default_rng(SEED), WORLDS):
-        first, *group = (attribute.kind_of(name) for name in (found.first, *found.confounded))
+    for kind, found in causes.residuals.whitened()[0].simulate(np.random.default_rng(SEED), WORLDS):
+        first, *group = (attribute.prior_group(name) for name in (found.first_cause, *found.confounded))
         is_named = kind in (first, *group)
         named.setdefault(kind, Counter())[first] += 1
         grouped[kind] += is_named
-        wrong.append(found.enough and not is_named)
+        wrong.append(found.is_sufficient and not is_named)
         if first != attribute.NOTHING:  # that chance explains a small error is no mistake
-            stated.append((found.probability[found.first], first == kind))
+            stated.append((found.probability[found.first_cause], first == kind))
     steps = [(low, [right for p, right in stated if low <= p < low + 0.2]) for low in (0.0, 0.2, 0.4, 0.6, 0.8)]
     calibration = [(low + 0.1, round(sum(hits) / len(hits), 3), len(hits)) for low, hits in steps if hits]
-    standing = causes.standing()[1]
+    standing = causes.explain_residuals()[1]
     chi_square = float(f"{standing.chi_square / standing.dof:.{DIGITS}g}")
     return Reasons(
-        first=standing.first, reduced_chi_square=chi_square, worlds=len(wrong), named=named, grouped=grouped,
+        first=standing.first_cause, reduced_chi_square=chi_square, worlds=len(wrong), named=named, grouped=grouped,
         wrong_enough=round(sum(wrong) / len(wrong), 4), calibration=calibration, sides=causes.sides(),
     )  # fmt: skip
 

@@ -19,7 +19,7 @@ from rasterio.warp import transform as reproject
 
 from hyperval import model, observe
 from hyperval.atmosphere.solar import parse_utc
-from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, others_in_place, scale_warnings
+from hyperval.attribute import ScenarioModel, Truths, exchanged_pairs, few_objects, scale_warnings, substitutions
 from hyperval.campaign.schema import Campaign, Job, scenarios_of
 from hyperval.collection import Detection
 from hyperval.compare import compare_products, judged, marked_as_fitted, would_decide
@@ -522,7 +522,7 @@ def exchanges_of(side: Collected) -> dict[str, tuple[Mapping[Any, Mapping[str, A
     panels = exchanged_pairs(spectra_of(line.panels if line else (), "region"))
     materials = exchanged_pairs(rasters.materials if rasters else {})
     of_model = spectra_of(target for scenario in side.scenarios for target in scenario.scene.targets)
-    in_place = others_in_place(spectra_of(detection.targets if detection else ()), of_model, "of the model")
+    in_place = substitutions(spectra_of(detection.targets if detection else ()), of_model, "of the model")
     looked_for = in_place if len(in_place) <= _MOST_TRIED else {}
     background = detection.background if detection and place else []
     names = [name for name in (*place.regions, observe.SCENE) if [name] != background] if place and background else []
