@@ -28,9 +28,9 @@ from hyperval.model import in_file
 from hyperval.scenario import Scenario, builtin_scenarios, load_scenario
 from hyperval.sensor.specification import load_sensor
 from hyperval.settings import with_settings
-from hyperval.study.plan import MOST_TRIED, point_of, states_of, values_to_try
+from hyperval.study.plan import MOST_TRIED, plan_states, point_values, values_to_try
 from hyperval.study.schema import StudyFile
-from hyperval.study.trade import KINDS, Prepared, Progress, Trade, complete, notebook, prepare, study_of
+from hyperval.study.trade import KINDS, Progress, Setup, Trade, complete, notebook, prepare, trade_study
 from hyperval.web.forms import (
     MOST_ROWS,
     SCENES,
@@ -224,7 +224,7 @@ def _source(request: Request, name: str) -> str:
     return _file(request, name)
 
 
-def _asked(request: Request, sent: QueryParams | FormData) -> tuple[str, Trade, Prepared]:
+def _asked(request: Request, sent: QueryParams | FormData) -> tuple[str, Trade, Setup]:
     """What is asked, checked against its scenario; refused with every mistake at its field."""
     *asked, mistakes = _right(request, sent)
     deny(mistakes, 422)
@@ -248,7 +248,7 @@ def _right(request: Request, sent: QueryParams | FormData) -> tuple[Any, ...]:
     return (*right, [*mistakes, *(mistake for mistake in more if not {mistake.field, "scenario"} & wrong)])
 
 
-def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, Trade, Prepared]:
+def _checked(request: Request, texts: Sequence[tuple[str, str]]) -> tuple[str, Trade, Setup]:
     """What is asked, filled in from its scenario."""
     data: dict[str, Any] = {name: text for name, text in texts if name in Trade.model_fields}
     data |= {name: [text for key, text in texts if key == name] for name in _LISTS}
@@ -305,7 +305,7 @@ def curve(request: Request) -> Response:
         try:
             while progress is None or progress.todo:
                 progress = Progress(*ask("trade_piece", source=source, trade=trade, before=progress))
-                yield json.dumps({"figure": progress.figure, "needed": progress.said, "left": progress.todo}) + "\n"
+                yield json.dumps({"figure": progress.figure, "needed": progress.messages, "left": progress.todo}) + "\n"
         except Refused as refusal:  # what went before is sent already
             yield json.dumps({"error": refusal.mistakes[0].message, "left": 0}) + "\n"
 
@@ -317,7 +317,7 @@ def take_away(request: Request, name: str) -> Response:
     """The study that gives the same numbers, the scenario beside it, or a notebook that runs it."""
     source, trade, offers = _asked(request, request.query_params)
     is_beside = source not in builtin_scenarios()
-    study = study_of(offers, trade, "scenario.yaml" if is_beside else source)
+    study = trade_study(offers, trade, "scenario.yaml" if is_beside else source)
     note = _NOTE if "atmosphere.engine" in study.settings else ""
     texts = {path.name: path.read_text("utf-8") for path in trade.kept if path.name in trade.sensor}
     texts["study.yaml"] = yaml_text("study", plain(study), note)
@@ -333,7 +333,7 @@ def take_away(request: Request, name: str) -> Response:
 def keep(request: Request, form: SentForm) -> Response:
     """Run the study under the exact engine, and keep what comes of it."""
     _, trade, offers = _asked(request, form)
-    run = order_study(request, study_of(offers, trade, trade.scenario, exact=True))
+    run = order_study(request, trade_study(offers, trade, trade.scenario, exact=True))
     return RedirectResponse(f"/runs/{run.id}", status_code=303)
 
 
@@ -367,7 +367,7 @@ def studies(request: Request, order: StudyOrder) -> RunAnswer:
 
 
 def _of_size(study: StudyFile, scenario: Scenario, most: int) -> Iterator[FieldMistake]:
-    few, nodes = states_of(study, scenario)
+    few, nodes = plan_states(study, scenario)
     states = len(few) or math.prod(map(len, nodes.values()))
     points = study.count * (1 + sum(q.scan + 40 for q in study.required) // 4)
     if points > most:
@@ -380,7 +380,7 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
     """Paths that lead nowhere, and values that cannot stand there: files of the server among them.
 
     >>> planks, asked = "yellow-planks-asphalt", Trade(side_m=1.0)  # of a GSD, which the settings of the study make
-    >>> study = study_of(p := prepare(planks, asked), complete(asked, p), planks)
+    >>> study = trade_study(p := prepare(planks, asked), complete(asked, p), planks)
     >>> study.inputs[0].path.endswith("gsd_m"), list(_of_paths(study, load_scenario(planks), ()))
     (True, [])
     """
@@ -391,7 +391,7 @@ def _of_paths(study: StudyFile, scenario: Scenario, uploads: tuple[str, ...]) ->
         if len(values) > MOST_TRIED:
             yield FieldMistake(f"{where}.values", f"{len(values)} that are no numbers; at most {MOST_TRIED} are taken")
         for value in values[:MOST_TRIED]:
-            point = {path: v for path, v in point_of(item, value).items() if v is not None and in_file(path)}
+            point = {path: v for path, v in point_values(item, value).items() if v is not None and in_file(path)}
             named = {path: point[path] for path in sorted(point) if path.partition(".")[0] in Scenario.model_fields}
             tries.append((f"{where}.path", named))
     for field, moves in tries:
