@@ -11,7 +11,7 @@ import yaml
 from uncertain_scene import AXIS, engine, run, scenario
 
 from hyperval.attribute import NotInjectable, errors_of_file, further_candidates, injected_errors, injected_prediction
-from hyperval.campaign import jobs_of, run_campaign
+from hyperval.campaign import load_jobs, run_campaign
 from hyperval.errors import UsageError
 from hyperval.model import Origins, predict, read_world
 from hyperval.results import Outcome
@@ -202,7 +202,7 @@ def _state_surroundings(small):
 
 
 def _reasons(small):
-    table = run_campaign(jobs_of(small.write())[0]).table
+    table = run_campaign(load_jobs(small.write())[0]).table
     gains = {
         r.method: r.value
         for r in table

@@ -556,7 +556,7 @@ def load_campaign(path: Path | str) -> campaigns.Job:
     InputError, UsageError : of the file.
     """
 
-    return campaigns.job_of(Path(path))
+    return campaigns.load_job(Path(path))
 
 
 def explain(
@@ -625,7 +625,7 @@ def observe(campaign: campaigns.Job | Path | str, *, show_progress: bool | None 
     InputError, UsageError : of the campaign; MissingDataError where its data are not at hand.
     """
 
-    with bars(show_progress), campaigns.collected(_job(campaign, compares=False)) as collection:
+    with bars(show_progress), campaigns.observe_campaign(_job(campaign, compares=False)) as collection:
         return Observation(collection.observed.observation)
 
 
@@ -761,11 +761,11 @@ def metrics() -> Metrics:
 
 
 def _job(campaign: campaigns.Job | Path | str, *, compares: bool = True) -> Any:
-    """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`jobs_of`."""
+    """The campaign as it is, or that of a file of one run; ``compares`` as for :func:`load_jobs`."""
 
     if isinstance(campaign, campaigns.Job):
         return campaign
-    jobs = campaigns.jobs_of(Path(campaign), compares=compares)
+    jobs = campaigns.load_jobs(Path(campaign), compares=compares)
     return jobs[0] if len(jobs) == 1 else load_campaign(campaign)  # which says what is wrong with several
 
 

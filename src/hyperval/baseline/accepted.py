@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 import hyperval
-from hyperval.campaign import Job, command_without_output, jobs_of, package_versions, unchanged_run, validate
+from hyperval.campaign import Job, command_without_output, find_unchanged_run, load_jobs, package_versions, validate
 from hyperval.compare import row
 from hyperval.config import FILL_IN, Model, load_model
 from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
@@ -388,7 +388,7 @@ def all_runs(
     refuse(not campaigns and not sensors, "baseline.nothing")
     named = [part for text in sensors for part in text.split(",") if part]
     chosen = {n: load_sensor(n) for part in named for n in (library_names() if part == ALL else (part,))}
-    jobs = jobs_of(*campaigns) if campaigns else []
+    jobs = load_jobs(*campaigns) if campaigns else []
     with scratch_folder("check") as scratch:
         folder = source or keep or scratch / RUNS
         if jobs and source is None:
@@ -408,7 +408,7 @@ def _read(job: Job, source: Path, *, finished: bool) -> RunNumbers:
     run, title = Run.open(folder), job.outline.title
     table = run.table.where(campaign=name)
     refuse(not len(table), "baseline.absent", source, name=name)
-    stale = finished and (folder / RECORD).is_file() and unchanged_run(job, folder) is None
+    stale = finished and (folder / RECORD).is_file() and find_unchanged_run(job, folder) is None
     refuse(stale, "baseline.stale", folder, name=name)
     run = replace(run, table=table, campaign=name, title=title, simulated=bool(job.outline.simulated))
     return RunNumbers("campaign", run, str(job.path), campaign_metrics(table))
@@ -443,7 +443,7 @@ def check(
     ------
     UsageError, InputError : of the campaigns, sensors, baselines or the finished run.
     """
-    read = (one.path for job in (jobs_of(*campaigns) if campaigns else []) for one in job.files)
+    read = (one.path for job in (load_jobs(*campaigns) if campaigns else []) for one in job.files)
     with whole_folder(output, beside=[source, *read]) if output is not None else nullcontext() as folder:
         runs = all_runs(campaigns, sensors, source=source, keep=folder and folder / RUNS)
         runs = [_against(run, baselines) for run in runs]

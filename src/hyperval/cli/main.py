@@ -510,7 +510,7 @@ def validate(
             note(line)
         if any(i.state == campaign.WRONG for i in items):
             return UsageError.exit_code
-        return InputError.exit_code if any(i.lacking for i in items) else 0
+        return InputError.exit_code if any(i.is_blocking for i in items) else 0
     output = needed(output, "validate.output")
     code = campaign.validate(campaigns, output, scheduler=scheduler, strict=strict, again=again, tell=note)
     if junit is not None:

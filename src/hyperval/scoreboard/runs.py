@@ -23,7 +23,7 @@ import numpy as np
 import spectral
 from scipy import special, stats
 
-from hyperval.campaign import Campaign, Job, collected, command_without_output, jobs_of, record_of
+from hyperval.campaign import Campaign, Job, command_without_output, load_jobs, observe_campaign, record_of
 from hyperval.collection import Detection
 from hyperval.compare import EVERY_OBJECT, named, product_rows, row, skipped
 from hyperval.data import Array, Counts, Index
@@ -604,8 +604,8 @@ class Benchmarked(Run):
 
 def benchmark_campaign(job: Job, *, seed: int, extensions: Sequence[Path], scores: Mapping[str, str]) -> Benchmarked:
     """Every row of one campaign; what stops it becomes its one row, SKIPPED or ERROR."""
-    if job.waits is not None:
-        return _stopped(job, Outcome.SKIPPED, job.waits[0])
+    if job.unavailable is not None:
+        return _stopped(job, Outcome.SKIPPED, job.unavailable[0])
     detection, refused = job.campaign.detection, dict[str, str]()
     try:
         load_extensions(extensions)
@@ -666,7 +666,7 @@ def _with(job: Job, seed: int, refused: Mapping[str, str]) -> Benchmarked:
         remarks.extend(notes)
         return asked
 
-    with step(job.campaign.name, 1, 1, "benchmark"), collected(job, question=ask) as collection:
+    with step(job.campaign.name, 1, 1, "benchmark"), observe_campaign(job, question=ask) as collection:
         observed, detection = collection.observed, collection.campaign.detection
         rows, lost = detector_rows(observed, detection, left_out, seed=seed)
         rows, notes = [*rows, *peer_rows(observed, detection)], [*remarks, *lost]
@@ -721,7 +721,7 @@ def benchmark(
     from hyperval.figures.print import drawings_of
 
     load_extensions(extensions)
-    jobs, programs = jobs_of(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
+    jobs, programs = load_jobs(*paths, compares=False), tuple(Path(p).resolve() for p in extensions)
     inputs = [*(one.path for job in jobs for one in job.files), *map(Path, scores.values())]
     with whole_folder(output, beside=inputs) as folder, workers(worker_count(len(jobs)), scheduler) as where:
         one_process = where.executor is None  # one after the other, each with its own bars

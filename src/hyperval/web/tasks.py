@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hyperval import api
-from hyperval.campaign import StarterSources, jobs_of, observe, predict_to_folder, starter_campaign, validate
+from hyperval.campaign import StarterSources, load_jobs, observe, predict_to_folder, starter_campaign, validate
 from hyperval.collection import CollectionSection, CubeSource
 from hyperval.config import load_model, parse_yaml, placeholders, write_draft
 from hyperval.datasets import InputLog
@@ -244,7 +244,7 @@ def _scores(observed: ObservedProducts, subject: str, detector: str, unit: str) 
 
 def _collection(path: str) -> tuple[CollectionSection, CubeSource, InputLog]:
     """The collection of a campaign, its cube, and where its files are."""
-    job = next((job for job in jobs_of(Path(path)) if job.waits is None), None)
+    job = next((job for job in load_jobs(Path(path)) if job.unavailable is None), None)
     if job is None or job.campaign.collection is None or job.campaign.collection.cube is None:
         raise UsageError("this campaign has no cube")
     return job.campaign.collection, job.campaign.collection.cube, InputLog.of_file(job.path)
