@@ -23,8 +23,8 @@ from hyperval import baseline, imagery, model, spectra
 from hyperval import campaign as campaigns
 from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, refuse
-from hyperval.figures.catalogue import look_of, wavelengths
-from hyperval.figures.spec import SOURCES, Axis, Dash, Mark, Panels, Part, single
+from hyperval.figures.catalogue import spectra_labels, wavelength_axis
+from hyperval.figures.spec import SOURCES, Axis, Dash, Mark, Panels, Part, single_panel
 from hyperval.hdf5 import check_hdf5
 from hyperval.metrics import Metric, table
 from hyperval.model import Z95, detection_at
@@ -57,13 +57,13 @@ def _axes(ax: Axes | None, height_in: float = 4.8) -> Axes:
 
 def _drawn(view: Panels, ax: Axes | None, height_in: float = 4.8) -> Axes:
     """A stated view in axes, new ones where none are given."""
-    from hyperval.figures.print import draw_part, legend_of
+    from hyperval.figures.print import draw_part, legend_entries
 
     ax = _axes(ax, height_in)
     draw_part(ax, view, view.parts[0])
     ax.set(xlabel=view.x.label, ylabel=view.parts[0].y.label)
     if any(mark.label for mark in view.parts[0].marks):
-        ax.legend(*legend_of(view), fontsize="small")
+        ax.legend(*legend_entries(view), fontsize="small")
     return ax
 
 
@@ -103,8 +103,8 @@ class SidesPlot:
             raise UsageError(f"nothing to draw: no {product}", expected=f"one of {names}" if names else None)
         columns = {"x": "band_nm", "y": "value", "half": "half"}
         sides = list(self.tables.both.values())
-        x, y = wavelengths(sides[0].axis), Axis(look_of(sides, product)[0])
-        return _drawn(single(x, y, _lines(use, ["subject"], columns)), ax)
+        x, y = wavelength_axis(sides[0].axis), Axis(spectra_labels(sides, product)[0])
+        return _drawn(single_panel(x, y, _lines(use, ["subject"], columns)), ax)
 
     def roc(self, ax: Axes | None = None) -> Axes:
         """Every ROC curve, false alarms on a logarithmic scale.
@@ -116,7 +116,7 @@ class SidesPlot:
         refuse(self.tables.roc.empty, "api.no_curve")
         marks = _lines(self.tables.roc, ["subject", "detector", "unit"], {"x": "pfa", "y": "pd"})
         x, y = Axis("probability of false alarm", "log"), Axis("probability of detection", ends=(0.0, 1.0))
-        return _drawn(single(x, y, marks), ax)
+        return _drawn(single_panel(x, y, marks), ax)
 
 
 def _lines(frame: pandas.DataFrame, names: list[str], columns: Mapping[str, str]) -> list[Mark]:

@@ -20,7 +20,7 @@ import hyperval
 from hyperval.errors import WARNING, refuse
 from hyperval.figures.catalogue import SPECTRA, first_figures, further_figures, many_objects_figure
 from hyperval.figures.rows import campaigns_figure, criteria_figure, outcome_words
-from hyperval.figures.spec import Drawing, Figure, Kind, base64_of, statement
+from hyperval.figures.spec import Drawing, Figure, Kind, figure_json, to_base64
 from hyperval.metrics import Evidence, explained, plain_words, product_words
 from hyperval.products import background_of
 from hyperval.report import verdict as v
@@ -43,14 +43,14 @@ def script(place: tuple[str, ...]) -> bytes:
 @functools.cache
 def packed_library() -> tuple[str, ...]:
     """The library's scripts as base64 of gzip: 0.6 MB in place of 1.4 leave the figures room."""
-    return tuple(base64_of(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
+    return tuple(to_base64(gzip.compress(script(place), mtime=0)) for place in LIBRARY)
 
 
 @functools.cache
 def page_hashes(figures: bool = True) -> str:
     """The scripts of a page, with figures or without, as sources of its policy: these texts, and no other, may run."""
     places = (*LIBRARY, CHARTS, _EVERY_PAGE) if figures else (_EVERY_PAGE,)
-    return " ".join(f"'sha256-{base64_of(hashlib.sha256(script(place)).digest())}'" for place in places)
+    return " ".join(f"'sha256-{to_base64(hashlib.sha256(script(place)).digest())}'" for place in places)
 
 
 def anchor(row: Result) -> str:
@@ -163,7 +163,7 @@ def report_page(run: Run, drawings: Sequence[Drawing]) -> str:
     screen = v.first_screen(rows, run.power[0].sentence.partition(". ")[0] + "." if run.power else "")
     forest = criteria_figure(rows) if compares and not run.sentence else None
     worst = _worst_figure(screen.worst, [*spectra, *plots]) if forest and screen.worst else None
-    statements = {one.name: statement(one) for one in (forest, worst, *charts, *folded) if one is not None}
+    statements = {one.name: figure_json(one) for one in (forest, worst, *charts, *folded) if one is not None}
     shown = same_background_once(rows)
     unmade = (row for row in rows if row.outcome in (Outcome.SKIPPED, Outcome.ERROR))
     undone = grouped(unmade, lambda row: (row.outcome, row.product, row.reason or str(row.cause)))
@@ -281,7 +281,7 @@ def page(template: str, drawn: Iterable[Figure | None] | Mapping[str, str] = (),
 
     ``drawn`` : the figures, or their statements by name, where these are known already
     """
-    statements = drawn if isinstance(drawn, Mapping) else {one.name: statement(one) for one in drawn if one}
+    statements = drawn if isinstance(drawn, Mapping) else {one.name: figure_json(one) for one in drawn if one}
     written = f"{when:%Y-%m-%d %H:%M UTC}" if (when := stated_time()) else None
     return environment().get_template(template).render(
         **words, statements=statements, library=packed_library() if statements else (),
@@ -313,7 +313,7 @@ def embedded(images: Iterable[tuple[Any, bytes, str]], room: int) -> dict[Any, s
     """Names of images, their bytes and kinds -> data URI of each, for as many as there is room for."""
     sources: dict[Any, str] = {}
     for name, content, kind in images:
-        source = f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{base64_of(content)}"
+        source = f"data:image/{'svg+xml' if kind == 'svg' else kind};base64,{to_base64(content)}"
         if len(source) <= room:
             room -= len(source)
             sources[name] = source

@@ -31,7 +31,7 @@ from hyperval.datasets import InputLog
 from hyperval.errors import HypervalError, MissingDataError, UsageError, refusal, refuse, words_and_code
 from hyperval.executors import in_order, worker_count, workers
 from hyperval.figures import Axis, ColourScale, Figure, Mark, Panels, Part
-from hyperval.figures.spec import a_view_each, captioned, columns_of, measured_mark, single
+from hyperval.figures.spec import compose, figure_of_views, measured_mark, single_panel, to_columns
 from hyperval.imagery import ImageGrid, TargetObject, raster_of_size
 from hyperval.model import AREAS, clopper_pearson, predict
 from hyperval.observe import Observed, Place, map_name, open_place, scored_part, target_groups
@@ -754,9 +754,9 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         positive = [v for row, _ in ranked.values() for v in (row.value, row.upper) if math.isfinite(v) and v > 0]
         floor = 0.5 * min(positive, default=1.0) if far else -math.inf
         rows = [(*np.maximum((row.value, row.lower, row.upper), floor), i) for i, (row, _) in ranked.items()]
-        dots = measured_mark("dots", columns_of(rows, ("x", "low", "high", "y")), marker="circle", along="x")
+        dots = measured_mark("dots", to_columns(rows, ("x", "low", "high", "y")), marker="circle", along="x")
         styles: dict[Any, Any] = {True: {"label": "may be first"}, False: {"label": "is not first", "hollow": True}}
-        marks = dots.by_kind([rank.lower <= 1 for _, rank in ranked.values()], styles)
+        marks = dots.split([rank.lower <= 1 for _, rank in ranked.values()], styles)
         none = far and any(row.value == 0.0 for row, _ in ranked.values())
         name = MEASURES[metric].title + (" (none: at the left end)" if none else "")
         texts = [f"{'/'.join(one.groups[i])} {row.value:.3g}, rank {notes[i]}" for i, (row, _) in ranked.items()]
@@ -764,7 +764,7 @@ def detector_figure(one: Benchmarked) -> Figure | None:
         return Panels(Axis("value", "log" if far else "linear"), (part,), name, words="; ".join(texts))
 
     name = f"{one.campaign}-detectors"
-    return a_view_each("detectors", one.measures, view, name=name, campaign=one.campaign)
+    return figure_of_views("detectors", one.measures, view, name=name, campaign=one.campaign)
 
 
 def rank_figure(one: Benchmarked) -> Figure | None:
@@ -795,13 +795,13 @@ def _rank_map(
             cells.append((j - 0.5, j + 0.5, i - 0.5, i + 0.5, row.value))
             words.append(_rank_text(row))
             captions.append(f"{label}, {'/'.join(group)}: {words[-1]}")
-    columns = columns_of(cells, ("left", "right", "bottom", "top", "value"))
+    columns = to_columns(cells, ("left", "right", "bottom", "top", "value"))
     scale = ColourScale("falling", 1.0, max(float(columns["value"].max()), 2.0))
     mark = Mark("cells", columns, words=tuple(words), beside="centre", scale=scale)
     x, y = Axis.named([" = ".join(group) for group in groups]), Axis.named(list(rows))
-    view = single(x, y, [mark], words="; ".join(captions))
+    view = single_panel(x, y, [mark], words="; ".join(captions))
     title = MEASURES[metric].title
-    figure = captioned(kind, [view], more, metric=title, short=title.partition(",")[0], **about)
+    figure = compose(kind, [view], more, metric=title, short=title.partition(",")[0], **about)
     return replace(figure, width_in=2.6 + 1.35 * len(groups))
 
 
@@ -827,12 +827,12 @@ def predicted_figure(one: Benchmarked) -> Figure | None:
             f"{s}, {method}: measured {m.value:.2f}, predicted {p.value:.2f}" for (s, method, _), m, p in pairs[metric]
         )
         diagonal = Mark("line", {"x": np.array([0.0, 1.0]), "y": np.array([0.0, 1.0])}, "as predicted", dash="dotted")
-        dots = measured_mark("dots", columns_of(numbers), marker="circle", words=labels)
+        dots = measured_mark("dots", to_columns(numbers), marker="circle", words=labels)
         x, y = (Axis(side, ends=(-0.02, 1.02)) for side in ("predicted", "measured"))
-        return single(x, y, (diagonal, dots), MEASURES[metric].title)
+        return single_panel(x, y, (diagonal, dots), MEASURES[metric].title)
 
     paired = [name for name in names if pairs[name]]
-    return a_view_each("predicted", paired, view, name=f"{one.campaign}-predicted", campaign=one.campaign)
+    return figure_of_views("predicted", paired, view, name=f"{one.campaign}-predicted", campaign=one.campaign)
 
 
 def benchmark_figures(done: Sequence[Benchmarked]) -> list[Figure]:

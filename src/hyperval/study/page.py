@@ -14,7 +14,7 @@ import pandas as pd
 from scipy.interpolate import CubicSpline
 
 from hyperval.data import Array, Index
-from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, tones
+from hyperval.figures.spec import SOURCES, VIRIDIS, Axis, ColourScale, Figure, Mark, Panels, Part, palette_colours
 from hyperval.model import reads_again
 from hyperval.report.html import page
 from hyperval.report.verdict import number_text
@@ -218,7 +218,7 @@ def _lines_figure(study: StudyFile, table: pd.DataFrame, plot: Plot, knees: Sequ
         columns = {"y" if name == "middle" else name: line[name].to_numpy() for name in line}
         columns["x"] = [places.index(v) for v in line.index] if words else line.index.to_numpy(float)
         ordered = isinstance(member, float) and len(shown) > 1
-        colour = tones(VIRIDIS[:16], len(shown))[k] if ordered else SOURCES[k % len(SOURCES)]
+        colour = palette_colours(VIRIDIS[:16], len(shown))[k] if ordered else SOURCES[k % len(SOURCES)]
         label = _text(member) if family else ""
         marks.append(Mark("line", columns, label, colour, marker=_MARKERS[k] if len(line) <= 40 else "", alpha=0.15))
         line_values = {**fixed, **({family: member} if family else {})}

@@ -24,7 +24,7 @@ from hyperval.config import Model
 from hyperval.data import LINEAR_DETECTORS, Array, Mask
 from hyperval.datasets import resolve
 from hyperval.errors import UsageError, package_table, refusal, refuse
-from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, statement
+from hyperval.figures.spec import CURVES, PREDICTED, WAVELENGTH, Axis, Figure, Mark, Panels, Part, Rules, figure_json
 from hyperval.model import Origins, World, evaluations, every_path, predict, read_world, value_at, with_values
 from hyperval.model.intervals import Z95
 from hyperval.model.radiance import mean_radiance
@@ -114,7 +114,7 @@ class TradeInput(Model):
         """A value with the unit of the input."""
         return f"{value:.4g}" + (f" {self.unit}" if self.unit != "1" else "")
 
-    def axis_limits(self, low: float | None, high: float | None) -> tuple[float, float]:
+    def limits(self, low: float | None, high: float | None) -> tuple[float, float]:
         """Ends of an axis where they are stated, else about the value in the scenario."""
         near = self.spacing == "log" and 0.0 < self.now < math.inf
         first, last = (max(self.low, self.now / 10), min(self.high, self.now * 10)) if near else (self.low, self.high)
@@ -243,7 +243,7 @@ def complete(trade: Trade, p: Setup) -> Trade:
     filled: dict[str, Any] = {"x": x, "subject": subject}
     for field, key in (("x", x), ("y", trade.y)):
         if key:
-            low, high = p.inputs[key].axis_limits(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
+            low, high = p.inputs[key].limits(getattr(trade, f"{field}_from"), getattr(trade, f"{field}_to"))
             refuse(not low < high, "trade.ends", f"{field}_to", high=high, low=low)
             refuse(p.inputs[key].spacing == "log" and low <= 0.0, "trade.log", f"{field}_from")
             filled |= {f"{field}_from": low, f"{field}_to": high}
@@ -458,7 +458,7 @@ def next_piece(source: str, trade: Trade, before: Progress | None = None) -> Pro
         limits[step] = _limits(p, trade, along, {path: column[step] for path, column in columns.items()}, values[step])
     stride = step if what == "points" else _STRIDES[-1]
     drawn = _map(p, trade, study, values, stride) if trade.y else _curves(p, trade, along, values, limits, labels)
-    return Progress(values, limits, needed, statement(drawn), before.todo - 1, remarks)
+    return Progress(values, limits, needed, figure_json(drawn), before.todo - 1, remarks)
 
 
 def _required_inputs(p: Setup, trade: Trade) -> list[Required]:
@@ -653,7 +653,7 @@ def live_figure(source: str, trade: Trade, with_limits: bool = False) -> dict[st
         x, y = Axis("probability of false alarm P_FA", "log", ends=(1e-6, 1.0)), Axis("P_D", ends=(-0.03, 1.03))
         rules = (("x", trade.pfa),)
     figure = Figure("live", "roc", "", (Panels(x, (Part(y, marks, rules),)),))
-    return {"figure": statement(figure), "values": named, "error": " ".join(remarks)}
+    return {"figure": figure_json(figure), "values": named, "error": " ".join(remarks)}
 
 
 def _accuracy(p: Setup, trade: Trade) -> str:

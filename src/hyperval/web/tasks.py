@@ -30,7 +30,7 @@ from hyperval.datasets import InputLog
 from hyperval.envi_header import header_beside
 from hyperval.errors import UsageError, needed, refuse
 from hyperval.executors import under_command
-from hyperval.figures import Figure, densities_figure, exceedance_figure, first_figures, spectra_figure, statement
+from hyperval.figures import Figure, densities_figure, exceedance_figure, figure_json, first_figures, spectra_figure
 from hyperval.imagery import image_record, open_raster
 from hyperval.observe import open_source
 from hyperval.products import ObservedProducts, PredictedProducts, SpectralEstimate, background_of
@@ -57,7 +57,7 @@ def fetched(figure: Figure) -> dict[str, Any]:
     """A figure as a page fetches it."""
     return {
         "name": f"chart-{figure.name}", "section": figure.section, "title": figure.caption, "alt": figure.alt,
-        "content": statement(figure), "subjects": [view.subject for view in figure.views],
+        "content": figure_json(figure), "subjects": [view.subject for view in figure.views],
     }  # fmt: skip
 
 
