@@ -619,7 +619,7 @@ def serve(
     try:
         import uvicorn
 
-        from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connections_of, make_app
+        from hyperval.web import LOOPBACK, MEGABYTE, ServerSettings, connection_class, make_app
     except ModuleNotFoundError as error:
         raise UsageError(f"the web application needs {error.name}", mend="pip install 'hyperval[web]'") from error
     refuse(wrong := [str(p) for p in (campaigns, data) if p and not p.is_dir()], "serve.folder", ", ".join(wrong))
@@ -637,7 +637,7 @@ def serve(
     note(f"hyperval serves at http://{host}:{port} (runs in {place}); Ctrl+C stops it")
     config = uvicorn.Config(
         application, log_level="warning", access_log=False, server_header=False, proxy_headers=False,
-        timeout_keep_alive=30, ws="none", http=connections_of(connections), backlog=64,
+        timeout_keep_alive=30, ws="none", http=connection_class(connections), backlog=64,
     )  # fmt: skip
     with suppress(KeyboardInterrupt):
         uvicorn.Server(config).run([listening])
