@@ -40,7 +40,7 @@ def sensor_numbers() -> dict[str, Result]:
 
 @pytest.fixture(scope="module")
 def sound_sensor() -> dict[str, baseline.Accepted]:
-    return baseline.accepted_of(sensor_numbers(), {})
+    return baseline.accepted_numbers(sensor_numbers(), {})
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def sound_campaign(small_collection, tmp_path_factory) -> dict[str, baseline.Acc
     shutil.copytree(small_collection, folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hyperval.model.stated.atmospheric_terms", stand_in_atmosphere)
-        return baseline.accepted_of(campaign_numbers(SmallCampaign(folder)), {})
+        return baseline.accepted_numbers(campaign_numbers(SmallCampaign(folder)), {})
 
 
 def wrong(accepted: Mapping[str, baseline.Accepted], now: Mapping[str, Result]) -> list[Result]:

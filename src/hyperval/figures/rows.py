@@ -114,7 +114,7 @@ def short_text(value: float, sign: str = "", limits: Iterable[float] = ()) -> st
     return (text.rstrip("0").removesuffix(".") if digits else text).replace("-", "−")
 
 
-def rank_rows(rows: Sequence[Result]) -> list[Result]:
+def sort_rows(rows: Sequence[Result]) -> list[Result]:
     """Rows with their effects, the worst first."""
     return sorted(map(with_effect, rows), key=lambda row: (WORST_FIRST.index(row.outcome), -excess(row)))
 
@@ -154,7 +154,7 @@ def outcome_words(rows: Iterable[Result]) -> str:
 
 def criteria_figure(rows: Sequence[Result]) -> Figure | None:
     """Criteria as effects: a plot for each product and unit, the worst first; similar ones are folded into one row."""
-    criteria_rows = [row for row in rank_rows(find_criteria(rows)) if row.outcome is not Outcome.SKIPPED]
+    criteria_rows = [row for row in sort_rows(find_criteria(rows)) if row.outcome is not Outcome.SKIPPED]
     groups = grouped(criteria_rows, lambda row: (row.product, row.effect_unit or _title(row)))
     if not groups:
         return None

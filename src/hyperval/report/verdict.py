@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-from hyperval.figures.rows import decimals, effect_text, find_criteria, outcome_words, rank_rows, row_label, short_text
+from hyperval.figures.rows import decimals, effect_text, find_criteria, outcome_words, row_label, short_text, sort_rows
 from hyperval.metrics import Evidence, Kind, metric_of, plain_words, product_words
 from hyperval.results import EVERY, WORST_FIRST, Cause, Outcome, Result
 
@@ -97,7 +97,7 @@ def first_screen(rows: Sequence[Result], power: str = "") -> FirstScreen:
     model = [row for row in gates if row.evidence is Evidence.MODEL]
     are_told = (Outcome.ERROR, Outcome.DISAGREES, Outcome.UNDECIDED)
     informing = [row for row in rows if not row.gates and row.outcome in are_told]
-    shown = rank_rows(find_criteria(rows))
+    shown = sort_rows(find_criteria(rows))
     shown = [row for row in shown if row.outcome is not Outcome.SKIPPED] or shown
     first = next((row for row in shown if row.outcome is not Outcome.ERROR), None)  # which has no size
     outcome, head, opening = status([row for row in rows if row.gates or row.outcome is Outcome.ERROR])
