@@ -211,15 +211,15 @@ def _input_candidate(item: UncertainInput, sizes: tuple[float, ...], *, budgeted
 
     >>> few, many = (UncertainInput("gain", "sensor", "sensor.gain", np.ones(20), np.eye(20)[:k]) for k in (2, 12))
     >>> (both,) = merge_candidates([[_input_candidate(few, ())], [_input_candidate(many, ())]])
-    >>> both.size, [list(truth) for truth in both.truths(3, 1.0)]
+    >>> both.size, [list(moved) for moved in both.truths(3, 1.0)]
     (8, [[], ['sensor.gain']])
     """
 
-    def moved(direction: int, units: float) -> Truth:
+    def truth(direction: int, units: float) -> Truth:
         return item.direction(direction, units) if direction < item.size else {}
 
     size = min(item.size, MOST_DIRECTIONS)
-    return Candidate(item.name, item.kind, item.correlation, budgeted, (moved,), sizes, path=item.path, size=size)
+    return Candidate(item.name, item.kind, item.correlation, budgeted, (truth,), sizes, path=item.path, size=size)
 
 
 def _number_input(world: World, name: str, kind: Kind, path: str, step: str, sizes: Sequence[float]) -> Candidate:
@@ -468,7 +468,7 @@ def _size_candidate(world: World, target: Target) -> Candidate:
     {'fill.[green plank 0.1]': [0.121], 'fill.[green plank 0.2]': [0.242], 'fill.[green plank 0.4]': [0.484]}
     """
 
-    def sized(units: float) -> Truth:
+    def resized(units: float) -> Truth:
         factor, truth = 1.0 + 0.05 * units, dict[str, Any]()
         for p in target.populations:
             if side := _side_m(p):
@@ -478,7 +478,7 @@ def _size_candidate(world: World, target: Target) -> Candidate:
                 truth[f"fill.[{p.name}]"] = np.minimum(factor**2 * fill, 1.0)
         return truth
 
-    return _candidate(f"size of {target.name}", "scene", "5 %", (-6.0, 8.0), sized)
+    return _candidate(f"size of {target.name}", "scene", "5 %", (-6.0, 8.0), resized)
 
 
 def _side_m(p: TargetSubject) -> float | None:

@@ -605,7 +605,7 @@ class Reasoner:
         many = not self.noisy and fit.name == SINGLE_BANDS and float(np.sum(z2)) ** 2 > few
         if fit.limited or many:  # at its bound it is no reason
             prior = prior - float(e @ e)
-        rest = _rewhitened(fit, e - fit.made)
+        rest = _rewhiten(fit, e - fit.made)
         causes, weight, chi2 = (before.causes, before.weight, before.chi_squares) if before else ((), 0.0, ())
         if not self.noisy and fit.candidate is UNKNOWN and chi2 and chi2[-1] > REMAINDER * total:
             causes, chi2 = (), ()
@@ -615,7 +615,7 @@ class Reasoner:
         """Residuals that some causes have been taken from, and what others and no candidate would do to them."""
         columns = self._together
         for fit in causes:
-            e, columns = _rewhitened(fit, e - fit.made), _rewhitened(fit, columns)
+            e, columns = _rewhiten(fit, e - fit.made), _rewhiten(fit, columns)
         return e, dict(zip([*self.columns, UNKNOWN], np.split(columns, self._ends, axis=1), strict=True))
 
     def _extensions(self, h: Hypothesis, e: Array) -> Iterator[Hypothesis]:
@@ -646,7 +646,7 @@ class Reasoner:
             if self.noisy or special.chdtrc(e.size, chi2[-1]) <= SUFFICES:
                 rest, columns = self._remove_causes(causes, e)
                 causes += (build_effect(cause.candidate, columns[cause.candidate]).fit(rest),)
-                rest = _rewhitened(causes[-1], rest - causes[-1].made)
+                rest = _rewhiten(causes[-1], rest - causes[-1].made)
                 chi2.append(float(rest @ rest))
         good = chi2[0] - chi2[1] > GOOD_PART * (chi2[0] - h.chi_squares[-1]) and not causes[0].limited
         return Hypothesis(causes, h.weight, tuple(chi2[1:])) if good else h
@@ -696,7 +696,7 @@ def prior_group(name: str) -> str:
     return "light" if name in LIGHT else name if name == NONE else name.partition(" of ")[0]
 
 
-def _rewhitened(fit: Fit, x: Array) -> Array:
+def _rewhiten(fit: Fit, x: Array) -> Array:
     """Columns (n,) or (n, k) in units of an uncertainty that holds the freed directions of a cause."""
     less = 1.0 - np.sqrt(fit.factor2 / (fit.factor2 + fit.variances))
     return np.asarray((x - fit.freed @ ((fit.freed.T @ x).T * less).T) / np.sqrt(fit.factor2))

@@ -30,7 +30,7 @@ from hyperval.errors import HypervalError, as_typed, reader, refuse, worded
 from hyperval.metrics import DIGITS, Of, Tolerance, default_tolerance, metric_of
 from hyperval.model.roc import detection_at
 from hyperval.progress import track
-from hyperval.report import accepted_words, write_index, write_outputs
+from hyperval.report import accepted_text, write_index, write_outputs
 from hyperval.results import WORST_FIRST, Cause, Outcome, Result, ResultTable, Role, split_key
 from hyperval.run import Run, file_stems, is_run, junit_xml
 from hyperval.sensor import Sensor, library_names, load_sensor
@@ -482,7 +482,7 @@ def _write(runs: Sequence[RunNumbers], baselines: Path, folder: Path) -> None:
             campaign=run.owner, title=f"{run.run.title}: against the accepted numbers", simulated=run.run.simulated,
             description="Each number of this run beside the accepted one; it fails beyond its tolerance.",
             kind="Accepted numbers of", group=f"{run.kind.capitalize()}s",
-            sentence=accepted_words(run.rows) if run.before else next(row.reason for row in run.rows),
+            sentence=accepted_text(run.rows) if run.before else next(row.reason for row in run.rows),
         ))  # fmt: skip
         inner = folder / folders[run.owner]
         inner.mkdir(exist_ok=True)

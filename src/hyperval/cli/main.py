@@ -565,7 +565,7 @@ def sensor_check(
         for r in decided
     ]
     print_table(("outcome", "part", "subject", "check", "value", "limit", "remark"), rows)
-    failed = sum(map(hyperval.report.gate_fails, decided))
+    failed = sum(map(hyperval.report.is_failed_gate, decided))
     print_note(f"{check.sensor.name}: {len(decided) - failed} of {len(decided)} checks passed" if failed
          else f"{check.sensor.name}: accepted, {len(decided)} checks")  # fmt: skip
     return report_results(check.table.exit_code(), output)

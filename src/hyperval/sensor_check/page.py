@@ -177,7 +177,7 @@ _FOLDED = 12  # rows of a section that are not folded
 def datasheet_page(check: SensorCheck, figures: Sequence[Figure], provenance: dict[str, Any]) -> str:
     """The page of one sensor."""
     rows, axis = list(check.table), None
-    failed, expected = ([r for r in rows if fails(r)] for fails in (v.gate_fails, v.disagrees_without_gating))
+    failed, expected = ([r for r in rows if fails(r)] for fails in (v.is_failed_gate, v.informs_of_disagreement))
     with suppress(UsageError):  # the checks say what is wrong with it
         axis = check.axis
     return page(
