@@ -472,9 +472,8 @@ def attribution_model(side: ObservedCampaign, prediction: Products) -> ScenarioM
         detection = detection and detection.model_copy(update={"unmixing": None, "areas": []})
         before = side.observed if changed.collection == side.campaign.collection else None
         if before is not None and before.place is not None and mistake:
-            bands_are_off = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
-            inputs = changed.collection, side.inputs.resolve, mistake
-            place = observe.open_place(*inputs) if bands_are_off else before.place
+            is_shifted = {"nm", "scale"} & set(mistake)  # regions by rule are then elsewhere too
+            place = observe.open_place(changed.collection, side.inputs.resolve, mistake) if is_shifted else before.place
             same_pixels = not {"gain", "offset", "nm", "scale"} & mistake.keys()
             before = replace(before, place=place.mistaken(mistake), sampling=before.sampling if same_pixels else {})
         return valid_snr(observe.observe(changed.collection, detection, side.inputs.resolve, before=before).observation)

@@ -367,6 +367,7 @@ def read_jobs(path: Path) -> list[Job]:
     return [_build_job(path, content, lines, words) for words, content in campaign_runs(data, lines, str(path))]
 
 
+@reader
 def load_job(path: Path, *, predicts: bool = True) -> Job:
     """The campaign of a file of one run, which need not predict or compare.
 
